@@ -1,4 +1,4 @@
-"""The camera model: what calibration finds out and simulation needs (docs/method.md#camera-model)."""
+"""The camera model, which calibration writes and simulation reads (docs/method.md#camera-model)."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -8,32 +8,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.fit import Fit
-from l3cli.artifacts.schema import MOST, Artifact, data, group
+from l3cli.artifacts.schema import LARGEST_VALUE, Artifact, data, group
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.frame import tiled
 from l3cli.physics import lens, spectra
 from l3cli.system.limits import most_pixels
 
-DEFECTS = ("hot", "dead", "row", "column")  # of a defective pixel; the last two: all of its line is defective
-MOST_SHADING = 16.0  # of a pixel that gets a sixteenth of the light in the middle
-MOST_COLOUR_SHADING = 0.5  # by which a channel's gain may differ from the mean of all, relative
-SHORTEST, MOST_GAIN = 1e-4, 1e3  # of a channel's exposure and gain, relative to the camera's
+DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; for the last two the whole line is defective
+MAX_SHADING = 16.0  # gain of a pixel that receives a sixteenth of the light in the middle
+MAX_COLOUR_SHADING = 0.5  # relative difference between a channel's gain and the mean of all channels
+MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # of a channel, relative to the camera's exposure time and gain
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
 MAX_BITS = 16
-ROUNDING = 1e-6  # of a quantum efficiency of 1
-MOST_WAVELENGTHS, LONGEST = 10_000, 20_000  # samples of a spectrum; nm
+ROUNDING = 1e-6  # by which a quantum efficiency may exceed 1
+MAX_WAVELENGTHS, LONGEST_NM = 10_000, 20_000  # number of samples of a spectrum; longest wavelength
 QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
-    """Return EMVA 1288's absolute sensitivity threshold (e-), the signal whose signal-to-noise ratio is 1."""
+    """Return EMVA 1288's absolute sensitivity threshold in e-, the signal whose signal-to-noise ratio is 1.
+
+    `read_noise` is in e-, `gain` in DN/e-; both may be arrays.
+    """
     return np.sqrt(read_noise**2 + QUANTISATION / gain**2) + 0.5
 
 
 @dataclass(frozen=True)
 class DefectMap:
-    """Pixels whose values say nothing of the light."""
+    """Pixels whose values do not depend on the light."""
 
     position: NDArray[np.int64] = data("int64", "bad_pixel", "coordinate", unit="pixel", doc="row, col, each pixel once")
     pixel_kind: tuple[str, ...] = data("str", "bad_pixel", doc="hot, dead, or of a line that is: row, column")
@@ -49,8 +52,12 @@ class DefectMap:
 
 @dataclass(frozen=True)
 class FlatField:
-    """Gain that makes an even white even, relative to the middle of the frame, channel by channel; linear between the
-    lines of a grid that covers the whole sensor."""
+    """Gain that corrects shading: it turns the image of an evenly lit white into a uniform one.
+
+    The gain is relative to the middle of the frame, per channel. It is given on a grid that covers the whole sensor, and
+    is
+    interpolated linearly between grid lines.
+    """
 
     grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="row of each line", coordinate=True)
     grid_col: NDArray[np.float64] = data("float64", "grid_col", unit="pixel", doc="column of each line", coordinate=True)
@@ -63,22 +70,22 @@ class FlatField:
             if not (lines.size > 1 and (np.diff(lines) > 0).all()):
                 raise ValueError(f"flat field: {name} must be two lines or more that increase")
         gain = self.shading_gain
-        if not (gain.size and gain.min() >= 1 / MOST_SHADING and gain.max() <= MOST_SHADING):
-            raise ValueError(f"flat field: gains must lie in {1 / MOST_SHADING:g}…{MOST_SHADING:g}; are the whites even?")
-        if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MOST_COLOUR_SHADING:
+        if not (gain.size and gain.min() >= 1 / MAX_SHADING and gain.max() <= MAX_SHADING):
+            raise ValueError(f"flat field: gains must lie in {1 / MAX_SHADING:g}…{MAX_SHADING:g}; are the whites even?")
+        if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MAX_COLOUR_SHADING:
             raise ValueError(
-                f"flat field: a channel differs by more than {MOST_COLOUR_SHADING:.0%} from the others; are the whites even?"
+                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the others; are the whites even?"
             )
 
     def covers(self, rows: int, cols: int) -> bool:
-        """Return whether the grid goes from the first to the last pixel of a sensor."""
+        """Return whether the grid extends from the first to the last pixel of a sensor."""
         ends = (*self.grid_row[[0, -1]], *self.grid_col[[0, -1]])
         return bool(np.allclose(ends, (0, rows - 1, 0, cols - 1), rtol=0, atol=0.5))
 
 
 @dataclass(frozen=True)
 class Readout:
-    """Readout of each channel: two channels behind one filter may differ in exposure time and gain."""
+    """Exposure and gain of each channel. Channels behind the same filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time over that of the frame, the longest"
@@ -91,25 +98,25 @@ class Readout:
 
     def __post_init__(self) -> None:
         exposure, gain, first = self.channel_exposure, self.channel_gain, self.same_filter
-        if not (exposure.min() >= SHORTEST and exposure.max() == 1.0):
-            raise ValueError(f"exposures of channels must lie in {SHORTEST:g}…1, and the longest be 1")
-        if not (gain.min() >= 1.0 and gain.max() <= MOST_GAIN):
-            raise ValueError(f"gains of channels must lie in 1…{MOST_GAIN:g}")
+        if not (exposure.min() >= MIN_EXPOSURE and exposure.max() == 1.0):
+            raise ValueError(f"exposures of channels must lie in {MIN_EXPOSURE:g}…1, and the longest be 1")
+        if not (gain.min() >= 1.0 and gain.max() <= MAX_GAIN):
+            raise ValueError(f"gains of channels must lie in 1…{MAX_GAIN:g}")
         if not (self.channel_read_noise.min() >= 0 and np.isfinite(self.channel_read_noise).all()):
             raise ValueError("read noise of channels must not be negative")
         if not ((first >= 0) & (first <= np.arange(first.size))).all() or not (first[first] == first).all():
-            raise ValueError("same_filter must name first channels of a filter")
+            raise ValueError("same_filter must name, for each channel, the first channel with its filter")
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """Return the DN (channel) of light over those of the channel whose exposure times gain is largest."""
+        """DN per unit of light (channel), relative to the channel with the largest product of exposure and gain."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of docs/method.md#sensor, referred to the photodiode."""
+    """Noise of the sensor, referred to the photodiode (docs/method.md#sensor)."""
 
     read_noise: float = data("float64", unit="e-", doc="standard deviation of one reading in the dark")
     dark_current: float = data("float64", unit="e-/s", doc="mean dark current")
@@ -128,7 +135,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Noise that varies in time over the camera's: as another analog gain makes it, and a filter in time leaves it."""
+    """Temporal noise relative to the camera's: changed by another analog gain, or reduced by a temporal filter."""
 
     gain: float = data("float64", doc="analog gain over the camera's", default=1.0)
     noise_left: float = data(
@@ -139,11 +146,11 @@ class NoiseScale:
         if not self.gain > 0:
             raise ValueError(f"analog gain is {self.gain:g}, not above zero")
         if not self.noise_left > 0:
-            raise ValueError(f"a share of the noise is {self.noise_left:g}, not above zero")
+            raise ValueError(f"noise_left is {self.noise_left:g}, not above zero")
 
     @property
     def shot(self) -> float:
-        """Return the variance of the shot noise in DN² over the camera's."""
+        """Variance of the shot noise in DN², relative to the camera's."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -154,7 +161,7 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class AnalogGains:
-    """Analog gains of a camera beside that of its figures, and its read noise at each (docs/method.md#gains)."""
+    """Further analog gains of a camera, and its read noise at each of them (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
         "float64", "analog_gain", doc="DN an electron over those at the camera's gain", coordinate=True
@@ -165,7 +172,7 @@ class AnalogGains:
     def __post_init__(self) -> None:
         gain = self.analog_gain
         if not ((gain > 0).all() and (np.diff(gain) > 0).all() and (gain != 1).all()):
-            raise ValueError("analog gains must be above zero, increase, and not be 1, whose read noise the camera's is")
+            raise ValueError("analog gains must be above zero and increase; leave out 1, which is the camera's own gain")
         if not (self.gain_read_noise >= 0).all():
             raise ValueError("read noise at an analog gain must not be negative")
         if not self.iso >= 0:
@@ -187,17 +194,17 @@ class Optics:
 
     @property
     def image_distance(self) -> float:
-        """Return the distance in m from lens to sensor when the object is in focus."""
+        """Distance in m from lens to sensor when the object is in focus."""
         return lens.image_distance(self.focal_length, self.object_distance)
 
     @property
     def irradiance_per_radiance(self) -> float:
-        """Return in sr the camera equation: sensor irradiance / scene radiance on the axis (docs/method.md#optics)."""
+        """Sensor irradiance / scene radiance on the axis, in sr: the camera equation (docs/method.md#optics)."""
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """Raise ValueError if there is no such sensor."""
+    """Raise ValueError if no sensor can have this size, bit depth (`bits`) and these levels in DN."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         limits = f"above zero, and at most {most_pixels()} pixels and {MAX_BITS} bits"
         raise ValueError(f"rows {rows}, cols {cols} and bits {bits} must be {limits}")
@@ -206,7 +213,7 @@ def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_leve
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
-    """Raise ValueError if a super-pixel is empty, too large, or names channels that do not exist."""
+    """Raise ValueError if the super-pixel is empty, too large, or refers to a channel that does not exist."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
         raise ValueError(f"cfa must be at most {MAX_CFA}×{MAX_CFA} of at most {MAX_CHANNELS} channels")
     if cfa.max() >= len(channels):
@@ -214,16 +221,60 @@ def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """Raise ValueError unless wavelengths increase and are light's."""
-    if not (1 < wavelength.size <= MOST_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
-        raise ValueError(f"wavelength must increase and be 2 to {MOST_WAVELENGTHS} values")
-    if not (wavelength[0] > 0 and wavelength[-1] <= LONGEST):
-        raise ValueError(f"wavelength must lie in 0…{LONGEST} nm")
+    """Raise ValueError unless wavelengths, in nm, increase and are those of light."""
+    if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
+        raise ValueError(f"wavelength must be 2 to {MAX_WAVELENGTHS} increasing values")
+    if not (wavelength[0] > 0 and wavelength[-1] <= LONGEST_NM):
+        raise ValueError(f"wavelength must lie in 0…{LONGEST_NM} nm")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CameraModel(Artifact):
-    """A camera: geometry, colour filter array, responsivities, analog chain, noise, optics."""
+    """A camera: geometry, colour filter array, responsivities, analog chain, noise and optics.
+
+    Attributes
+    ----------
+    name : str
+    rows, cols : int
+        Size of the sensor in pixels.
+    pixel_pitch : float
+        Distance of pixel centres in m.
+    bits : int
+        Depth of the analog-digital converter.
+    channels : tuple of str
+    cfa : ndarray, (cfa_row, cfa_col)
+        Index of the channel at each site of the super-pixel.
+    wavelength : ndarray, (wavelength,)
+        Grid of the responsivities in nm.
+    responsivity : ndarray, (channel, wavelength)
+        Quantum efficiency in e-/photon, including lens, filters and fill factor. Relative, with a peak of 1, unless
+        `absolute`.
+    responsivity_band : ndarray, (channel, wavelength)
+        Half width of the 95 % band of `responsivity`; 0 if not measured.
+    gain : float
+        Conversion gain in DN/e-.
+    black_level, white_level : float
+        Mean value in the dark and value at saturation, in DN.
+    fixed_pattern_seed : int
+        Seed of the camera's PRNU and DSNU maps.
+    noise : Noise
+    optics : Optics
+    declared : tuple of str
+        Quantities that calibration took from a data sheet instead of measuring them.
+    fit : Fit or None
+        Measurements and residuals; None if the camera comes from a recipe.
+    defects : DefectMap or None
+        None if defects have not been searched for.
+    flat_field : FlatField or None
+        None if shading was not measured.
+    readout : Readout or None
+        None if all channels have the same exposure time and gain.
+    gains : AnalogGains or None
+        None if the read noise is assumed to be the same at all gains.
+    noise_left : float
+        Fraction of the temporal noise variance that frames have after a temporal filter. It is set by `under`, and not
+        stored.
+    """
 
     kind: ClassVar[str] = "camera model"
     version: ClassVar[int] = 3
@@ -260,11 +311,11 @@ class CameraModel(Artifact):
         "str", "declared", doc="quantities that calibration took from a data sheet instead of measuring them", default=()
     )
     fit: Fit | None = group(default=None)
-    defects: DefectMap | None = group(default=None)  # None: nobody has searched for any
-    flat_field: FlatField | None = group(default=None)  # None: not measured
-    readout: Readout | None = group(default=None)  # None: all channels are exposed and amplified alike
-    gains: AnalogGains | None = group(default=None)  # None: read noise is taken to be the same at all
-    noise_left: float = 1.0  # share of the noise over time that frames have, while that is looked at; not stored
+    defects: DefectMap | None = group(default=None)
+    flat_field: FlatField | None = group(default=None)
+    readout: Readout | None = group(default=None)
+    gains: AnalogGains | None = group(default=None)
+    noise_left: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -272,7 +323,7 @@ class CameraModel(Artifact):
         check_cfa(self.cfa, self.channels)
         check_wavelengths(self.wavelength)
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
-            raise ValueError("pixel_pitch, gain and the peak of the responsivity must be above zero, the seed not below")
+            raise ValueError("pixel_pitch, gain and peak responsivity must be above zero, fixed_pattern_seed not negative")
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
             raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, which cannot exceed 1")
         if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
@@ -281,13 +332,27 @@ class CameraModel(Artifact):
             raise ValueError(f"the grid of the flat field is not that of {self.rows}×{self.cols} pixels")
 
     @property
+    def summary(self) -> str:
+        array = f"{self.cfa.shape[0]}×{self.cfa.shape[1]} CFA of {', '.join(self.channels)}"
+        return f'"{self.name}", {self.rows}×{self.cols} pixels of {self.bits} bits, {array}'
+
+    @property
     def full_scale(self) -> float:
-        """Return the electrons between black and white level."""
+        """Electrons between black and white level."""
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
-        """Return the camera at an analog gain over its own: more DN an electron, levels as they are. Its read noise there is
-        that of `gains`, between which squares are linear in 1/gain² (docs/method.md#gains)."""
+        """Return the camera at another analog gain.
+
+        The levels stay the same. The read noise is interpolated between the known gains, with its square linear in
+        1/gain²
+        (docs/method.md#gains).
+
+        Parameters
+        ----------
+        gain : float
+            Analog gain relative to the camera's.
+        """
         if gain == 1:
             return self
         known, further = self.gains, {1.0: self.noise.read_noise}
@@ -307,31 +372,33 @@ class CameraModel(Artifact):
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain over the camera's at an ISO speed; None: the speed, or that of the camera, is not known."""
+        """Return the analog gain at an ISO speed, relative to the camera's gain, or None if either ISO speed is unknown."""
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return the camera whose frames have such noise."""
+        """Return the camera whose frames have the noise that `noise` describes."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the channel (row, col) of the pixels of a frame of that shape, CFA phase (0, 0)."""
+        """Return the channel (row, col) of each pixel of a frame of this shape, CFA phase (0, 0)."""
         return tiled(self.cfa, shape)
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """Return the DN (channel) of light over those of the most sensitive channel; 1 where all are alike."""
+        """DN per unit of light (channel), relative to the most sensitive channel; 1 if all channels are read alike."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Return the conversion gain (channel) over `gain`."""
+        """Conversion gain (channel), relative to `gain`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Return W (channel, wavelength): mean photo-electrons a second of the frame's exposure = W @ radiance
-        (photons/s/sr/m²/nm) (docs/method.md#sensor)."""
+        """W (channel, wavelength), such that W @ radiance gives the mean photo-electrons per second of exposure.
+
+        Radiance is in photons/s/sr/m²/nm (docs/method.md#sensor).
+        """
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
             return self.responsivity * photons * self.readout.channel_exposure[:, None]
@@ -339,22 +406,24 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """Return W (channel, wavelength) as `electron_weights`, but of signals: electrons that give as many DN at `gain`."""
+        """W (channel, wavelength) as `electron_weights`, but for signals: the electrons that give the same DN at `gain`."""
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
-        """Return in cd s/m² scene luminance × exposure time at which a perfect white under D65 just fills the brightest
-        channel.
+        """Luminance × exposure time, in cd s/m², at which a perfect white under D65 just fills the brightest channel.
 
-        InputFileError if the camera collects next to nothing of that light, or its wavelengths are all invisible.
+        Raises
+        ------
+        InputFileError
+            If the camera collects almost none of that light, or all its wavelengths are invisible.
         """
         with raised_as(InputFileError, f"camera {self.name}", InputFileError):
             white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
         electrons = float((self.signal_weights @ white).max())
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
-        if not exposure <= MOST:
+        if not exposure <= LARGEST_VALUE:
             raise InputFileError(
                 f"camera {self.name}: {exposure:.3g} cd s/m² of daylight fill a pixel; check responsivity, pitch, f-number"
             )
@@ -362,32 +431,64 @@ class CameraModel(Artifact):
 
     @property
     def output_unit(self) -> float:
-        """Return in cd s/m² what an output of 1 stands for in tables of the camera: the saturation exposure, or a quarter of
-        what fills the least sensitive of channels that differ more than four times (docs/method.md#exposures)."""
+        """Luminance × exposure time, in cd s/m², that an output of 1 stands for in tables of the camera.
+
+        It is the saturation exposure. If the sensitivities of channels differ more than four times, it is instead a
+        quarter of the
+        exposure that fills the least sensitive channel (docs/method.md#exposures).
+        """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return DN above black that dark current makes, on average, in `exposure` s; None: 0
-        (docs/method.md#dark-current)."""
+        """Return the mean dark signal above black, in DN, after `exposure` seconds; 0 for None
+        (docs/method.md#dark-current).
+        """
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
     def noise_variance(
         self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
     ) -> NDArray[np.floating]:
-        """Return the variance in DN² of a pixel of mean `signal` DN above black (docs/method.md#noise, with rounding), of a
-        frame that is `RawFrame.at_levels` after `dark` DN of dark current. `channel` as of `noise_terms`."""
+        """Return the noise variance of pixels, in DN², including rounding (docs/method.md#noise).
+
+        Parameters
+        ----------
+        signal : ndarray
+            Mean signal above black in DN, of a frame that `RawFrame.at_levels` has rescaled.
+        dark : float
+            Dark signal in DN that has been subtracted from the frame.
+        channel : ndarray of int, optional
+            Channel of each pixel; see `noise_terms`.
+        """
         constant, linear, quadratic = self.noise_terms(dark, channel)
         signal = np.maximum(signal, 0.0)
         return constant + (linear + quadratic * signal) * signal
 
     def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
-        """Return the noise variance's constant (DN²), linear (DN) and quadratic term over the signal above black.
+        """Return the coefficients of the noise variance as a polynomial of the signal above black.
 
-        Of `dark` DN the mean has been taken off, and the light that is left stretched to full scale; the shot noise of the
-        dark electrons, and what pixels differ in them, stays. ValueError if dark current alone fills a pixel. `dark` is that
-        of a channel of the whole exposure and of `gain`. The terms are those of such a channel, or, where `channel` says
-        which pixels are of which and these differ, arrays of its shape. `noise_left` is that of the variance over
-        time, before values are rounded.
+        The mean dark signal has been subtracted, and the remaining range stretched to full scale. The shot noise of the
+        dark
+        electrons and their nonuniformity stay in the frame. `noise_left` scales the temporal part of the variance,
+        without rounding.
+
+        Parameters
+        ----------
+        dark : float
+            Dark signal in DN of a channel with the full exposure time and the gain `gain`.
+        channel : ndarray of int, optional
+            Channel of each pixel. It matters if channels differ in exposure time or gain; without it the coefficients are
+            those
+            of a channel with the full exposure time and the gain `gain`.
+
+        Returns
+        -------
+        constant, linear, quadratic
+            In DN², DN and 1. The first two are arrays of the shape of `channel` if channels differ.
+
+        Raises
+        ------
+        ValueError
+            If dark current alone fills a pixel.
         """
         noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
         if not dark < span:

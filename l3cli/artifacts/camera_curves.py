@@ -1,4 +1,4 @@
-"""Responsivities of a camera recipe: sums of Gaussians, or a CSV file of curves, relative or quantum efficiencies."""
+"""Responsivities in a camera recipe: sums of Gaussians, or a CSV file of relative curves or quantum efficiencies."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, ROUNDING
+from l3cli.artifacts.camera import LONGEST_NM, MAX_WAVELENGTHS, ROUNDING
 from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
@@ -17,15 +17,17 @@ from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
 WIDEST_GAP = 20.0  # nm between samples of measured curves
-CUT_OFF = 0.05  # of a channel's peak: a curve that ends higher within the visible was cut off
+CUT_OFF = 0.05  # fraction of a channel's peak; a curve that ends higher within the visible range was cut off
 VISIBLE = 420.0, 680.0  # nm
-RELATIVE_PEAK = 1e-3  # a peak so near to 1 is that of curves divided by it
-LEAST_PEAK = 1e-3  # quantum efficiency: no camera sees less
+RELATIVE_PEAK = 1e-3  # curves whose peak is this close to 1 are relative, that is, divided by their peak
+MIN_PEAK = 1e-3  # lowest peak quantum efficiency of a camera
 Array = NDArray[np.float64]
 
 
 class Gaussian(Recipe):
-    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), sigma below and above the centre."""
+    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), with one sigma on each side of the
+    centre.
+    """
 
     peak: float
     centre_nm: float
@@ -34,17 +36,17 @@ class Gaussian(Recipe):
 
 
 class ResponsivityRecipe(Recipe):
-    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; of a file by default its own grid
-    # quantum efficiency e-/photon at the peak of the whole set, lens and filters included; of a file by default what it says
+    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; default for a file: its own grid
+    # quantum efficiency in e-/photon at the peak of all curves, including lens and filters; default for a file: its values
     peak_efficiency: Positive | None = None
     gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
-    file: str | None = None  # CSV: wavelength in nm, one column a channel, by name or in the order of cfa.channels
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, where that has another name
+    file: str | None = None  # CSV: wavelength in nm, one column per channel, by name or in the order of cfa.channels
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, if the names differ
     per_energy: bool = False  # the curves are per watt, not per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [responsivity], beside numbers out of their range and the content of files."""
+    """Yield the faults of [responsivity], apart from numbers out of range and the content of files."""
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
             "give either responsivity.gaussians or responsivity.file",
@@ -56,13 +58,13 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
         key = "responsivity.wavelength_nm"
         if not (0 < first < last and step > 0):
             yield fault(f"{key} must be first < last with a positive step", key)
-        elif (last - first) / step >= MOST_WAVELENGTHS or last > LONGEST:
-            yield fault(f"{key} has {MOST_WAVELENGTHS} values at most, up to {LONGEST} nm", key)
+        elif (last - first) / step >= MAX_WAVELENGTHS or last > LONGEST_NM:
+            yield fault(f"{key} may have at most {MAX_WAVELENGTHS} values, up to {LONGEST_NM} nm", key)
     yield from column_faults(declared.columns, channels, "responsivity.columns")
     if declared.gaussians is None:
         return
     if declared.columns:
-        yield fault("responsivity.columns are those of a file; leave them out", "responsivity.columns")
+        yield fault("responsivity.columns only apply to responsivity.file; leave them out", "responsivity.columns")
     for key in ("wavelength_nm", "peak_efficiency"):
         if getattr(declared, key) is None:
             yield fault(f"missing key `{key}` in [responsivity], which gaussians need", f"responsivity.{key}")
@@ -73,13 +75,13 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
 
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
-    """Yield the faults of `columns` (channel → name), which stand at `key`."""
+    """Yield the faults of a mapping from channels to columns, which the recipe holds at `key`."""
     if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Return how `names` differ from the channels, in words."""
+    """Return in words how `names` differ from the channels."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
@@ -87,8 +89,28 @@ def differences(names: Iterable[str], channels: Sequence[str]) -> str:
 
 
 def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> tuple[Array, Array]:
-    """Return wavelengths (wavelength) in nm and quantum efficiency (channel, wavelength) e-/photon of a recipe without
-    `curve_faults`, whose file lies relative to `folder`. InputFileError if that holds no curves of a camera."""
+    """Return the responsivities that a camera recipe describes.
+
+    Parameters
+    ----------
+    declared : ResponsivityRecipe
+        A recipe without `curve_faults`.
+    channels : sequence of str
+    folder : Path
+        Folder that the recipe's file name is relative to.
+
+    Returns
+    -------
+    wavelength : ndarray, (wavelength,)
+        In nm.
+    efficiency : ndarray, (channel, wavelength)
+        Quantum efficiency in e-/photon.
+
+    Raises
+    ------
+    InputFileError
+        If the file does not hold the curves of a camera.
+    """
     if declared.gaussians is not None:
         wavelength = _grid(declared)
         assert wavelength is not None
@@ -108,14 +130,14 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 
 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
-    """Return the curves of the channels as the file of a recipe holds them; InputFileError if it does not."""
+    """Return the curves of the channels from a recipe's file; InputFileError if the file lacks one."""
     assert declared.file is not None
     table = read_table(folder / declared.file).channel_columns(channels, declared.columns)
     return replace(table, values=without_noise(table.values))
 
 
 def _grid(declared: ResponsivityRecipe) -> Array | None:
-    """Return the wavelengths that a recipe asks for, in nm."""
+    """Return the wavelengths that a recipe asks for, in nm, or None for those of its file."""
     if declared.wavelength_nm is None:
         return None
     first, last, step = declared.wavelength_nm
@@ -123,7 +145,7 @@ def _grid(declared: ResponsivityRecipe) -> Array | None:
 
 
 def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
-    """Raise InputFileError unless the curves of a file are those of a camera over the wavelengths it sees."""
+    """Raise InputFileError unless the curves of a file cover the visible range, without gaps and without negative values."""
     grid, curves = table.wavelength, table.values
     missing = gaps(grid, curves, WIDEST_GAP)
     if grid.size < 2 or missing:
@@ -147,7 +169,7 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """Return the curves of a file as the quantum efficiencies that it says they are, averaged over the steps of a grid."""
+    """Return the quantum efficiencies that a file states, averaged over the steps of a grid."""
     efficiency = table.efficiencies(per_energy)
     peak = float(efficiency.max())
     if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):
@@ -160,7 +182,7 @@ def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Arr
             f"{table.path}: the curves peak at 1, as relative ones do; give responsivity.peak_efficiency, or their unit, "
             '"(e-/photon)", after the names of the columns'
         )
-    if not LEAST_PEAK <= peak <= 1 + ROUNDING:
+    if not MIN_PEAK <= peak <= 1 + ROUNDING:
         raise InputFileError(
             f"{table.path}: its peak quantum efficiency is {peak:.4g}, which no camera has; correct the unit of the "
             "columns, or give responsivity.peak_efficiency"
@@ -178,7 +200,7 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:
-    """Return the nm between the half maxima about the peak of a curve; None where it does not fall so far on both sides."""
+    """Return the full width at half maximum of a curve, in nm, or None if it does not fall that far on both sides."""
     peak, half = int(curve.argmax()), curve.max() / 2
     below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)
     if not (below.size and above.size):

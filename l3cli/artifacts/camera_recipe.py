@@ -1,4 +1,4 @@
-"""Cameras described instead of measured: recipes (configs/cameras)."""
+"""Camera recipes, which describe a camera instead of measuring it (configs/cameras)."""
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,8 +13,8 @@ from l3cli.artifacts.camera import (
     MAX_BITS,
     MAX_CFA,
     MAX_CHANNELS,
-    MOST_GAIN,
-    SHORTEST,
+    MAX_GAIN,
+    MIN_EXPOSURE,
     AnalogGains,
     CameraModel,
     Noise,
@@ -42,28 +42,28 @@ from l3cli.recipes.toml import (
 )
 from l3cli.spectra.table import CurveTable
 
-MOST_NOISE = 1e4  # e-
-MOST_ISO = 1e7  # of any camera's base
-PITCHES_UM, LEAST_F_NUMBER, LEAST_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # beyond, a length was given in another unit
-PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # of a camera of which only a raw file is known
-MOST_PRNU = 0.2  # of any sensor that can be corrected
-Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]  # of a raw value
-ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MOST_NOISE)]
+MAX_READ_NOISE_E = 1e4
+MAX_ISO = 1e7
+PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values beyond are probably in another unit
+PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed if only a raw file of a camera is known
+MAX_PRNU = 0.2  # a sensor with more cannot be corrected
+Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]
+ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Readout of a channel where it differs from that of the others."""
+    """Readout of a channel that differs from the others."""
 
-    like: str | None = None  # the channel with the same filter, whose responsivity it has
-    # its exposure time over that of the frame, which is the longest
-    exposure: Annotated[float, msgspec.Meta(ge=SHORTEST, le=1)] = 1.0
-    # its conversion gain over sensor.gain_dn_per_e, which is the lowest
-    gain: Annotated[float, msgspec.Meta(ge=1, le=MOST_GAIN)] = 1.0
+    like: str | None = None  # a channel with the same filter, whose responsivity applies
+    # exposure time relative to the frame's, which is the longest
+    exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
+    # conversion gain relative to sensor.gain_dn_per_e, which is the lowest
+    gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
     read_noise_e: ReadNoise | None = None  # at that gain; default: noise.read_noise_e
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of a channel that does not exist or cannot be read in this way."""
+    """Yield the faults of [channel.NAME]: channels that do not exist or cannot be read like this."""
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
@@ -83,12 +83,12 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the one whose responsivity it has."""
+    """Return, for each channel, the channel whose responsivity it has."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """Return the recipe of a readout without its read noise, of channels that differ from the others."""
+    """Return the [channel.NAME] tables that describe a readout, without read noise and without channels at the defaults."""
     if readout is None:
         return {}
     rows = zip(channels, readout.same_filter, readout.channel_exposure, readout.channel_gain, strict=True)
@@ -100,14 +100,22 @@ def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, C
 
 
 def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], path: Path) -> Readout | None:
-    """Return the readout of a measurement file, its read noise not yet known; RecipeError if there is none."""
+    """Return the readout that a measurement file declares, with zero read noise, or None if it declares none.
+
+    Raises
+    ------
+    RecipeError
+        If `channel` has faults.
+    """
     refuse_first(channel_faults(channel, channels), path)
     return readout_of(channel, channels, 0.0)
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout of channels without `channel_faults`, `read_noise` (e-) being that of those that name none; None if
-    all are read alike."""
+    """Return the readout of a recipe without `channel_faults`, or None if all channels are read alike.
+
+    `read_noise`, in e-, applies to channels that do not state their own.
+    """
     if not channel:
         return None
     each = [channel.get(name, ChannelRecipe()) for name in channels]
@@ -131,11 +139,15 @@ class SensorRecipe(Recipe):
 
 
 class CfaRecipe(Recipe):
+    """Colour filter array."""
+
     channels: list[str]
     pattern: list[str]  # rows of the super-pixel, channel names separated by spaces
 
 
 class NoiseRecipe(Recipe):
+    """Noise of the sensor at sensor.gain_dn_per_e."""
+
     well_capacity_e: Positive
     read_noise_e: NotNegative = 0.0
     dark_current_e_per_s: NotNegative = 0.0
@@ -157,41 +169,41 @@ def noise_of(recipe: NoiseRecipe) -> Noise:
 
 
 class GainRecipe(Recipe):
-    """Analog gains beside that of [sensor] (docs/method.md#gains)."""
+    """Read noise at further analog gains (docs/method.md#gains)."""
 
-    iso: Annotated[float, msgspec.Meta(ge=0, le=MOST_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
-    # over sensor.gain_dn_per_e, at which read noise is known beside it
-    gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MOST_GAIN, le=MOST_GAIN)], ...] = ()
-    read_noise_e: tuple[ReadNoise, ...] = ()  # at each of these gains; leave read_noise_before_e out
-    read_noise_before_e: NotNegative | None = None  # before the amplifier: the rest of noise.read_noise_e is the converter's
+    iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
+    # gains, relative to sensor.gain_dn_per_e, at which the read noise is known
+    gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
+    read_noise_e: tuple[ReadNoise, ...] = ()  # at each of these gains; replaces read_noise_before_e
+    read_noise_before_e: NotNegative | None = None  # before the amplifier; the rest of noise.read_noise_e comes after it
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Return the gains of a recipe without `gain_faults`, `read_noise` (e-) being that at sensor.gain_dn_per_e."""
+    """Return the analog gains of a recipe without `gain_faults`. `read_noise`, in e-, is that at sensor.gain_dn_per_e."""
     if recipe is None:
         return None
     known = dict(zip(recipe.gains, recipe.read_noise_e, strict=True))
     if recipe.read_noise_before_e is not None:
         known = {
             gain: np.hypot(recipe.read_noise_before_e, np.sqrt(read_noise**2 - recipe.read_noise_before_e**2) / gain)
-            for gain in (1 / MOST_GAIN, MOST_GAIN)
+            for gain in (1 / MAX_GAIN, MAX_GAIN)
         }
     each = sorted(known)
     return AnalogGains(np.array(each, np.float64), np.array([known[gain] for gain in each], np.float64), recipe.iso)
 
 
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
-    """Yield the faults of [gain] of a camera of such read noise."""
+    """Yield the faults of [gain] for a camera with this read noise in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
-        message = f"gain.gains names {len(recipe.gains)} gains, gain.read_noise_e {len(recipe.read_noise_e)}"
-        yield fault(f"{message}; give one of each", "gain.read_noise_e", "gain.gains")
+        message = f"gain.gains has {len(recipe.gains)} values, gain.read_noise_e {len(recipe.read_noise_e)}"
+        yield fault(f"{message}; give one read noise per gain", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
         if gain == 1 or recipe.gains.count(gain) > 1:
-            message = f"gain.gains: {gain:g} stands there twice, or is 1, of which noise.read_noise_e tells; leave it out"
+            message = f"gain.gains: {gain:g} is listed twice, or is 1, for which noise.read_noise_e applies; leave it out"
             yield fault(message, "gain.gains")
     before = recipe.read_noise_before_e
     if before is not None and recipe.gains:
-        message = "gain: give read_noise_before_e, or gains with read_noise_e"
+        message = "gain: give either read_noise_before_e, or gains with read_noise_e"
         yield fault(message, "gain.read_noise_before_e", "gain.gains")
     elif before is not None and before > read_noise:
         message = f"gain.read_noise_before_e is {before:g}, more than noise.read_noise_e of {read_noise:g}"
@@ -205,7 +217,7 @@ class OpticsRecipe(Recipe):
 
 
 class CameraRecipe(Recipe):
-    """A camera described instead of measured (configs/cameras)."""
+    """A camera that is described instead of measured (configs/cameras)."""
 
     title: ClassVar[str] = "a camera recipe"
 
@@ -215,29 +227,29 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # those that are read in another way
-    gain: GainRecipe | None = None  # others of the whole sensor
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a readout of their own
+    gain: GainRecipe | None = None  # further analog gains of the whole sensor
 
 
 class PhaseRecipe(Recipe):
-    """The camera of another recipe, with its array read from another pixel on."""
+    """The camera of another recipe, with its array starting at another pixel."""
 
     title: ClassVar[str] = CameraRecipe.title
 
     name: str
-    base: str  # the other recipe, relative to this one
-    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array that come first here
+    base: str  # path of the other recipe, relative to this one
+    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array at which this array starts
 
 
 def load_camera(path: Path) -> CameraModel:
-    """Return a camera from a camera.h5 or from a camera recipe (.toml)."""
+    """Return the camera model in an artifact (.h5) or described by a camera recipe (.toml)."""
     if path.suffix == ".toml":
         return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads: the file, the base of a recipe, and the curves that a recipe names."""
+    """Return the files that `load_camera` reads: the given file, the base of a recipe, and the recipe's file of curves."""
     if path.suffix != ".toml":
         return [path]
     recipe, whole = read_recipe(path)
@@ -246,7 +258,7 @@ def camera_files(path: Path) -> list[Path]:
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
-    """Return the curves in the file that a camera recipe names; None if `path` is no recipe or names no such file."""
+    """Return the curves in the file that a camera recipe names, or None if there is no such file."""
     if path.suffix != ".toml":
         return None
     recipe, whole = read_recipe(path)
@@ -256,18 +268,18 @@ def curves_in_file(path: Path) -> CurveTable | None:
 
 
 def columns_left_out(path: Path) -> str | None:
-    """Return a line on the columns of a recipe's file of curves that are of none of its channels, if there are any."""
+    """Return a note on the columns in a recipe's file of curves that match no channel, or None if all match."""
     curves = curves_in_file(path)
     return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the channels that have responsivities of their own."""
+    """Return the channels that have their own responsivity."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Return a camera recipe and the file that holds its figures: `path`, or the base that it names."""
+    """Return a camera recipe, and the file that holds its numbers: `path` itself, or the base that it names."""
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
         return parse_recipe(text, CameraRecipe, name), path
@@ -276,7 +288,7 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
     base = load_recipe(whole, CameraRecipe)
     period, (row, col) = parse_cfa(base.cfa, str(whole)).shape, variant.phase
     if row >= period[0] or col >= period[1]:
-        raise RecipeError(f"{path}: phase is [{row}, {col}], beyond the {period[0]}×{period[1]} array of {whole}")
+        raise RecipeError(f"{path}: phase is [{row}, {col}], outside of the {period[0]}×{period[1]} array of {whole}")
     lines = [line.split() for line in base.cfa.pattern]
     pattern = [" ".join(line[col:] + line[:col]) for line in lines[row:] + lines[:row]]
     cfa = CfaRecipe(base.cfa.channels, pattern)
@@ -284,7 +296,21 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
-    """Return the model a recipe describes; `path` places relative file names and names the culprit in errors."""
+    """Return the camera model that a recipe describes.
+
+    Parameters
+    ----------
+    recipe : CameraRecipe
+    path : Path
+        The recipe's file. File names in the recipe are relative to it, and messages name it.
+
+    Raises
+    ------
+    RecipeError
+        If the recipe describes no possible camera.
+    InputFileError
+        If its file of curves is missing or unusable.
+    """
     refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
     filters = _filters(recipe)
@@ -315,13 +341,13 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
 
 
 def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield all that cannot be of a recipe's numbers and names."""
+    """Yield the faults in the numbers and names of a recipe."""
     sensor, noise, optics = recipe.sensor, recipe.noise, recipe.optics
     if recipe.responsivity.peak_efficiency is not None:
         yield from share_faults(recipe.responsivity.peak_efficiency, "responsivity.peak_efficiency", 1.0)
     if recipe.gain is not None:
         yield from gain_faults(recipe.gain, noise.read_noise_e)
-    yield from share_faults(noise.prnu, "noise.prnu", MOST_PRNU)
+    yield from share_faults(noise.prnu, "noise.prnu", MAX_PRNU)
     yield from length_faults(sensor.pixel_pitch_um, optics)
     yield from cfa_faults(recipe.cfa)
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
@@ -330,7 +356,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults of a sensor whose numbers are right one by one, but not together."""
+    """Yield the faults of sensor data that are possible one by one, but not together."""
     sensor = recipe.sensor
     black, white = sensor.black_level_dn, white_level(recipe)
     try:
@@ -341,7 +367,7 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def white_level(recipe: CameraRecipe) -> float:
-    """Return DN of a saturated pixel: as declared, or the lower of well and converter."""
+    """Return the DN of a saturated pixel: as declared, or the lower of well capacity and converter."""
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
         return sensor.white_level_dn
@@ -370,35 +396,34 @@ def gain_of(recipe: CameraRecipe) -> float:
 
 
 def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
-    """Yield a fault if a share is more than `most`."""
+    """Yield a fault if a fraction is greater than `most`."""
     if value > most:
         percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
-        yield fault(f"{key} is {value:g}; it is a share, at most {most:g}{percent}", key)
+        yield fault(f"{key} is {value:g}; give a fraction of at most {most:g}{percent}", key)
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield the faults of a pixel pitch, focal length or f-number whose size shows that it is in another unit, and of an
-    object within the focal length."""
+    """Yield a fault for each length whose size suggests another unit, and for an object within the focal length."""
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(
-            (f"; {pitch_um * each:g} is meant?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
+            (f"; did you mean {pitch_um * each:g}?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
         )
         message = f"sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}"
         yield fault(message, "sensor.pixel_pitch_um")
     focal, f_number = optics.focal_length_mm, optics.f_number
-    if focal < LEAST_FOCAL_MM:
-        message = f"optics.focal_length_mm is {focal:g} mm; is {focal * 1000:g} meant?"
+    if focal < MIN_FOCAL_MM:
+        message = f"optics.focal_length_mm is {focal:g} mm; did you mean {focal * 1000:g}?"
         yield fault(message, "optics.focal_length_mm")
-    if f_number < LEAST_F_NUMBER:
-        yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {LEAST_F_NUMBER}", "optics.f_number")
+    if f_number < MIN_F_NUMBER:
+        yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {MIN_F_NUMBER}", "optics.f_number")
     if 0 < optics.object_distance_m <= focal * 1e-3:
-        message = "optics.object_distance_m is nearer than the focal length; give 0 for infinity"
+        message = "optics.object_distance_m is less than the focal length; give 0 for infinity"
         yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Yield the faults of an array whose rows differ in length, that is too large, or that names unknown channels."""
+    """Yield the faults of an array: rows of different lengths, too large a super-pixel, unknown channels."""
     rows = [row.split() for row in cfa.pattern]
     even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
     if not even:
@@ -415,31 +440,36 @@ def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
-    """Return the channel indices (cfa_row, cfa_col) of the super-pixel; RecipeError if a name is unknown or rows differ in
-    length."""
+    """Return the channel index (cfa_row, cfa_col) of each site of the super-pixel.
+
+    Raises
+    ------
+    RecipeError
+        If the array has `cfa_faults`; the message begins with `name`.
+    """
     refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]
     return np.array([[cfa.channels.index(channel) for channel in row] for row in rows], dtype=np.uint8)
 
 
 def known_arrays() -> dict[str, CfaRecipe]:
-    """Return the colour filter arrays of the camera recipes that come with l3, by their names."""
+    """Return the colour filter arrays of the camera recipes that come with l3, by name."""
     found = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known_recipes("cameras").items()}
     arrays = {name: recipe.get("cfa", {}) for name, recipe in found.items()}
     return {name: CfaRecipe(**cfa) for name, cfa in arrays.items() if {"channels", "pattern"} <= cfa.keys()}
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, and of its base below it, for the history; nothing for an artifact."""
+    """Return the text of a recipe, followed by that of its base, for the history; "" for an artifact."""
     if path.suffix != ".toml":
         return ""
     return "\n".join(read_text(file) for file in dict.fromkeys([path, read_recipe(path)[1]]))
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all that is wrong with the numbers of a recipe, or with its file of curves."""
+    """Yield everything that is wrong with a camera recipe or its file of curves."""
     if source.path.suffix != ".toml":
-        yield fault("commands know a camera recipe by its suffix; call the file NAME.toml", "name")
+        yield fault("a camera recipe must have the suffix .toml; rename the file to NAME.toml", "name")
     if isinstance(recipe, PhaseRecipe):
         return
     wrong = list(camera_faults(recipe))

@@ -1,6 +1,6 @@
-"""The class rule as it is stored, and the only place that splits and joins class indices (docs/method.md#classes).
+"""The stored class rule. Only this module splits and joins class indices (docs/method.md#classes).
 
-What the numbers mean is written out in l3cli/classes, one module a feature.
+l3cli/classes explains the numbers, with one module per feature.
 """
 
 import math
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_FURTHER = 4096  # values of all further features together
-MAX_WINDOW_TAPS = 4096  # of all their windows: sums of 12-bit values are then exact in float32
-CLASS_BITS = 12  # class decisions are taken on the upper 12 bits of a value, so that 32-bit sums are exact
-CHROMA_SCALE = 1 << 10  # of the chroma weights: sums over 16 channels stay within 32 bits
+MAX_FURTHER = 4096  # combinations of values of the further features
+MAX_WINDOW_TAPS = 4096  # in all windows of the further features; sums of 12-bit values are then exact in float32
+CLASS_BITS = 12  # classes are decided by the upper 12 bits of a value, so that 32-bit sums are exact
+CHROMA_SCALE = 1 << 10  # of the chroma weights, so that sums over 16 channels stay within 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
 
 
 class Window(NamedTuple):
-    """A rectangle of a patch whose values are added, or taken off, in one of the sums that a further feature reads."""
+    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a further feature reads."""
 
-    sum: int
+    sum: int  # index of the sum
     top: int
     left: int
     rows: int
@@ -33,21 +33,22 @@ class Window(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """A further feature as a rule holds it."""
+    """A further feature of a class rule, such as the direction."""
 
-    name: str  # as the recipe's key and its module are called
-    size: int  # values that it takes
-    windows: tuple[Window, ...]  # of the sums that it reads, numbered from 0
-    constants: NDArray[np.int32]  # what its formula reads beside the sums and the level
+    name: str  # of the recipe's key and of its module
+    size: int  # number of values that it takes
+    windows: tuple[Window, ...]  # that make up its sums, which are numbered from 0
+    constants: NDArray[np.int32]  # that its formula reads besides the sums and the level
 
     @property
     def sums(self) -> int:
+        """Number of sums that the feature reads."""
         return 1 + max((window.sum for window in self.windows), default=-1)
 
 
 @dataclass(frozen=True)
 class FurtherFeatures:
-    """Features that a recipe has switched on beside level, contrast, saturation and chroma, in order."""
+    """The features that a recipe adds to level, contrast, saturation and chroma, as they are stored, in order."""
 
     names: tuple[str, ...] = data("str", "feature", doc="as in the recipe; what each decides stands in its module")
     sizes: NDArray[np.int64] = data("int64", "feature", doc="values that each takes")
@@ -64,7 +65,7 @@ class FurtherFeatures:
 
     @classmethod
     def of(cls, axes: tuple[Axis, ...]) -> "FurtherFeatures":
-        """Return `axes` as they are stored."""
+        """Return features in their stored form."""
         windows = np.array([window for axis in axes for window in axis.windows], np.int64)
         return cls(
             tuple(axis.name for axis in axes),
@@ -77,6 +78,7 @@ class FurtherFeatures:
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
+        """The features, unpacked."""
         rows = [Window(*row) for row in self.windows.tolist()]
         window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
         return tuple(
@@ -110,23 +112,25 @@ class FurtherFeatures:
 
 
 class ClassPlace(NamedTuple):
-    """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
+    """The values of the features of a class: integers, or integer arrays of equal shape."""
 
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
-    further: Any  # values of the further features combined; 0 where a rule has none
-    kind: Any  # chroma of an unsaturated pixel, or chromas − 1 + case of one near saturation
+    further: Any  # combined value of the further features; 0 if the rule has none
+    kind: Any  # chroma if nothing is saturated, otherwise chromas − 1 + saturation case
 
 
 @dataclass(frozen=True)
 class ClassRule:
-    """The integer class rule of docs/method.md#classes: the ordered product of site, level, contrast, further features and
-    kind.
+    """The integer rule that decides the class of a pixel from its patch (docs/method.md#classes).
 
-    class = (((site · levels + level) · contrasts + contrast) · further + …) · kinds + kind, with
-    site = row · cfa columns + column. The kind is the chroma of an unsaturated pixel, and chromas − 1 + case of one near
-    saturation. Further features, of which most rules have none, multiply as they are listed.
+    The index of a class is
+
+        (((site · levels + level) · contrasts + contrast) · further + …) · kinds + kind
+
+    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated, and otherwise
+    chromas − 1 + saturation case. Most rules have no further features; several multiply in their order.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -161,7 +165,7 @@ class ClassRule:
     chroma_dither: int = data(
         "int64", default=0, doc="1: about as near to a second chroma as to the nearest, sites take one or the other in turn"
     )
-    features: FurtherFeatures | None = group(default=None)  # None: level, contrast, saturation and chroma alone
+    features: FurtherFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
     spared_cases: int = data(
         "int64", default=0, doc="saturation cases, the first after case 0, in which every filter has a channel that is not"
     )
@@ -184,7 +188,7 @@ class ClassRule:
             self.features.check(self.patch)
 
     def check_fits(self, channels: int, bits: int) -> None:
-        """Raise ValueError if the rule is not for a camera of so many channels and bits."""
+        """Raise ValueError if the rule does not fit a camera with this number of channels and bits."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
             raise ValueError(f"{bits} bits shifted by {self.shift} leave more than {CLASS_BITS}")
         if self.channels != channels:
@@ -214,7 +218,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """Return the cases in which a filter is lost, and the one of all others."""
+        """Number of saturation cases in which a filter is lost, plus one for all others."""
         return self.cases - self.spared_cases
 
     @property
@@ -227,17 +231,17 @@ class ClassRule:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Return the further features in order."""
+        """The further features in order."""
         return self.features.axes if self.features else ()
 
     @property
     def further(self) -> int:
-        """Return the values of the further features combined."""
+        """Number of combinations of values of the further features."""
         return math.prod(axis.size for axis in self.axes)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Return the levels, contrasts, values of the further features and kinds: the axes of the classes of a site."""
+        """Number of levels, contrasts, combinations of further features, and kinds."""
         return self.levels, self.contrasts, self.further, self.kinds
 
     @property
@@ -245,12 +249,14 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
-        """Return the indices of classes from their places, integers or arrays; within the site without `site`."""
+        """Return class indices from the values of the features, integers or arrays. Without `site` the index counts within a
+        site.
+        """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.further + further) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the places of the classes `index`, an integer or an array."""
+        """Return the values of the features of classes, from an index or an array of indices."""
         rest, kind = divmod(index, self.kinds)
         rest, further = divmod(rest, self.further)
         rest, contrast = divmod(rest, self.contrasts)
@@ -258,14 +264,14 @@ class ClassRule:
         return ClassPlace(site, level, contrast, further, kind)
 
     def join_further(self, values: Any) -> Any:
-        """Return the further features combined, from the value of each in order, integers or arrays."""
+        """Return the combined value of the further features from the value of each, in order."""
         combined: Any = 0
         for axis, value in zip(self.axes, values, strict=True):
             combined = combined * axis.size + value
         return combined
 
     def split_further(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each further feature, in order, of all combined, an integer or an array."""
+        """Return the value of each further feature, in order, from their combined value."""
         values = []
         for axis in reversed(self.axes):
             combined, value = divmod(combined, axis.size)
@@ -273,38 +279,37 @@ class ClassRule:
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Return the indices among the classes of all sites of the classes `index` within `site`."""
+        """Return indices among the classes of all sites from indices within a site."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Return the indices among the classes of their site of the classes `index` of all sites."""
+        """Return indices within a site from indices among the classes of all sites."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Return the slice of the classes of a site among those of all sites."""
+        """Return the slice of a site's classes among those of all sites."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_axis(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return `values` (class, …) of one site or all as (site, level, contrast, further, kind, …)."""
+        """Reshape values (class, …) of one site or of all to (site, level, contrast, further, kind, …)."""
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kinds of pixels of a chroma, integer or array, and a saturation case, which decides where not 0."""
+        """Return the kind of pixels from their chroma and saturation case. The case decides unless it is 0."""
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation cases of kinds, an integer or an array: 0 where nothing is saturated and the kind is a
-        chroma."""
-        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # labels may be unsigned
+        """Return the saturation case of kinds. It is 0 if nothing is saturated and the kind is a chroma."""
+        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned, so never below zero
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation cases of kinds, less those of `spared_cases`: 0 where no filter is lost."""
+        """Return the saturation case of kinds, counted without `spared_cases`: 0 where no filter is lost."""
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:
-        """Return the kinds of a saturation case: all chromas if nothing is saturated, else one."""
+        """Return the kinds of a saturation case: all chromas for case 0, otherwise a single kind."""
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return the indices within a site of the coarser classes that distinguish saturation cases but not chromas."""
+        """Return indices, within a site, of coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

@@ -1,8 +1,11 @@
-"""HDF5 files in which a changed byte is detected, and whose content lies within the file and is no larger than its storage
-justifies: links, data in other files, virtual datasets and unknown filters are how HDF5 reaches beyond itself.
+"""HDF5 files in which a changed byte is detected, and which cannot make HDF5 read outside of them.
 
-The first 512 bytes, HDF5's user block, hold the SHA-256 of all that follows. A file is compared with it before HDF5 reads
-it: the library may crash on damaged metadata, and its checksums cover only the values of datasets.
+The first 512 bytes, HDF5's user block, hold the SHA-256 of all bytes that follow. l3 compares a file with its digest
+before
+HDF5 opens it, because the library may crash on damaged metadata and its checksums cover only the values of datasets.
+
+Links, external storage, virtual datasets and unknown filters let a file refer to other files or to plug-ins, so all are
+refused. So is a dataset that claims to be larger than its stored bytes can be.
 """
 
 import contextlib
@@ -23,18 +26,22 @@ from l3cli.system.files import atomic_output, open_regular
 from l3cli.system.limits import require_values
 from l3cli.system.signals import uninterrupted
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5
-BLOCK = 512  # bytes before it
+SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5
+BLOCK = 512  # bytes of the user block, before the signature
 TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-LARGEST_RATIO = 1100  # deflate cannot expand further than 1032 : 1
-SMALL = 4096  # bytes that are believed without looking at what is stored
+MAX_COMPRESSION = 1100  # deflate cannot compress further than 1032 : 1
+SMALL_BYTES = 4096  # datasets up to this size are not compared with their stored size
 ENCODING = "utf-8"
 
 
 class _Sink(io.RawIOBase):
-    """The file that HDF5 writes to. HDF5 crashes when it cannot write, so errors are kept from it, and raised afterwards;
-    and signals: an exception out of one of these methods crashes it, or is forgotten and what was to be written with it."""
+    """The file object that HDF5 writes to.
+
+    HDF5 crashes if a write fails, so errors are stored and raised after HDF5 has closed the file. Signals are held back,
+    too: an
+    exception from within one of these methods would crash HDF5, or be swallowed together with the data to be written.
+    """
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor, self._position = descriptor, 0
@@ -83,7 +90,7 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for writing that gets its digest, and its name `path`, when the block ends without error."""
+    """Yield an HDF5 file open for writing; it gets its digest, and the name `path`, when the block ends without an error."""
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
         with h5py.File(sink, "w", libver=("earliest", "v110"), track_order=False, userblock_size=BLOCK) as root:
@@ -94,14 +101,30 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 def seal(path: Path) -> None:
-    """Give an HDF5 file with a user block the digest of what it holds now."""
+    """Write the digest of an HDF5 file's current content into its user block."""
     with open(path, "r+b", buffering=0) as raw:
         os.pwrite(raw.fileno(), _block(raw), 0)
 
 
 def check(path: Path, made_by: str) -> bool:
-    """Compare a file with the digest it carries. False if it is an HDF5 file without one, as format version 1 wrote them, or
-    of someone else; InputFileError if it is another kind of file, or not what was written."""
+    """Compare a file with the digest that it carries.
+
+    Parameters
+    ----------
+    path : Path
+    made_by : str
+        The command that writes such files, for messages.
+
+    Returns
+    -------
+    bool
+        False if the file is HDF5 without a user block: format version 1, or written by another program.
+
+    Raises
+    ------
+    InputFileError
+        If the file is not HDF5, or differs from what was written.
+    """
     try:
         with open_regular(path, f"give the file written by {made_by}") as raw:
             head = raw.read(BLOCK + len(SIGNATURE))
@@ -119,29 +142,32 @@ def check(path: Path, made_by: str) -> bool:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open a file for reading; OSError if HDF5 cannot. Files are never changed in place, so no lock is asked for, which some
-    shared storage refuses."""
+    """Open an HDF5 file for reading; OSError if HDF5 cannot.
+
+    No lock is requested: some network file systems refuse locks, and finished files are never changed in place.
+    """
     return h5py.File(path, "r", locking=False)
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """Return the first 512 bytes that belong to what follows them."""
+    """Return the user block that belongs to the bytes after it."""
     raw.seek(BLOCK)
     digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()
     return (TITLE + digest).ljust(BLOCK - 1) + b"\n"
 
 
 def encoded(text: Any) -> NDArray[np.bytes_]:
-    """Return text, or an array of it, as it is stored: of one length. Along axes that is two bytes at least, for netCDF
-    tools join single bytes to one text."""
-    array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # names of files need not be text
+    """Return text, or an array of texts, as fixed-length bytes for HDF5.
+
+    Arrays have at least two bytes per text, because netCDF tools join arrays of single bytes into one text.
+    """
+    array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # file names need not be valid text
     length = max(array.dtype.itemsize, 2 if array.ndim else 1)
     return array.astype(h5py.string_dtype(ENCODING, length))
 
 
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield every dataset that lies in the file below `root`, with its name: no soft or external link is followed, and no
-    group entered twice."""
+    """Yield the name of every dataset stored below `root`, and the dataset. Soft and external links are skipped."""
     yield from _below(root, "", {root})
 
 
@@ -158,15 +184,16 @@ def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tu
 
 
 def is_scale(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset exists only to name an axis of others and is declared by no artifact. No value or
-    reference is read."""
+    """Return whether a dataset is only a dimension scale, and not declared by an artifact. It is recognised by its
+    attributes.
+    """
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
 class Stored(NamedTuple):
-    """Storage of a dataset."""
+    """How a dataset is stored."""
 
-    where: str  # its name
+    where: str  # its path in the file
     shape: tuple[int, ...]
     dtype: np.dtype
     size: int  # bytes in the file
@@ -174,25 +201,36 @@ class Stored(NamedTuple):
 
     @property
     def filters(self) -> set[int]:
-        """Return the numbers of the filters that it passes through."""
+        """Return the HDF5 numbers of the filters that the data pass through."""
         return {self.created.get_filter(index)[0] for index in range(self.created.get_nfilters())}
 
 
 def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Return how a dataset is stored; InputFileError if it lies outside its file or claims more than that can hold."""
+    """Return how a dataset is stored.
+
+    Raises
+    ------
+    InputFileError
+        If its data lie outside the file, or it claims more data than the file can hold.
+    """
     where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
         raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that holds it itself")
     stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
     claimed = prod(stored.shape) * stored.dtype.itemsize
-    if claimed > SMALL + LARGEST_RATIO * stored.size and stored.filters <= KNOWN_FILTERS:
+    if claimed > SMALL_BYTES + MAX_COMPRESSION * stored.size and stored.filters <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
     return stored
 
 
 def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Return how a dataset is stored; InputFileError if it cannot be read whole: as `require_within_file`, or more than
-    inputs may hold."""
+    """Return how a dataset is stored, after checking that it can be read as a whole.
+
+    Raises
+    ------
+    InputFileError
+        As from `require_within_file`, or if the dataset or a chunk exceeds the limit on inputs.
+    """
     stored = require_within_file(path, dataset)
     chunk = stored.created.get_chunk() if stored.created.get_layout() == h5py.h5d.CHUNKED else ()
     require_values(f"{path}: dataset {stored.where}", stored.shape, stored.dtype.itemsize)

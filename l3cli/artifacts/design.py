@@ -1,4 +1,4 @@
-"""Scene moments, what scenes are to any array behind a lens and pixel; and a design, arrays with their predicted errors."""
+"""Scene moments, which describe scenes independently of the array; and designs, arrays with their predicted errors."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.frames.frame import array_rows
 
-SHARP, SOFT = slice(0, 3), slice(3, 6)  # of targets: X, Y, Z; the same, blurred as an eye sees chroma
+SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z, and X, Y, Z blurred as the eye blurs chroma
 WEIGHTINGS = ("seen", "linear")
-SIDE = 7  # pixels of the neighbourhood that arrays are judged by
+SIDE = 7  # pixels, side of the neighbourhood from which errors are predicted
 KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
-GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # of patches, by contrast, level and hue of their middle
-TIE = 0.02  # relative difference of errors that means nothing
+GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # of patches, by contrast, level and hue of their centre
+TIE = 0.02  # errors that differ by less than this fraction count as equal
 Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows of a table
 
 
@@ -25,8 +25,10 @@ Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows 
 class LightMoments:
     """Second moments of patches and targets under one light, summed over all patches.
 
-    A patch holds `terms` coefficients of each of its SIDE × SIDE taps, tap by tap; behind these stand the targets of its
-    centre: X, Y, Z over those of white, the same blurred, and its coefficients before the lens.
+    The spectrum of each tap is given by `terms` coefficients. An entry of the moments is a coefficient of one of the
+    SIDE × SIDE taps (tap by tap), or one of the targets at the centre: X, Y, Z relative to white, the same blurred, and
+    the
+    coefficients of the scene in front of the lens.
     """
 
     illuminant: str = data("str", doc="name of the light")
@@ -48,9 +50,9 @@ class LightMoments:
         return self.basis.shape[1]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of scenes behind one lens and pixel, whatever its filters (docs/arrays.md#which-array)."""
+    """Second moments of scenes behind a lens and a pixel, whatever the filters (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
     version: ClassVar[int] = 3
@@ -65,12 +67,12 @@ class SceneMoments(Artifact):
         super().__post_init__()
         fit = [each.patches.size == len(GROUPS) and each.mean.shape[-1] == SIDE**2 * each.terms for each in self.light]
         if not (fit and all(fit) and self.pixel_pitch > 0 and self.f_number > 0):
-            raise ValueError("moments are of other groups or patches than this l3 gathers; gather them again")
+            raise ValueError("the groups or patches of these moments are not those of this l3; gather the moments again")
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Filters of one array that were tuned."""
+    """One array whose filters were tuned, with the errors before and after."""
 
     pattern: str = data("str", doc="the array, rows of names")
     parameters: NDArray[np.float64] = data(
@@ -83,7 +85,7 @@ class Tuned:
     bayer: NDArray[np.float64] = data("float64", "level", doc="of the best Bayer array of the tuned filters")
 
     def words(self, levels: Sequence[str]) -> list[str]:
-        """Return a sentence of the tuned filters, and one a level of what they gain there."""
+        """Return one sentence on the tuned filters, and one per level on how much they reduce the error."""
         rows = zip(self.tuned_filters, self.parameters, strict=True)
         filters = ", ".join(
             f"{name} {centre:.0f} nm σ {sigma:.0f} nm peak {peak:.2f}" for name, (centre, sigma, peak) in rows
@@ -95,7 +97,7 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Truth:
-    """Arrays that were trained and judged on the same unseen scenes."""
+    """Arrays that were trained, rendered and evaluated on the same unseen scenes."""
 
     trained: tuple[str, ...] = data("str", "trained", doc="arrays; (tuned): with tuned filters")
     expected: NDArray[np.float64] = data("float64", "trained", "level", doc="their predicted errors")
@@ -108,20 +110,25 @@ class Truth:
     digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
-        """Return Spearman's rank correlation of predicted errors with a figure; of dB with errors relative to the peak."""
+        """Return Spearman's rank correlation of the predicted errors with a measured metric at a level.
+
+        A metric in dB is converted to a relative error first.
+        """
         expected, measured = (np.argsort(np.argsort(each)) for each in self._logarithms(level, figure))
         return float(np.corrcoef(expected, measured)[0, 1])
 
     def in_order(self, level: int, figure: int = 0) -> float:
-        """Return the share of the pairs of arrays, of those that differ by more than TIE in predicted error and in a figure,
-        that both order alike; NaN if there are none."""
+        """Return the fraction of pairs of arrays that prediction and measurement rank alike.
+
+        Only pairs that differ by more than TIE in both count. The result is NaN if there are none.
+        """
         one, other = np.triu_indices(len(self.trained), 1)
         expected, measured = (each[one] - each[other] for each in self._logarithms(level, figure))
         differ = (np.abs(expected) > TIE) & (np.abs(measured) > TIE)
         return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
 
     def table(self, levels: Sequence[str]) -> Rows:
-        """Return the trained arrays, predicted errors beside measured ones."""
+        """Return headings and rows that compare the predicted with the measured errors of the trained arrays."""
         headings = (*(f"{level}\n{what}" for level in levels for what in ("predicted", "ΔE00")), "array")
         both = np.stack([self.expected, self.measured[..., 0]], axis=-1).reshape(len(self.trained), -1)
         return headings, tuple(
@@ -129,7 +136,7 @@ class Truth:
         )
 
     def agreement(self, levels: Sequence[str]) -> list[str]:
-        """Return a sentence a level: how the prediction ranks the arrays by each figure, and how many pairs are in order."""
+        """Return one sentence per level on how well the prediction ranks the arrays, for each metric."""
         if len(self.trained) == 1:
             return ["One array has no rank."]
         lines = []
@@ -141,20 +148,20 @@ class Truth:
         return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the logarithms (trained) of predicted and measured errors."""
+        """Return the logarithms (trained) of predicted and of measured errors."""
         measured = self.measured[:, level, figure]
         of_decibels = -measured * (np.log(10) / 20)
         return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)
 
 
 def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the geometric mean (…) of errors (…, level)."""
+    """Return the geometric mean (…) over the levels of errors (…, level)."""
     return np.asarray(np.exp(np.log(np.maximum(errors, 1e-12)).mean(axis=-1)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Design(Artifact):
-    """Arrays of a library of filters, best first, with their predicted errors."""
+    """Arrays that can be built from a library of filters, best first, with their predicted errors."""
 
     kind: ClassVar[str] = "design"
     version: ClassVar[int] = 2
@@ -177,7 +184,7 @@ class Design(Artifact):
     dose: NDArray[np.float64] = data("float64", "dose", unit="cd s/m^2", doc="luminance of white x time", coordinate=True)
     mapped: tuple[str, ...] = data("str", "mapped", doc="arrays: the best, Bayer, the best of each level")
     map_error: NDArray[np.float64] = data("float64", "mapped", "dose", doc="predicted error under the first level's light")
-    pixel: CameraModel = group()  # sensor, noise and lens; its array does not count
+    pixel: CameraModel = group()  # sensor, noise and lens; its own array is not used
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
 
@@ -187,35 +194,41 @@ class Design(Artifact):
             raise ValueError("a design holds arrays and errors from 0")
 
     @property
+    def summary(self) -> str:
+        return f'"{self.name}", {self.tried} arrays of {", ".join(self.filters)}; best: {self.winner[0]}'
+
+    @property
     def predicted(self) -> NDArray[np.float64]:
-        """Return the predicted error (candidate, level), mean over patches."""
+        """Predicted error (candidate, level), mean over patches."""
         return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Return the predicted error (candidate) over all levels, their geometric mean."""
+        """Predicted error (candidate), geometric mean over the levels."""
         return overall(self.predicted)
 
     @property
     def winner(self) -> tuple[str, NDArray[np.float64]]:
-        """Return the best array, rows of names, and its filters (filter, wavelength): the tuned ones if they are better."""
+        """The best array, as rows of names, and its filters (filter, wavelength): the tuned ones if they are better."""
         if self.tuned is not None and overall(self.tuned.after) < self.score[0]:
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 
     def best(self, most: int) -> list[int]:
-        """Return the places of the best arrays, and Bayer's."""
+        """Return the indices of the best arrays, at most `most`, and of the Bayer array."""
         return list(dict.fromkeys([*range(min(most, len(self.patterns))), *([self.bayer] if self.bayer >= 0 else [])]))
 
     @property
     def caption(self) -> str:
-        """Return what the table shows."""
+        """Caption of `table`."""
         ties = f"=: within {TIE:.0%} of the best"
         return f"{self.tried} arrays, predicted error ({self.unit}); {ties}; to Bayer of the same filters"
 
     def table(self, most: int) -> Rows:
-        """Return the best arrays, and Bayer's: rank (=: a tie with the best), errors, their change from Bayer of the same
-        filters."""
+        """Return headings and rows: the best arrays and the Bayer array, with ranks, errors and their change from Bayer.
+
+        A rank marked "=" is a tie with the best. Changes compare an array with the best Bayer array of the same filters.
+        """
         headings = ("", *self.levels, *(f"{level}\nto Bayer" for level in self.levels), "array")
         rows = []
         for place in self.best(most):
@@ -228,7 +241,9 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """Return a sentence a level: what beats Bayer's array there, by how much, and how much of it the filters alone."""
+        """One sentence per level: what beats the Bayer array, by how much, and how much of the gain is due to the filters
+        alone.
+        """
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
             best, rival = int(errors.argmin()), self.patterns[self.bayer]
@@ -246,7 +261,7 @@ class Design(Artifact):
 
     @property
     def crossings(self) -> list[str]:
-        """Return a sentence on each array of the map that Bayer's overtakes, or that overtakes it, as light grows."""
+        """Sentences on the arrays that overtake the Bayer array, or are overtaken by it, as the light increases."""
         lines: list[str] = []
         bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
         for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):
@@ -257,7 +272,7 @@ class Design(Artifact):
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return the pixel with an array, rows of names, of filters (filter, wavelength)."""
+        """Return the design's pixel as a camera with an array, given as rows of names, of filters (filter, wavelength)."""
         cfa = sites(pattern, self.filters)
         used = np.unique(cfa)
         return replace(
@@ -272,10 +287,10 @@ class Design(Artifact):
 
 
 def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
-    """Return an array (row, col) of numbers of filters as text, rows of names divided by /."""
+    """Return an array (row, col) of filter numbers as text: rows of names, separated by /."""
     return " / ".join(array_rows(names, cfa))
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
-    """Return the array (row, col) of numbers of filters that a text shows."""
+    """Return the array (row, col) of filter numbers that `shown` has written as text."""
     return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

@@ -1,4 +1,4 @@
-"""Measurements of a camera and how well its model explains them (docs/method.md#calibration): group `fit`."""
+"""What calibration measured and how well the camera model explains it: group `fit` (docs/method.md#calibration)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-GUESSED_WITHIN, MOST_GUESSES = 0.9, 4  # guessed lights are named up to this probability in all, at most so many
+GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4  # a guess names lights until their sum reaches the probability, at most so many
 
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Dark and white frames in the terms of EMVA 1288, channel by channel."""
+    """Results from dark and white frames in the terms of EMVA 1288, per channel."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
@@ -44,7 +44,7 @@ class NoiseFit:
 
 @dataclass(frozen=True)
 class SweepFit:
-    """Eq. 1: how the monochromatic captures are explained."""
+    """Fit of the monochromatic captures by Eq. 1."""
 
     residual: NDArray[np.float64] = data("float64", "channel", doc="RMS residual of Eq. 1 / largest value of the channel")
     left_out: tuple[str, ...] = data("str", "left_out", doc="captures that saturate, and in which channels")
@@ -58,7 +58,7 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Eq. 2, and its validation: every patch under every light as it was and as the model predicts it."""
+    """Fit of the chart captures by Eq. 2, with the measured and predicted value of every patch under every light."""
 
     alpha: NDArray[np.float64] = data(
         "float64", "channel", unit="DN/photon", doc="Eq. 2 slope: response at the peak of the channel's responsivity"
@@ -76,7 +76,7 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps that the charts show and the measurement file does not declare."""
+    """Drift of the lamps, which the charts reveal although the measurement file does not declare it."""
 
     deviation: float = data("float64", doc="relative standard deviation of lamps about their measured spectra, estimated")
     declared: float = data("float64", doc="the same as the measurement file declares it")
@@ -84,7 +84,7 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """A chart under narrow bands at several exposures: each capture predicted from the other exposures of its band."""
+    """Captures of a chart under narrow bands at several exposures. Each capture is predicted from the others of its band."""
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")
     light: NDArray[np.int64] = data("int64", "capture", doc="band of each capture")
@@ -114,31 +114,31 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """How probable it is that a photo was taken under each of the usual lights, if it was under one of them."""
+    """Probability of each usual light of being the light of a photo, given that it is one of them."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="name of each usual light")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual light")
 
     def of(self, photo: int) -> dict[str, float]:
-        """Return the probability of each light of a photo, the most probable first."""
+        """Return the probability of each usual light for a photo, the most probable first."""
         found = zip(self.names, map(float, self.probability[photo]), strict=True)
         return dict(sorted(found, key=lambda each: each[1], reverse=True))
 
 
 def guessed_light(probable: Mapping[str, float]) -> str:
-    """Return a guessed light in words: the lights that it may be, the most probable first, with their probabilities."""
+    """Return a guess in words: the most probable lights with their probabilities."""
     shown, total = [], 0.0
     for name, probability in probable.items():
         shown.append(f"{name} {100 * probability:.0f} %")
         total += probability
-        if total >= GUESSED_WITHIN or len(shown) == MOST_GUESSES:
+        if total >= GUESSED_PROBABILITY or len(shown) == MAX_GUESSES:
             break
     return f"guessed: {', '.join(shown)}"
 
 
 @dataclass(frozen=True)
 class PhotoFit:
-    """Charts of known reflectances in photographs, and how the responsivities explain them."""
+    """Fit of the charts in photos, whose reflectances are known."""
 
     names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
     lights: tuple[str, ...] = data("str", "photo", doc="light of each photo, as named or guessed")
@@ -177,7 +177,7 @@ class PhotoFit:
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """Return the RMS (photo, channel) of what the model leaves of the values used, over the brightest."""
+        """RMS difference (photo, channel) of predicted and measured values, relative to the brightest value used."""
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)
         return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
@@ -185,16 +185,16 @@ class PhotoFit:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fit of a camera model; each part is there if it was measured."""
+    """Fit of a camera model. Each part is present if its captures were taken."""
 
     noise: NoiseFit | None = group(default=None)
     sweep: SweepFit | None = group(default=None)
     chart: ChartFit | None = group(default=None)
     series: SeriesFit | None = group(default=None)
     photo: PhotoFit | None = group(default=None)
-    drift: DriftFit | None = group(default=None)  # None: charts show no more drift than is declared
+    drift: DriftFit | None = group(default=None)  # None: charts show no more drift than declared
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:
-        """Return predictions and measurements, with R² and relative RMSE of each channel."""
+        """The part that compares predictions with measurements, with R² and relative RMSE per channel."""
         return self.chart or self.series

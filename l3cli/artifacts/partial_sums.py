@@ -1,5 +1,8 @@
-"""Partial sums: what one shard of a training run has added up, per canonical site and class, of the first layer
-(docs/method.md#exact-sums) or of one that reads planes (docs/method.md#layers)."""
+"""Partial sums: the normal equations that one shard of a training run has accumulated.
+
+They are kept per canonical site and class, for the first layer (docs/method.md#exact-sums) or for a refinement layer
+(docs/method.md#layers).
+"""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -19,13 +22,13 @@ from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneRule, TransformTable,
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, OTHERS = "sums", "condition_sums"  # the groups of the sums at the camera's noise, and at others
-OLDER = "quiet_sums"  # the group of those at one other noise in files of format version 4
+USUAL, OTHERS = "sums", "condition_sums"  # groups of the sums at the camera's noise, and at other noise
+OLDER = "quiet_sums"  # group of the sums at other noise in files of format version 4
 
 
 @dataclass(frozen=True)
 class ClassSums:
-    """Sums of one canonical site over its patches. A column is a tap, the intercept or an output; rows are weighted."""
+    """Sums of one canonical site over its patches, weighted. The columns are the taps, the intercept and the outputs."""
 
     moments: NDArray[np.float64] = data(
         "float64", "class", "pair", doc="products of columns: upper triangle of the moment matrix, row by row"
@@ -37,12 +40,14 @@ class ClassSums:
         check(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PartialSums(Artifact):
-    """Head of a file of partial sums; the sums lie in the groups sums/00000, sums/00001… in the order of `sites`, those for
-    other noise (docs/method.md#noise-sets) in condition_sums/0/00000….
+    """Head of a file of the first layer's partial sums.
 
-    Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
+    The sums are stored in the groups sums/00000, sums/00001… in the order of `sites`, and those at other noise
+    (docs/method.md#noise-sets) in condition_sums/0/00000….
+
+    The history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums"
@@ -62,7 +67,7 @@ class PartialSums(Artifact):
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
-    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
+    light: LightSpectrum | None = group(default=None)  # mean light on the training scenes
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,7 +79,7 @@ class PartialSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Return the shapes of moments, noise and count of every site."""
+        """Shapes of moments, noise and count of each site."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
         return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
@@ -82,7 +87,9 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums of one canonical site over its rows. A column is a tap, the intercept or an output of the opponent basis."""
+    """Sums of one canonical site over its samples. The columns are the taps, the intercept and the outputs in the opponent
+    basis.
+    """
 
     moments: NDArray[np.float64] = data(
         "float64", "plane_class", "plane_pair", doc="products of columns without noise: upper triangle, row by row"
@@ -100,16 +107,17 @@ class LayerSums:
 
 
 def _older_gradients(head: h5py.Group, path: Path) -> tuple[GradientScale, ...]:
+    """Return the gradient scales at other noise of a file of format version 4."""
     held = store.members(head, path)
     groups = [store.hard_group(head, name, path) for name in ("quiet_structure", "quiet_tree") if name in held]
     return tuple(store.read_fields(group, GradientScale, path) for group in groups)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PartialLayerSums(Artifact):
-    """Head of a file of a layer's partial sums; the sums lie in groups as those of the first layer.
+    """Head of a file of a refinement layer's partial sums, which are stored in the same groups as those of the first layer.
 
-    Its history ends with the training run that all shards belong to, so that shards of one run have equal histories.
+    The history ends with the training run that all shards belong to, so that shards of one run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
@@ -120,14 +128,14 @@ class PartialLayerSums(Artifact):
     shards: int = data("int64", doc="… to this many")
     mosaics: NDArray[np.int64] = data("int64", "frame", doc="mosaics of every training frame, in all shards")
     side: int = data("int64", unit="pixel", doc="side of the windows")
-    table: TransformTable = group()  # whose outputs the layer reads
+    table: TransformTable = group()  # the layers before, whose outputs this layer reads
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
     )
-    structure: StructureRule | None = group(default=None)  # the layer's rule, if by structure
-    tree: TreeRule | None = group(default=None)  # the layer's rule, if by a tree
+    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
+    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
     ratio_taps: int = data("int64", doc="taps behind those of the windows", default=0)
-    gradients: tuple[GradientScale, ...] = group(default=(), older=_older_gradients)  # of the rule, at each other noise
+    gradients: tuple[GradientScale, ...] = group(default=(), older=_older_gradients)  # of the rule, per other noise
 
     @property
     def rule(self) -> PlaneRule:
@@ -150,7 +158,7 @@ class PartialLayerSums(Artifact):
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Return the shapes of moments, noise and count of every site."""
+        """Shapes of moments, noise and count of each site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
         taps = PLANES * self.side**2 + self.ratio_taps
         width, noisy = taps + 1 + outputs, taps + (outputs if self.table.components else 0)
@@ -158,12 +166,18 @@ class PartialLayerSums(Artifact):
 
 
 Head = PartialSums | PartialLayerSums
-SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # of a site
+SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # type of each site's sums
 
 
 class PartialSumsReader:
-    """An open file of partial sums: `head` and `site(i)`, the sums of head.sites[i]; `conditions`: number of other noises
-    that it holds them for. Memory holds one site at a time."""
+    """An open file of partial sums, from which the sums are read site by site.
+
+    Attributes
+    ----------
+    head : PartialSums or PartialLayerSums
+    conditions : int
+        Number of other noises that the file holds sums for.
+    """
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
@@ -179,7 +193,10 @@ class PartialSumsReader:
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
-        """Return ClassSums, or LayerSums if the pass is one of a refinement layer; 0: at the camera's noise."""
+        """Return the sums of the site `head.sites[index]`: ClassSums, or LayerSums for a refinement layer.
+
+        Condition 0 is the camera's noise; the others are numbered from 1.
+        """
         where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
@@ -189,15 +206,29 @@ class PartialSumsReader:
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """Yield a reader of the partial sums at `path`, of a first or a refinement layer; InputFileError if it holds something
-    else or is damaged."""
+    """Yield a PartialSumsReader for the file at `path`.
+
+    Raises
+    ------
+    InputFileError
+        If the file is damaged or does not hold partial sums.
+    """
     with store.open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write `head` and the sums of each of its sites, taken one by one, whole or not at all: at the camera's noise, then at
-    others."""
+    """Write a file of partial sums, completely or not at all.
+
+    Parameters
+    ----------
+    path : Path
+    head : PartialSums or PartialLayerSums
+    *sets : iterable of ClassSums or LayerSums
+        The sums of each site of `head.sites`: first at the camera's noise, then at each other noise. Iterables are read
+        one
+        site at a time.
+    """
     with store.new_artifact(path, head.kind, head.version, head.history) as root:
         store.write_fields(root, head)
         store.name_axes(root, type(head), {}, head)

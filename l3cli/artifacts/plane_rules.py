@@ -1,5 +1,8 @@
-"""Class rules of layers that read planes, and the numbers of their classes: by structure (docs/method.md#structure), or by a
-tree of threshold tests (docs/method.md#trees). What the numbers mean is written out in l3cli/classes."""
+"""The stored class rules of refinement layers, and the indices of their classes.
+
+Classes are structures (docs/method.md#structure) or the leaves of a tree of threshold tests (docs/method.md#trees).
+l3cli/classes explains the numbers.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
@@ -10,19 +13,19 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
-GRADIENT = 4095  # largest gradient, in units of SIGMA per standard deviation of noise: sums of 81 squares stay below 2^31
-FACTORS, MOST_SHIFT = (64, 127), 24  # of gradients
-DIRECTIONS = 8  # of edges, half a turn in all
-MOST_LEAVES = 2048
-DEEPEST = 24  # tests from the root to a leaf: kernels take as many steps as the deepest leaf lies below the root
-TESTS = 23
-ORIENTATIONS = 8  # of a square
-SMALLEST, LARGEST = 1e-30, 2.0**31  # of thresholds but zero: what lies below float32's normal range is zero on some devices
+GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA, so that sums of 81 squares stay below 2^31
+FACTORS, MAX_SHIFT = (64, 127), 24  # range of the factor, and largest shift, that scale gradients
+DIRECTIONS = 8  # of edges, over half a turn
+MAX_LEAVES = 2048
+MAX_DEPTH = 24  # tests from the root to a leaf, which bounds the steps of the kernels
+TESTS = 23  # number of tests that a node can choose from
+ORIENTATIONS = 8  # of a square: four turns, each as it is or mirrored
+SMALLEST, LARGEST = 1e-30, 2.0**31  # size of thresholds other than 0; some devices flush smaller numbers to zero
 
 
 @dataclass(frozen=True)
 class GradientScale:
-    """Scale of gradients at each level of the first layer."""
+    """Scale of gradients at each level of the first layer: factor / 2^shift."""
 
     gradient_factor: NDArray[np.uint8] = data(
         "uint8", "mosaic_level", doc="what differences of planes are multiplied by, at each level of the first layer …"
@@ -31,40 +34,44 @@ class GradientScale:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MOST_SHIFT:
-            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MOST_SHIFT}")
+        if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MAX_SHIFT:
+            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MAX_SHIFT}")
 
     @staticmethod
     def of(scale: NDArray[np.float64]) -> "GradientScale":
-        """Return a scale (level) as factor / 2^shift, with a factor of 7 bits."""
-        shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MOST_SHIFT)
+        """Return a scale (level) rounded to a 7-bit factor and a shift."""
+        shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MAX_SHIFT)
         factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
         return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
 
     @property
     def scale(self) -> "GradientScale":
-        """Return the scale alone, of a rule that has one."""
+        """The scale on its own, for a rule that has one."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return the same with another scale."""
+        """Return a copy of the rule with another scale."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 
 class PlanePlace(NamedTuple):
-    """Places of classes along the axes of their rule: integers, or integer arrays of equal shape."""
+    """The values of the features of a refinement layer's class: integers, or integer arrays of equal shape."""
 
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
-    kind: Any  # structure of an unsaturated pixel, or structures − 1 + saturation case of one near saturation
+    kind: Any  # structure if nothing is saturated, otherwise structures − 1 + saturation case
 
 
 class PlaneClasses(GradientScale):
-    """Classes of a refinement layer: (site · levels + level) · kinds + kind. Level and saturation case are those of the
-    first layer; structures are what a rule tells apart where nothing is saturated."""
+    """Classes of a refinement layer: index = (site · levels + level) · kinds + kind.
 
-    cases: int  # saturation cases of the first layer, the unsaturated one included
-    turns: NDArray[Any]  # (site, …) orientation that a site is learned in
+    Level and saturation case are those of the first layer. The structures are what the rule distinguishes where nothing
+    is
+    saturated.
+    """
+
+    cases: int  # saturation cases of the first layer, including the unsaturated case
+    turns: NDArray[Any]  # (site, …) orientation in which each site is trained
 
     @property
     def levels(self) -> int:
@@ -83,7 +90,7 @@ class PlaneClasses(GradientScale):
         return self.levels * self.kinds
 
     def check_fits(self, sites: int, first: ClassRule) -> None:
-        """Raise ValueError if the rule is not for an array of so many sites, or for another rule of the first layer."""
+        """Raise ValueError unless the rule fits an array with this number of sites, and the rule of the first layer."""
         if len(self.turns) != sites:
             raise ValueError(f"turns holds {len(self.turns)} sites, the CFA {sites}")
         if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
@@ -93,36 +100,36 @@ class PlaneClasses(GradientScale):
             )
 
     def level_of(self, first: Any) -> Any:
-        """Return the levels of this rule for levels of the first layer."""
+        """Return the level in this rule for a level of the first layer."""
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Return the indices of classes from their places; `level` is one of this rule."""
+        """Return class indices from the values of the features. `level` is a level of this rule."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
-        """Return the places of the classes `index`, an integer or an array."""
+        """Return the values of the features of classes, from an index or an array of indices."""
         rest, kind = divmod(index, self.kinds)
         site, level = divmod(rest, self.levels)
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Return the sites of the classes `index` of all sites, and their indices within them."""
+        """Return the site, and the index within it, of classes given by indices among all sites."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kinds of pixels of a structure and a saturation case, which decides where it is not 0."""
+        """Return the kind of pixels from their structure and saturation case. The case decides unless it is 0."""
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation cases of kinds: 0 where nothing is saturated and the kind is a structure."""
+        """Return the saturation case of kinds. It is 0 if nothing is saturated and the kind is a structure."""
         return np.maximum(kind - self.structures + 1, 0)
 
 
 @dataclass(frozen=True)
 class StructureRule(PlaneClasses):
-    """Classes by level, and by strength and direction of edges."""
+    """Classes by level, and by the strength and direction of edges."""
 
     level_step: int = data("int64", doc="levels of the first layer that make one here")
     strength_edges: NDArray[np.uint32] = data(
@@ -156,11 +163,13 @@ class StructureRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Return the structures: flat, then for each strength no direction and every direction."""
+        """Number of structures: one for flat areas, and for each strength one without direction and one per direction."""
         return 1 + self.strengths * (1 + DIRECTIONS)
 
     def next_strengths(self, structure: int) -> list[int]:
-        """Return the structures of the same direction one strength away, of which none has the lowest strength."""
+        """Return the structures with the same direction in the next lower and next higher strength, above the lowest
+        strength.
+        """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)
         return [other for other in others if least <= min(other, structure) and other < self.structures]
@@ -168,8 +177,7 @@ class StructureRule(PlaneClasses):
 
 @dataclass(frozen=True)
 class TreeRule(PlaneClasses):
-    """Classes by the leaves of one tree for all sites, each of which sees its neighbourhood in the orientation that it is
-    learned in."""
+    """Classes by the leaves of one tree for all sites. Each site turns its window to the orientation it was trained in."""
 
     test: NDArray[np.uint8] = data("uint8", "node", doc="which quotient of evidence a node compares")
     threshold: NDArray[np.float32] = data("float32", "node", doc="above which the second of its branches is taken")
@@ -190,10 +198,10 @@ class TreeRule(PlaneClasses):
         every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
         if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
             raise ValueError("branch is not a tree: every node but the first must be a branch of one before it")
-        if self.structures > MOST_LEAVES:
-            raise ValueError(f"the tree has {self.structures} leaves, more than {MOST_LEAVES}")
-        if self.depth > DEEPEST:
-            raise ValueError(f"the tree is {self.depth} tests deep, more than {DEEPEST}")
+        if self.structures > MAX_LEAVES:
+            raise ValueError(f"the tree has {self.structures} leaves, more than {MAX_LEAVES}")
+        if self.depth > MAX_DEPTH:
+            raise ValueError(f"the tree is {self.depth} tests deep, more than {MAX_DEPTH}")
 
     @property
     def levels(self) -> int:
@@ -204,16 +212,18 @@ class TreeRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Return the leaves as structures."""
+        """Number of leaves, each of which is a structure."""
         return len(self.branch) - int(np.count_nonzero(self.branch))
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Return the number (node) of the first leaf below each node, or of the leaf that it is itself; leaves are numbered
-        as they are met when first branches are taken first."""
-        below = np.ones(len(self.branch), np.int64)  # leaves
+        """Number (node) of the first leaf below each node, or of the node itself if it is a leaf.
+
+        Leaves are numbered in depth-first order, the first branch of each node before the second.
+        """
+        below = np.ones(len(self.branch), np.int64)  # number of leaves below each node
         inner = np.flatnonzero(self.branch).tolist()
-        for node in reversed(inner):  # branches lie behind their node
+        for node in reversed(inner):  # branches have higher numbers than their node
             below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
         first = np.zeros(len(self.branch), np.int64)
         for node in inner:
@@ -223,8 +233,8 @@ class TreeRule(PlaneClasses):
 
     @property
     def depth(self) -> int:
-        """Return the number of tests from the root to the deepest leaf."""
+        """Number of tests from the root to the deepest leaf."""
         depth = np.zeros(len(self.branch), np.int64)
-        for node in np.flatnonzero(self.branch).tolist():  # branches lie behind their node
+        for node in np.flatnonzero(self.branch).tolist():  # branches have higher numbers than their node
             depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1
         return int(depth.max())

@@ -1,8 +1,8 @@
-"""Artifacts: frozen dataclasses whose field declarations are the HDF5 schema.
+"""Artifacts as frozen dataclasses whose field declarations define the HDF5 schema.
 
-A field declared with `data(dtype, axes, unit, doc)` is one dataset; a field declared with `group()`,
-whose type is another such dataclass, is a group; `tuple[X, ...]` is a list of groups called 0, 1… Saving, loading, checking
-and `l3 info` all read these declarations.
+`data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group, whose content is another dataclass of such
+fields; a field of type `tuple[X, ...]` is stored as numbered groups 0, 1, 2… Saving, loading, checking and `l3 info` all
+read these declarations, so that a new field is declared in one place.
 """
 
 import dataclasses
@@ -16,19 +16,19 @@ import numpy as np
 
 from l3cli import __version__
 
-MOST = 1e27  # of any number: its square, summed up, is still one
+LARGEST_VALUE = 1e27  # of any stored number, so that sums of squares stay finite
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Type, named axes, unit and meaning of one dataset."""
+    """Declaration of a dataset: its type, named axes, unit and meaning."""
 
     dtype: str
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # the coordinate of its one axis: text does, and numbers that are declared so
-    formerly: str = ""  # its name in older files
+    coordinate: bool = False  # whether it labels its axis, as wavelengths do; text with one axis always does
+    formerly: str = ""  # name of the dataset in older files
 
 
 def data(
@@ -40,35 +40,64 @@ def data(
     coordinate: bool = False,
     formerly: str = "",
 ) -> Any:
-    """Declare one dataset: `dtype` ("float64", "uint16", "str"…), axis names (none: a scalar), unit and meaning; with a
-    default it may be absent, as it is from files of older versions. `coordinate`: numbers along an axis of another name.
-    `formerly`: the dataset's name in older files, which is read where there is none of the field's name."""
+    """Declare a dataclass field that is stored as one dataset.
+
+    Parameters
+    ----------
+    dtype : str
+        A numpy type such as "float64" or "uint16", or "str".
+    *axes : str
+        Names of the axes. Without axes the dataset is a scalar.
+    unit, doc : str
+        Unit and meaning, which are stored as attributes and shown by `l3 info`.
+    default : optional
+        Value if the file does not hold the dataset. Without a default the dataset is required.
+    coordinate : bool
+        Whether the numbers label an axis whose name differs from the field's.
+    formerly : str
+        Name of the dataset in older files, which is read if there is no dataset with the field's name.
+    """
     spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), formerly)
-    return field(metadata={"spec": spec}, default=default)
+    return field(metadata={"spec": spec}, default=default, repr=not axes)  # arrays would fill pages
 
 
 @dataclass(frozen=True)
 class Group:
-    """Content of a group: one instance of a dataclass, or a list of them."""
+    """Declaration of a group that holds one instance of a dataclass, or a list of instances."""
 
     kind: type
     several: bool
     since: int
-    older: Callable[[Any, Any], Any] | None  # reads from a file's group what older versions hold instead
+    older: Callable[[Any, Any], Any] | None  # builds the content from what older versions stored instead
 
 
 def group(
     default: Any = dataclasses.MISSING, kw_only: bool = False, since: int = 0, older: Callable[[Any, Any], Any] | None = None
 ) -> Any:
-    """Declare a group: the field's type is a dataclass of declared fields, or tuple[X, ...] of one; with a default, None or
-    (), it may be absent. In files of format versions before `since` its fields lie a level higher, where the group would.
-    `older` makes it of what a file's group (group, path) holds instead."""
+    """Declare a dataclass field that is stored as a group, or as a list of groups.
+
+    The type of the field is a dataclass of declared fields, or `tuple[X, ...]` of such a dataclass X.
+
+    Parameters
+    ----------
+    default : optional
+        None or (), if the group may be absent.
+    kw_only : bool
+        As in `dataclasses.field`.
+    since : int
+        Format version that introduced the group. In files of earlier versions its fields lie one level higher.
+    older : callable, optional
+        Builds the content from the HDF5 group and the path of a file that lacks this group.
+    """
     return field(metadata={"since": since, "older": older}, default=default, kw_only=kw_only)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of an artifact's history: what was run, on what, with which recipe. No clock, host or path."""
+    """One step of an artifact's history: the command, its options, its recipe and the digests of its inputs.
+
+    A stage holds no time, host or path, so that equal inputs give equal bytes.
+    """
 
     command: str
     options: dict[str, Any]
@@ -77,9 +106,9 @@ class Stage:
     version: str = __version__
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Artifact:
-    """Base of what the stages hand on. Subclasses set `kind`, `version`, `made_by`."""
+    """Base class of the files that stages hand on. Subclasses set `kind`, `version` and `made_by`."""
 
     kind: ClassVar[str]
     version: ClassVar[int]
@@ -89,15 +118,28 @@ class Artifact:
     def __post_init__(self) -> None:
         check(self)
 
+    @property
+    def summary(self) -> str:
+        """What the artifact holds, in one line."""
+        return self.kind
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.summary}>"
+
+    def _repr_html_(self) -> str:
+        from l3cli.artifacts.notebook import html  # which imports this module; only notebooks ask for it
+
+        return html(repr(self), self)
+
 
 # ------------------------------------------------------------------------------------------------ declarations
 
 
-_DECLARED: dict[type, tuple[tuple[str, Spec | Group, bool], ...]] = {}  # of each dataclass that has been asked for
+_DECLARED: dict[type, tuple[tuple[str, Spec | Group, bool], ...]] = {}  # results of `declared`, by dataclass
 
 
 def declared(cls: type) -> tuple[tuple[str, Spec | Group, bool], ...]:
-    """Return (name, dataset or group, optional) of each stored field of a dataclass."""
+    """Return the name, the declaration and whether it is optional, for each stored field of a dataclass."""
     if cls not in _DECLARED:
         _DECLARED[cls] = tuple(_declared(cls))
     return _DECLARED[cls]
@@ -120,17 +162,26 @@ def _declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
-    """Return the dataclasses that a field holds, by the name of the group of each: one, none or several."""
+    """Return the dataclass instances that a field holds, each under the name of its group."""
     if isinstance(value, tuple):
         return {f"{name}/{index}": each for index, each in enumerate(value)}
     return {} if value is None else {name: value}
 
 
 def check(instance: Any) -> None:
-    """Check dtypes, number of axes, equal length of equally named axes, finite numbers; ValueError names the field.
+    """Check the declared fields of an instance against their declarations.
 
-    An axis whose values a group gives, in a dataset of its name, is an axis of that group and those below it alone; axes
-    that only the members of a list have may differ in length between them.
+    Dtypes and numbers of axes must be as declared, axes of the same name must have the same length, and numbers must be
+    finite.
+
+    An axis that a group labels itself, by a dataset of the axis's name, belongs to that group and the groups below it.
+    Axes that
+    only the members of a list have may differ in length from member to member.
+
+    Raises
+    ------
+    ValueError
+        If a field does not match its declaration. The message names the field.
     """
     _check(instance, {}, {}, "")
 
@@ -153,8 +204,12 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
                 raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
                 raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
-            if array.dtype.kind == "f" and array.size and not (array.min() >= -MOST and array.max() <= MOST):
-                fault = f"beyond ±{MOST:g}" if np.isfinite(array).all() else "that are not finite"
+            if (
+                array.dtype.kind == "f"
+                and array.size
+                and not (array.min() >= -LARGEST_VALUE and array.max() <= LARGEST_VALUE)
+            ):
+                fault = f"beyond ±{LARGEST_VALUE:g}" if np.isfinite(array).all() else "that are not finite"
                 raise ValueError(f"{label} holds values {fault}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
@@ -163,7 +218,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Return whether every declared field of two instances of a dataclass holds the same values."""
+    """Return whether all declared fields of two instances of a dataclass hold equal values."""
     for name, spec, _ in declared(type(one)):
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(spec, Spec):

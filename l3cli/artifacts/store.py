@@ -1,7 +1,8 @@
-"""Artifacts in files: HDF5 after the declarations of their dataclasses, whole or not at all, with their history; and whether
-one is as it was written, and was made of the files at hand.
+"""Reading and writing of artifacts: HDF5 files laid out as their dataclasses declare (docs/artifacts.md).
 
-docs/artifacts.md says what the files promise.
+A file is written completely or not at all, and carries the history of the stages that led to it. `verify` checks that it
+has
+not changed since, and `chain` which of the files at hand it was made from.
 """
 
 import contextlib
@@ -26,16 +27,16 @@ from l3cli.system.files import require_regular
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import a
 
-COMPRESSION = 4  # of gzip
-MOST_GROUPS = 64  # in a list of them
+GZIP_LEVEL = 4
+MAX_LISTED_GROUPS = 64  # refuses damaged files that claim millions
 SEALED = 2  # format version from which every file carries its digest
-LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"  # NAME of such a scale in netCDF-4
+LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"  # NAME that netCDF-4 gives to axes without values
 TEXT = h5py.string_dtype()
 TEXT_TYPE, SCALAR = h5t.py_create(TEXT, logical=True), h5s.create(h5s.SCALAR)
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
 
 
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # h5py raises any of these on damage
 A = TypeVar("A", bound=Artifact)
 
 
@@ -43,8 +44,17 @@ A = TypeVar("A", bound=Artifact)
 
 
 def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> None:
-    """Write every declared field of `instance` below `group`; their axes get no scales. Pictures are not `compressed`: noise
-    hardly shrinks, and shrinking it takes longer than simulating it."""
+    """Write every declared field of a dataclass instance below a group, without dimension scales.
+
+    Parameters
+    ----------
+    group : h5py.Group
+        An empty group open for writing.
+    instance : dataclass
+        Instance with fields declared by `data` and `group`.
+    compressed : bool
+        False for frames: noise hardly compresses, and compressing it takes longer than simulating it.
+    """
     for name, spec, _ in declared(type(instance)):
         value = getattr(instance, name)
         if isinstance(spec, Spec):
@@ -55,7 +65,7 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compressed: bool = True) -> None:
-    """Write a dataset and its attributes, as `create_dataset` and `attrs` would in twice the time."""
+    """Write a dataset and its attributes. The low-level calls take half the time of `create_dataset` and `attrs`."""
     is_text = spec.dtype == "str"
     array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype, order="C")
     created = h5p.create(h5p.DATASET_CREATE)
@@ -64,20 +74,20 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compres
         created.set_chunk(_chunk(array.shape, array.dtype.itemsize))
         if compressed:
             created.set_shuffle()
-            created.set_deflate(COMPRESSION)
+            created.set_deflate(GZIP_LEVEL)
         created.set_fletcher32()
     kind = h5t.py_create(array.dtype, logical=True)
     dataset = h5d.create(group.id, name.encode(), kind, h5s.create_simple(array.shape), created)
     dataset.write(h5s.ALL, h5s.ALL, array)
     texts = {"axes": ", ".join(spec.axes), "units": spec.unit, "doc": spec.doc}
     if is_text:
-        texts["_Encoding"] = ENCODING  # by which xarray knows it from bytes
+        texts["_Encoding"] = ENCODING  # tells xarray that the bytes are text
     for key, text in texts.items():
         h5a.create(dataset, key.encode(), TEXT_TYPE, SCALAR).write(np.array(text, TEXT))
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk: whole trailing axes, as many leading ones as make about a mebibyte."""
+    """Return the shape of a chunk of about one mebibyte: whole trailing axes, and as many leading ones as fit."""
     chunk = list(shape)
     for axis in range(len(shape)):
         others = itemsize * int(np.prod(chunk)) // chunk[axis]
@@ -87,7 +97,10 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for writing with kind, version and history on the root; it gets the name `path` at the end."""
+    """Yield a new HDF5 file whose root holds kind, version and history.
+
+    The file appears at `path` when the block ends without an error.
+    """
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
         root.attrs["kind"] = kind
@@ -97,7 +110,7 @@ def new_artifact(path: Path, kind: str, version: int, history: tuple[Stage, ...]
 
 
 def save(artifact: Artifact, path: Path) -> None:
-    """Write `artifact` to `path` whole or not at all."""
+    """Write an artifact to `path`, completely or not at all."""
     with new_artifact(path, artifact.kind, artifact.version, artifact.history) as root:
         write_fields(root, artifact)
         name_axes(root, type(artifact), {}, artifact)
@@ -105,26 +118,37 @@ def save(artifact: Artifact, path: Path) -> None:
 
 # ------------------------------------------------------------------------------------------------------- scales
 #
-# Named axes as HDF5 dimension scales, by which xarray, netCDF tools and `dims` of h5py know them. Every axis of a group's
-# datasets has one dataset of its name in that group: the declared one that gives the values along it (wavelength); a copy
-# of one of another name that does (channels of the axis channel), or, as in netCDF, a length alone. What reads artifacts
-# needs no scale, and follows none of their references.
+# Axes are named by HDF5 dimension scales, which xarray, netCDF tools and `dims` of h5py understand. Each axis of a group's
+# datasets has one scale with its name in that group. The scale is one of:
+#   1. the declared dataset of the same name, which holds the values along the axis (wavelength),
+#   2. a copy of a declared dataset of another name (`channels` for the axis channel),
+#   3. a dataset without values, as in netCDF, which states only the length.
+# l3 itself reads no scale and follows no reference of one.
 
 
-Coordinates = Mapping[str, tuple[Any, Spec]]  # axis → what stands along it, and how that is declared
+Coordinates = Mapping[str, tuple[Any, Spec]]  # axis → the values along it, and their declaration
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """Return the coordinates along the axes of an instance of a dataclass, where its fields give them."""
+    """Return the values that an instance's fields give along its axes, by axis."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
 
 
 def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = None) -> None:
-    """Write the scales of what is stored of dataclass `kind` in `group` and in the groups below.
+    """Write the dimension scales of a group and of the groups below it.
 
-    `above` are the coordinates that groups above give; `content`, the stored instance, gives those of its group and below.
+    Parameters
+    ----------
+    group : h5py.Group
+        A group in which an instance of `kind` is stored.
+    kind : type
+        The dataclass that declares the group.
+    above : mapping
+        Coordinates that the groups above provide.
+    content : dataclass, optional
+        The stored instance, which provides the coordinates of its group and those below.
     """
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
@@ -140,7 +164,7 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
 
 @functools.cache
 def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
-    """Return the datasets with axes and the groups that a dataclass declares."""
+    """Return the datasets with axes, and the groups, that a dataclass declares."""
     members = [(name, member) for name, member, _ in declared(kind)]
     return (
         {name: member for name, member in members if isinstance(member, Spec) and member.axes},
@@ -149,9 +173,9 @@ def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
 
 
 def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
-    """Write one scale for each axis in a group, and the references between scales and datasets.
+    """Write one scale per axis of a group, and the references between scales and datasets.
 
-    The lists of references are written whole, which attach_scale of h5py would write anew for every dataset.
+    Each list of references is written once. h5py's `attach_scale` would rewrite it for every dataset.
     """
     held = {name: spec for name, spec in _layout(kind)[0].items() if group.id.links.exists(name.encode())}
     fields = {name: (spec, h5py.Dataset(h5d.open(group.id, name.encode()))) for name, spec in held.items()}
@@ -176,7 +200,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Return a scale that is no declared dataset: with values if they are known, else a length alone."""
+    """Return a scale that is no declared dataset: with values if they are known, otherwise with a length only."""
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)
         scale.make_scale(LENGTH_ALONE % length)
@@ -195,8 +219,21 @@ def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
-    """Yield the file's root, after checking that not a byte has changed since it was written, that it is an artifact, of one
-    of the kinds `expected`, and of a version this l3 reads. `unchanged`: this run has compared the bytes before."""
+    """Yield the root of an artifact's file, open for reading.
+
+    Parameters
+    ----------
+    path : Path
+    *expected : type
+        The kinds of artifact that are accepted; all kinds if none is given.
+    unchanged : bool
+        Skip the comparison of the bytes with their digest, because this run has already made it.
+
+    Raises
+    ------
+    InputFileError
+        If the file has changed since it was written, is no artifact of an expected kind, or has a newer format version.
+    """
     made_by = expected[0].made_by if expected else "an l3 command"
     if not path.exists() and not path.is_symlink():
         raise InputFileError(f"{path} does not exist; make it with {made_by}")
@@ -225,12 +262,30 @@ def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False
 
 
 def load(cls: type[A], path: Path) -> A:
-    """Read an artifact of type `cls`; InputFileError names file, dataset and cure."""
+    """Read an artifact.
+
+    Parameters
+    ----------
+    cls : type
+        The kind of artifact: CameraModel, TransformTable…
+    path : Path
+
+    Returns
+    -------
+    instance of `cls`
+        Its arrays are read-only.
+
+    Raises
+    ------
+    InputFileError
+        If the file is missing, damaged or of another kind. The message names the file, the dataset and the remedy.
+    """
     with open_artifact(path, cls) as root:
         return read_fields(root, cls, path, history=read_history(root, path))
 
 
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
+    """Return the stages that led to an artifact, oldest first."""
     text = _read_dataset(root, "history", Spec("str", (), "1", ""), path)
     try:
         return tuple(msgspec.json.decode(text, type=list[Stage]))
@@ -239,7 +294,23 @@ def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
 
 
 def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
-    """Return an instance of dataclass `cls` from the datasets below `group`."""
+    """Return an instance of a dataclass from the datasets below a group.
+
+    Parameters
+    ----------
+    group : h5py.Group
+    cls : type
+        Dataclass with fields declared by `data` and `group`.
+    path : Path
+        Name of the file in messages.
+    **extra
+        Values of fields that are not stored in the group, such as the history.
+
+    Raises
+    ------
+    InputFileError
+        If a required dataset is missing, or a dataset does not match its declaration.
+    """
     values = dict(extra)
     held = members(group, path)
     with raised_as(InputFileError, path, cure="; make the file again"):
@@ -259,7 +330,7 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """Return the instance, or the tuple of instances, of a declared group."""
+    """Return the instance, or the tuple of instances, that a declared group holds."""
     if spec.since and group.name == "/" and int(group.file.attrs["version"]) < spec.since:
         return read_fields(group, spec.kind, path)
     if not group.id.links.exists(name.encode()):
@@ -268,18 +339,21 @@ def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
     if not spec.several:
         return read_fields(below, spec.kind, path)
     count = len(members(below, path))
-    if count > MOST_GROUPS:
-        raise InputFileError(f"{path}: {_inside(group, name)} holds more than {MOST_GROUPS} groups; make the file again")
+    if count > MAX_LISTED_GROUPS:
+        raise InputFileError(
+            f"{path}: {_inside(group, name)} holds more than {MAX_LISTED_GROUPS} groups; make the file again"
+        )
     return tuple(read_fields(hard_group(below, str(index), path), spec.kind, path) for index in range(count))
 
 
 def _inside(group: h5py.Group, name: str) -> str:
+    """Return the path of a member within its file."""
     return f"{group.name.rstrip('/')}/{name}".lstrip("/")
 
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Raise InputFileError for errors of HDF5."""
+    """Within the block, raise InputFileError instead of the errors that h5py raises on damaged files."""
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
@@ -287,19 +361,19 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def members(group: h5py.Group, path: Path) -> list[str]:
-    """Return the names of what a group holds, in order."""
+    """Return the names of a group's members, sorted."""
     with reading(path, f"the group {group.name}"):
         return sorted(group)
 
 
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
-    """Return a group below `group` that lies in this file; InputFileError if there is none."""
+    """Return a group stored below `group` in the same file; InputFileError if there is none."""
     with reading(path, f"the group {_inside(group, name)}"):
         return h5py.Group(_hard(group, name, h5g.GroupID, path))
 
 
 def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
-    """Return the identifier of a member that really lies in this file: no soft or external link is followed."""
+    """Return the identifier of a member that is stored in this file. Soft and external links are refused."""
     key = name.encode()
     if not group.id.links.exists(key) or group.id.links.get_info(key).type != h5l.TYPE_HARD:
         what = "lacks" if name not in group else "links away"
@@ -312,8 +386,7 @@ def _hard(group: h5py.Group, name: str, kind: type, path: Path) -> Any:
 
 
 def require_plain(dataset: h5d.DatasetID, path: Path) -> Stored:
-    """Return how a dataset is stored; InputFileError if that is as l3 never stores one, or it would be larger in memory than
-    can be."""
+    """Return how a dataset is stored; InputFileError if it is too large, or stored in a way that l3 never uses."""
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:
         raise InputFileError(f"{path}: dataset {stored.where} is stored as l3 never stores one; make the file again")
@@ -322,10 +395,11 @@ def require_plain(dataset: h5d.DatasetID, path: Path) -> Stored:
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
     with reading(path, f"dataset {_inside(group, name)}"):
-        return _as_declared(group, name, spec, path)
+        return _read_validated(group, name, spec, path)
 
 
-def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+def _read_validated(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
+    """Read a dataset, after checking that its type and number of axes match its declaration."""
     dataset = _hard(group, name, h5d.DatasetID, path)
     stored = require_plain(dataset, path)
     is_text, nothing = spec.dtype == "str", not (stored.shape or stored.size)
@@ -353,7 +427,7 @@ def _as_declared(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
 
 @dataclass(frozen=True)
 class Described:
-    """One dataset as `l3 info` shows it; `value` is given for scalars, text and short lists."""
+    """One dataset as `l3 info` shows it. `value` is given for scalars, text and short lists."""
 
     name: str
     dtype: str
@@ -365,7 +439,14 @@ class Described:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return kind, version, history and every dataset with axes and unit of any artifact, without the scales of its axes."""
+    """Return the kind, version, history and datasets of any artifact.
+
+    Returns
+    -------
+    dict
+        "kind", "version", "history" (list of stages) and "datasets": one dict per dataset with "name", "dtype", "shape",
+        "axes", "unit", "doc" and, for scalars, text and short lists, "value". Dimension scales are left out.
+    """
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
             fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
@@ -379,7 +460,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError for a dataset of HDF5's null dataspace, which l3 never writes."""
+    """Raise InputFileError if a dataset has HDF5's null dataspace, which l3 never writes."""
     if dataset.shape is None:
         raise InputFileError(f"{path}: dataset {name} holds nothing; make the file again")
 
@@ -391,28 +472,34 @@ def _described(path: Path, name: str, dataset: h5py.Dataset) -> Described:
         require_readable(path, dataset.id)
         raw = dataset[()]
         value = np.char.decode(raw, "utf-8").tolist() if dataset.dtype.kind == "S" else raw.tolist()
-    unit = "units" if "units" in dataset.attrs else "unit"  # as older files call it
+    unit = "units" if "units" in dataset.attrs else "unit"  # the attribute's name in older files
     axes, unit, doc = (str(dataset.attrs.get(key, "")) for key in ("axes", unit, "doc"))
     dtype = "str" if dataset.dtype.kind == "S" else str(dataset.dtype)
     return Described(name, dtype, dataset.shape or (), axes, unit, doc, value)
 
 
-SLAB = 1 << 26  # bytes of a dataset that are read at a time
+SLAB_BYTES = 1 << 26  # of a dataset are read at a time, to bound memory
 
 
 @dataclass(frozen=True)
 class Intact:
-    """Intact parts of a file."""
+    """Result of `verify` for an undamaged file."""
 
     kind: str
     version: int
-    digest: bool  # carries the SHA-256 of its bytes, which is right; false: format version 1
-    datasets: int  # whose checksums are right, without scales of axes
+    digest: bool  # whether the file carries the SHA-256 of its bytes; files of format version 1 do not
+    datasets: int  # number of datasets whose checksums were compared, without dimension scales
     history: tuple[Stage, ...]
 
 
 def verify(path: Path) -> Intact:
-    """Compare every byte with the digest and every dataset with its checksums; InputFileError if anything is wrong."""
+    """Compare every byte of an artifact with its digest, and every dataset with its checksums.
+
+    Raises
+    ------
+    InputFileError
+        If anything differs. The message names the dataset.
+    """
     digest = container.check(path, "an l3 command")
     with open_artifact(path, unchanged=digest) as root:
         count = 0
@@ -423,7 +510,7 @@ def verify(path: Path) -> Intact:
                 scale, stored = is_scale(dataset), dataset.id.get_storage_size()
             _refuse_null(path, name, dataset)
             if scale and not stored:
-                continue  # it is a length alone
+                continue  # a scale without values has no checksum
             require_plain(dataset.id, path)
             try:
                 for _ in _slabs(dataset):
@@ -435,10 +522,11 @@ def verify(path: Path) -> Intact:
 
 
 def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
+    """Yield a dataset in parts of at most SLAB_BYTES."""
     if not dataset.ndim or not dataset.size:
         yield dataset[()]
         return
-    rows = max(1, SLAB * len(dataset) // dataset.nbytes)
+    rows = max(1, SLAB_BYTES * len(dataset) // dataset.nbytes)
     for start in range(0, len(dataset), rows):
         yield dataset[start : start + rows]
 
@@ -448,21 +536,35 @@ def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Link:
-    """The files of one role, or the recipe, that a stage of a history names, and which of them were given."""
+    """The files, or the recipe, that one stage of a history names in one role, and the given files that match."""
 
     stage: str
     role: str
-    named: int
-    given: tuple[str, ...]
+    named: int  # number of files in the history
+    given: tuple[str, ...]  # paths of the matching files
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """Return the files that a history names, compared with files by their SHA-256, and those files that it does not name.
+    """Compare the files that a history names with files at hand, by their SHA-256.
 
-    The history of a file that is named is followed, too: of several training sets, an artifact names only the first.
+    The history of a matching file is followed, too: an artifact that was made from several training sets records only the
+    history of the first.
+
+    Parameters
+    ----------
+    history : tuple of Stage
+    inputs : mapping
+        Path → SHA-256 of each file at hand.
+
+    Returns
+    -------
+    links : tuple of Link
+        One per stage and role, with the matching files.
+    others : tuple of Path
+        The files at hand that the history does not name.
     """
     stages = list(history)
-    for stage in stages:  # which grows
+    for stage in stages:  # the list grows while it is read
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
             stages += [other for other in history_of(path) if other not in stages]
@@ -480,7 +582,7 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
 
 
 def history_of(path: Path) -> tuple[Stage, ...]:
-    """Return an artifact's history; nothing for another file, or none."""
+    """Return an artifact's history, or () if the file is missing or no artifact."""
     try:
         with open_artifact(path) as root:
             return read_history(root, path)
@@ -489,7 +591,7 @@ def history_of(path: Path) -> tuple[Stage, ...]:
 
 
 def _is_recipe_of(path: Path, stage: Stage) -> bool:
-    """Return whether a file's text is the stage's recipe, or one of two that it was joined from."""
+    """Return whether a file holds the stage's recipe, or one of the two texts that the recipe was joined from."""
     if path.suffix != ".toml":
         return False
     content = read_bounded(path).decode("utf-8-sig", "replace")

@@ -1,7 +1,9 @@
-"""The transform table: layers of class rules and weights, all that rendering needs (docs/method.md#classes).
+"""The transform table: the class rule and the transforms of every layer (docs/method.md#classes).
 
-Conditions have transforms of their own: lights (docs/method.md#several-lights), and other noise than the camera's
-(docs/method.md#noise-sets). Class rules are shared, but for edges that follow the noise.
+A table may also hold transforms for conditions: for single lights (docs/method.md#several-lights), and for frames with
+more
+or less noise than the camera's (docs/method.md#noise-sets). All conditions share the class rules, except that class edges
+follow the noise.
 """
 
 import itertools
@@ -22,19 +24,23 @@ from l3cli.artifacts.store import read_fields
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 PlaneRule = StructureRule | TreeRule
-LUMINANCE = ("Y",)  # outputs of a table that shows luminance alone
-GREY = ("Y", "Y", "Y")  # its outputs as pictures are made from them
-PLANE_STEP = 2.0**-18  # of the output unit: what a plane's integers count, far below the noise of any sensor
-RATIO_TAPS = (0, 2, 4)  # behind those of the windows of a last layer: none, colour ratios, and bilateral chroma, too
-PLANE_TOP = 2**22 - 1  # 16 times a full scale: differences times a factor of 7 bits stay within 32 bits
-PLANES = 3  # that a refinement layer reads
-WINDOWS = (3, 5, 7, 9)  # sides that can be
-COMPARED = (4, 3, 3)  # in coarse chroma: steps; planes; powers of luminance
+LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
+GREY = ("Y", "Y", "Y")  # outputs of such a table when it renders pictures
+PLANE_STEP = 2.0**-18  # quantum of the planes' integers in output units, far below the noise of any sensor
+RATIO_TAPS = (0, 2, 4)  # extra taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
+PLANE_TOP = 2**22 - 1  # 16 times full scale; a difference of planes times a 7-bit factor stays within 32 bits
+PLANES = 3  # that a refinement layer reads: X − aY, Y, Z − bY
+WINDOWS = (3, 5, 7, 9)  # possible sides of the window that spectra are smoothed over, in pixels
+COMPARED = (4, 3, 3)  # shape of the noise in coarse chroma: steps, planes, powers of luminance
 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """Transforms of patches of the mosaic: output = weights · (patch − black level) / full scale + intercept."""
+    """The first layer: transforms of patches of the mosaic.
+
+    Output = weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the pixel's
+    class.
+    """
 
     rule: ClassRule = group()
     weights: NDArray[np.float32] = data(
@@ -50,13 +56,13 @@ class MosaicLayer:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return the layer of some outputs, by their places."""
+        """Return the layer with some of its outputs, given by their indices."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
 @dataclass(frozen=True)
 class CoarseChroma:
-    """Noise of what a last layer compares where it takes chroma from far around (docs/method.md#coarse-chroma)."""
+    """Noise of the coarse chroma that the last layer compares (docs/method.md#coarse-chroma)."""
 
     variance: NDArray[np.float64] = data(
         "float64",
@@ -69,7 +75,7 @@ class CoarseChroma:
     def __post_init__(self) -> None:
         check(self)
         steps, *others = COMPARED
-        if self.variance.shape == (steps + 1, *others):  # the last, of what pixels were compared by, no longer counts
+        if self.variance.shape == (steps + 1, *others):  # older files hold a further step, which is no longer used
             object.__setattr__(self, "variance", self.variance[:steps])
         if self.variance.shape != COMPARED:
             raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
@@ -77,13 +83,13 @@ class CoarseChroma:
             raise ValueError("variance must not be negative, nor zero in darkness")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return the same for frames with this share of the noise variance."""
+        """Return a copy for frames with this fraction of the noise variance."""
         return CoarseChroma(self.variance * share)
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Outputs of plain areas where channels clip (docs/method.md#plain-clipped-areas)."""
+    """Response of uniform areas where channels clip (docs/method.md#plain-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -98,16 +104,19 @@ class Clipping:
     def __post_init__(self) -> None:
         check(self)
         if not self.white.min() > 0:
-            raise ValueError("white must give every channel a signal")
+            raise ValueError("white must be above zero in every channel")
         if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
             raise ValueError(
-                f"response has the shape {self.response.shape}, and must be finite, and of one channel more twice"
+                f"response has the shape {self.response.shape}; it must be finite, and its first two axes channels + 1 long"
             )
 
 
 @dataclass(frozen=True)
 class PlaneLayer:
-    """Transforms of square windows of the planes X − aY, Y, Z − bY (of a white: zero, its Y, zero) of the layer before."""
+    """A refinement layer: transforms of square windows of three planes that the previous layer has rendered.
+
+    The planes are X − aY, Y and Z − bY. The factors a and b are chosen such that a white is (0, Y, 0).
+    """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
     weights: NDArray[np.float32] = data(
@@ -119,19 +128,20 @@ class PlaneLayer:
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
     samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
-    structure: StructureRule | None = group(default=None)  # its classes, if by structure
-    tree: TreeRule | None = group(default=None)  # its classes, if by a tree
-    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is that of the windows alone
-    clipping: Clipping | None = group(default=None)  # beside coarse chroma; None: clipped areas are as classes leave them
+    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
+    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma comes from the windows only
+    clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
 
     def __post_init__(self) -> None:
         check(self)
         one_rule(self.structure, self.tree)
         if self.clipping and not self.coarse_chroma:
-            raise ValueError("a layer with clipping has coarse chroma, too")
+            raise ValueError("a layer with clipping must have coarse chroma")
 
     @property
     def rule(self) -> PlaneRule:
+        """Class rule of the layer."""
         return one_rule(self.structure, self.tree)
 
     @property
@@ -140,16 +150,16 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Return the taps of the windows; what follows are those of colour ratios and bilateral chroma."""
+        """Number of taps in the windows. Taps for colour ratios and bilateral chroma follow them."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Return one of RATIO_TAPS."""
+        """Number of taps after those of the windows, one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames with this share of the noise variance, as far as coarse chroma asks."""
+        """Return the layer for frames with this fraction of the noise variance; only coarse chroma depends on it."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
@@ -158,12 +168,12 @@ class PlaneLayer:
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return the rule as the field that holds it."""
+    """Return a refinement layer's rule under the name of the field that holds it."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the rule that is there; ValueError unless it is one of the two."""
+    """Return the one of two rules that is not None; ValueError unless exactly one is given."""
     if structure is None and tree is not None:
         return tree
     if structure is not None and tree is None:
@@ -173,7 +183,7 @@ def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRul
 
 @dataclass(frozen=True)
 class SceneLight:
-    """Light of a condition."""
+    """A light that a table has transforms for."""
 
     name: str = data("str", doc="the light")
     white_point: NDArray[np.float64] = data("float64", "output", doc="output of a perfect white under it, Y = 1")
@@ -181,27 +191,27 @@ class SceneLight:
 
     def __post_init__(self) -> None:
         if not self.white_point[:3].min() > 0:
-            raise ValueError(f"white_point of {self.name} is that of no light")
+            raise ValueError(f"white_point of {self.name} must be above zero")
 
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """Edges of classes, and noise of what coarse chroma compares, which follow the noise."""
+    """The parts of the class rules that depend on the noise: edges of classes, and the noise in coarse chroma."""
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
     constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
-    gradients: tuple[GradientScale, ...] = group(default=())  # of each refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last one; None: that of the table
+    gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
+    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last layer; None: as in the table
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
-        """Return the edges of layers."""
+        """Return the noise-dependent parts of the rules of a table's layers."""
         constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
         coarse = later[-1].coarse_chroma if later else None
         return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)
 
     def within(self, table: "TransformTable") -> "TransformTable":
-        """Return a table with these edges."""
+        """Return a copy of a table with these edges and without conditions."""
         usual = table.first.rule
         features = usual.features and replace(usual.features, constants=self.constants)
         rule = replace(usual, contrast_edges=self.contrast_edges, features=features)
@@ -213,7 +223,7 @@ class NoiseEdges:
 
 @dataclass(frozen=True)
 class MosaicTransforms:
-    """Transforms of the layer that reads the mosaic."""
+    """Transforms of the first layer under a condition."""
 
     weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
@@ -222,7 +232,7 @@ class MosaicTransforms:
 
 @dataclass(frozen=True)
 class PlaneTransforms:
-    """Transforms of a refinement layer."""
+    """Transforms of a refinement layer under a condition."""
 
     weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
@@ -232,13 +242,13 @@ class PlaneTransforms:
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers, learned for frames under one light, with other noise than the camera's, or both."""
+    """Transforms of all layers, learned for one light, for another noise than the camera's, or for both."""
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())
-    light: SceneLight | None = group(default=None)  # None: all lights of the training
-    noise: NoiseScale | None = group(default=None)  # None: the camera's
-    edges: NoiseEdges | None = group(default=None)  # None: those of the table's rules
+    light: SceneLight | None = group(default=None)  # None: all lights of the training set
+    noise: NoiseScale | None = group(default=None)  # None: the camera's noise
+    edges: NoiseEdges | None = group(default=None)  # None: the edges of the table's rules
 
     def __post_init__(self) -> None:
         check(self)
@@ -249,7 +259,17 @@ class Condition:
     def of(
         cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
     ) -> "Condition":
-        """Return the transforms, and for other noise the edges, of layers that were learned for a condition."""
+        """Return a condition from layers that were trained for it.
+
+        Parameters
+        ----------
+        first : MosaicLayer
+        later : sequence of PlaneLayer
+        light : SceneLight or None
+            None for all lights of the training set.
+        noise : NoiseScale or None
+            None for the camera's noise. Otherwise the condition also holds the edges of the layers' rules.
+        """
         return cls(
             MosaicTransforms(first.weights, first.intercept, first.samples),
             tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples, layer.clipping) for layer in later),
@@ -259,7 +279,7 @@ class Condition:
         )
 
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
-        """Raise ValueError, which names `place`, unless it is for a table of so many levels with these refinement layers."""
+        """Raise ValueError, naming `place`, unless the condition fits a table's refinement layers and number of levels."""
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
             raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
         for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
@@ -269,13 +289,13 @@ class Condition:
             raise ValueError(f"{place}/edges has gradients of other levels than the table")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the transforms of some outputs, by their places."""
+        """Return the condition with some of its outputs, given by their indices. Refinement layers are kept as they are."""
         first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
         light = self.light and replace(self.light, white_point=self.light.white_point[taken])
         return replace(self, first=first, light=light)
 
 
-# Format version 4 and before.
+# Conditions as tables of format version 4 and earlier store them.
 @dataclass(frozen=True)
 class _LowNoise:
     noise_left: float = data("float64")
@@ -299,7 +319,7 @@ class _Older:
 
 
 def older_conditions(table: h5py.Group, path: Path) -> tuple[Condition, ...]:
-    """Read the conditions of a table of format version 4 or before: low-noise transforms, and those of lights."""
+    """Return the conditions of a table of format version 4 or earlier, which stored low noise and lights separately."""
     older: _Older = read_fields(table, _Older, path)
     low = older.quiet
     noise = () if low is None else (Condition.of(low.first, low.later, None, NoiseScale(noise_left=low.noise_left)),)
@@ -311,7 +331,9 @@ def older_conditions(table: h5py.Group, path: Path) -> tuple[Condition, ...]:
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Mean spectrum of the pixels of like brightness about each pixel, which keeps its own brightness."""
+    """Smoothing of spectra: each pixel gets the mean spectrum of its neighbours of similar brightness, but keeps its
+    brightness.
+    """
 
     window: int = data("int64", unit="pixel", doc="side of the neighbourhood of a pixel")
     reach: float = data(
@@ -332,7 +354,7 @@ class SpectralSmoothing:
 
 @dataclass(frozen=True)
 class LeadingComponents:
-    """Components of a spectrum, which a refinement layer reads to correct it (docs/method.md#leading-components)."""
+    """The components of a spectrum that a refinement layer reads and corrects (docs/method.md#leading-components)."""
 
     basis: NDArray[np.float64] = data("float64", "output", "plane", doc="rows of outputs times it are the planes")
 
@@ -342,9 +364,47 @@ class LeadingComponents:
             raise ValueError(f"basis makes {self.basis.shape[1]} planes, not {PLANES}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TransformTable(Artifact):
-    """Local linear transforms for every class: of the mosaic and, in refinement layers, of the layer before."""
+    """Local linear transforms for every class of every layer, and the rules that decide the class of a pixel.
+
+    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of what the previous layer
+    rendered. A table is all that rendering needs (docs/method.md#classes).
+
+    Attributes
+    ----------
+    camera_name : str
+    rows, cols : int
+        Size of the camera's frames, in pixels.
+    channels : tuple of str
+    cfa : ndarray, (cfa_row, cfa_col)
+        Index of the channel at each site of the super-pixel.
+    bits : int
+        Bit depth of raw values.
+    black_level, white_level : float
+        Levels of the raw values that the table expects, in DN.
+    outputs : tuple of str
+        Names of the outputs: ("X", "Y", "Z"), ("Y",) or names of spectral bands.
+    output_unit : float
+        Scene luminance times exposure time that an output of 1 stands for, in cd s/m².
+    white_point : ndarray, (output,)
+        Output of a perfect white under the training light, scaled to Y = 1.
+    first : MosaicLayer
+    later : tuple of PlaneLayer
+        Refinement layers in order.
+    exposure : float
+        Mean exposure time of the simulated training frames, in s.
+    light : LightSpectrum or None
+        Mean light on the training scenes.
+    camera : CameraModel or None
+        The camera that the table was trained for, without its fit. None in older files.
+    conditions : tuple of Condition
+        Transforms for other noise, then for each light.
+    spectra : SpectralSmoothing or None
+        Smoothing of spectra after all layers.
+    components : LeadingComponents or None
+        The components of a spectrum that a refinement layer corrects. None if that layer makes X, Y, Z itself.
+    """
 
     kind: ClassVar[str] = "transform table"
     version: ClassVar[int] = 5
@@ -369,11 +429,10 @@ class TransformTable(Artifact):
     first: MosaicLayer = group(since=3)
     later: tuple[PlaneLayer, ...] = group(default=())
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
-    light: LightSpectrum | None = group(default=None)  # mean of those that fell on the training scenes
-    camera: CameraModel | None = group(default=None)  # it was learned for, without its fit; None: an older file
-    conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)  # other noise, then light by light
-    spectra: SpectralSmoothing | None = group(default=None)  # of the outputs, the last step; None: as layers leave them
-    # whose windows a refinement layer reads, to correct the first layer's outputs; None: it makes outputs of X, Y, Z
+    light: LightSpectrum | None = group(default=None)
+    camera: CameraModel | None = group(default=None)
+    conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)
+    spectra: SpectralSmoothing | None = group(default=None)
     components: LeadingComponents | None = group(default=None)
 
     def __post_init__(self) -> None:
@@ -381,9 +440,9 @@ class TransformTable(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
-            raise ValueError("camera has another CFA than the table")
+            raise ValueError("the camera's CFA differs from the table's")
         if not self.outputs or not self.output_unit > 0:
-            raise ValueError("there must be an output, and its unit above zero")
+            raise ValueError("a table needs at least one output, and output_unit above zero")
         if not self.exposure >= 0:
             raise ValueError("exposure must not be negative")
         for layer in self.layers:
@@ -394,42 +453,50 @@ class TransformTable(Artifact):
         for later in self.later:
             self._check_refinement(later)
         if any(later.ratio_taps for later in self.later[:-1]):
-            raise ValueError("a layer that another follows has colour ratios; only the last one may")
+            raise ValueError("only the last layer may have colour ratios")
         if any(later.coarse_chroma for later in self.later[:-1]):
-            raise ValueError("a layer that another follows has coarse chroma; only the last one may")
+            raise ValueError("only the last layer may have coarse chroma")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
             raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
         if self.later and (
             len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
         ):
-            raise ValueError("outputs that are not three have one refinement layer at most, of components alone")
+            raise ValueError("a table without exactly three outputs may have one refinement layer, which reads components")
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
         lights, noises = (dict.fromkeys(part) for part in zip(*there, strict=True))
         if there != list(itertools.product(lights, noises)):
-            raise ValueError("conditions are not all lights, one after the other, with the same noises each")
+            raise ValueError("conditions must list every light in turn, each with the same noises")
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
-        """Raise ValueError if a layer does not fit the first one, whose levels, saturation cases and outputs it takes."""
+        """Raise ValueError if a layer does not fit the levels, saturation cases and sites of the first layer."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
-            raise ValueError(f"weights has {layer.weights.shape[2]} taps, {PLANES} windows of odd side {taps}")
+            raise ValueError(f"weights has {layer.weights.shape[2]} taps, but {PLANES} windows of odd side have {taps}")
+
+    @property
+    def summary(self) -> str:
+        classes = " + ".join(f"{len(layer.weights)}" for layer in self.layers)
+        array = f"{self.cfa.shape[0]}×{self.cfa.shape[1]} CFA of {', '.join(self.channels)}"
+        conditions = f", {len(self.conditions)} conditions" if self.conditions else ""
+        return f'"{self.camera_name}", {array} → {", ".join(self.outputs)}; {classes} classes{conditions}'
 
     @property
     def layers(self) -> tuple[MosaicLayer | PlaneLayer, ...]:
-        """Return all layers in the order in which they render."""
+        """All layers, in the order in which they render."""
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """Return the table that pictures are made by.
+        """Return the table that pictures are rendered with.
 
         Returns
         -------
         TransformTable
-            Of X, Y, Z alone if other outputs follow them, which no picture shows; of luminance three times, GREY, if it is
-            the only output; else the table itself.
+            If further outputs follow X, Y, Z, a table of X, Y, Z only. If luminance is the only output, a table that
+            renders it
+            three times, GREY. Otherwise the table itself.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
@@ -445,28 +512,31 @@ class TransformTable(Artifact):
 
     @property
     def shows_grey(self) -> bool:
-        """Return whether pictures are grey: the outputs are luminance alone, or one channel tells no colours."""
+        """Whether pictures are grey: the table renders luminance only, or the camera has a single channel."""
         return self.outputs == GREY or len(self.channels) == 1
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """Return the conditions for noise that differs from the camera's, trained on all lights together."""
+        """The conditions for noise that differs from the camera's, trained on all lights together."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
     def lights(self) -> tuple[SceneLight, ...]:
-        """Return the lights that the table has transforms for, in the order of its conditions."""
+        """The lights that the table has transforms for, in the order of its conditions."""
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":
-        """Return the table of the transforms for a light, at every noise; None: those for all lights in common."""
+        """Return a table with the transforms for one light, or for None the transforms trained on all lights.
+
+        The table keeps its conditions for other noise.
+        """
         if light is None:
             return replace(self, conditions=self.noises) if self.lights else self
         usual, *noises = (each for each in self.conditions if each.light and each.light.name == light.name)
         return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
 
     def under(self, condition: Condition) -> "TransformTable":
-        """Return the table of the transforms of one of its conditions alone."""
+        """Return a table with the transforms of one of its conditions only."""
         light, noise = condition.light, condition.noise or NoiseScale()
         table = condition.edges.within(self) if condition.edges else self
         return replace(
@@ -483,19 +553,23 @@ class TransformTable(Artifact):
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
-        """XYZ (3), in output units, of the darkest white that clips every channel. No pixel is rendered brighter
-        (docs/method.md#clipped-white). None if the outputs neither begin with X, Y, Z nor are GREY, or
-        the light is not known."""
+        """XYZ (3), in output units, of the darkest white that clips every channel; no pixel is rendered brighter
+        (docs/method.md#clipped-white).
+
+        None if the light is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
+        """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or self.light is None or self.camera is None:
             return None
         weakest = white_signal(self.light, self.camera, self.output_unit).min()
         return self.white_point[:3] / (self.white_point[1] * weakest) if weakest > 0 else None
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed over that of the table's camera; None: not known."""
+        """Return the analog gain at an ISO speed, relative to the gain of the table's camera, or None if it is unknown."""
         return self.camera.gain_at(iso) if self.camera else None
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return DN above black that dark current makes, on average, in `exposure` s; if that is unknown, in that of
-        training. A table of before has no camera, and none."""
+        """Return the mean dark signal above black, in DN, after `exposure` seconds.
+
+        If the exposure time is None, that of the training frames is used. Tables without a camera return 0.
+        """
         return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

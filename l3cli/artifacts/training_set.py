@@ -1,4 +1,4 @@
-"""The training set: simulated frames with what the sensor saw and what the picture should be."""
+"""The training set: simulated raw frames, each with the noise-free electrons and the picture that should come out."""
 
 import contextlib
 import re
@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts import container, store
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.notebook import html
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
-LARGEST = 1e12  # electrons, cd/m², seconds: 32-bit floats hold its square
+LARGEST = 1e12  # electrons, cd/m² or seconds, so that 32-bit floats can hold squares
 
 
 @dataclass(frozen=True)
 class LightSpectrum:
-    """Light on a scene: the radiance of a perfect white of 1 cd/m²."""
+    """Spectrum of a light on a scene, as the radiance of a perfect white of 1 cd/m²."""
 
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="where the light is tabulated")
     radiance: NDArray[np.float32] = data(
@@ -39,10 +40,21 @@ class LightSpectrum:
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
-    """Signals (channel) of a white of Y = 1 under a light, as fractions of full scale.
+    """Return the signal that a white of Y = 1 gives under a light.
 
-    `output_unit` is the luminous exposure in cd s/m² that Y = 1 stands for. Without it that of the camera's tables is
-    computed, for which colour-science is imported.
+    Parameters
+    ----------
+    light : LightSpectrum
+    camera : CameraModel
+    output_unit : float, optional
+        Luminance times exposure time, in cd s/m², that Y = 1 stands for. By default that of the camera's tables, for
+        which
+        colour-science has to be imported.
+
+    Returns
+    -------
+    ndarray, (channel,)
+        Fractions of full scale.
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     unit = camera.output_unit if output_unit is None else output_unit
@@ -51,7 +63,7 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
 
 @dataclass(frozen=True)
 class TrainingPair:
-    """One raw frame of a camera beside the picture it should become; where it was really taken, that is all there is."""
+    """A raw frame and the picture that it should become. For a pair that a camera took, nothing else is known."""
 
     raw: NDArray[np.uint16] = data("uint16", "row", "col", unit="DN", doc="one noisy mosaic, CFA phase (0, 0)")
     target: NDArray[np.float32] = data(
@@ -64,7 +76,7 @@ class TrainingPair:
     illuminant: str = data("str", doc="name of the illuminant")
     luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white")
     exposure: float = data("float64", unit="s", doc="exposure time")
-    light: LightSpectrum | None = group(default=None, kw_only=True)  # None: a real pair, or an older file
+    light: LightSpectrum | None = group(default=None, kw_only=True)  # None for real pairs, and in older files
 
     def __post_init__(self) -> None:
         check(self)
@@ -77,18 +89,18 @@ class TrainingPair:
 
     @property
     def dark_time(self) -> float:
-        """Return the seconds of dark current that are in `raw`; it has been taken off real pairs already."""
+        """Exposure time, in s, of the dark current in `raw`: 0 for real pairs, from which it has been subtracted."""
         return 0.0
 
     @property
     def shown(self) -> "Shown | None":
-        """Return the fingerprints of scene and light; None of a real pair."""
+        """Fingerprints of scene and light; None for real pairs."""
         return None
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Fingerprints of a frame's scene and light, comparable with those of other cameras."""
+    """Fingerprints of a frame's scene and light, which are comparable between cameras."""
 
     scene: NDArray[np.float64] = data("float64", "projection", doc="fingerprint of the scene's visible part")
     light: str = data("str", doc="SHA-256 of the measured spectra that the light is made of")
@@ -99,7 +111,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class IgnoredPixels:
-    """Pixels for which the scene's file holds no data. They show what is beside them, and are left out of training."""
+    """Pixels for which the scene's file holds no data. They are filled from their neighbours and left out of training."""
 
     mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: ignored")
 
@@ -109,18 +121,19 @@ class IgnoredPixels:
 
 @dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
-    """A pair that was simulated: the noise-free electrons are known too.
+    """A simulated pair, for which the noise-free electrons are known too.
 
-    They are full-resolution: every channel at every pixel, so that training may place the mosaic at any offset and in any of
-    its eight orientations (docs/method.md#patches). `raw` is the mosaic the camera would have given.
+    The electrons are given for every channel at every pixel. Training can therefore place the mosaic at any offset and in
+    any
+    of its eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera would have recorded.
     """
 
     electrons: NDArray[np.float32] = data(
         "float32", "channel", "row", "col", unit="e-", doc="mean photo-electrons of every channel, noise-free, unclipped"
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
-    shown: Shown | None = group(default=None)  # None: an older file
-    ignored: IgnoredPixels | None = group(default=None)  # None: there are none
+    shown: Shown | None = group(default=None)  # None in older files
+    ignored: IgnoredPixels | None = group(default=None)  # None: no pixel is ignored
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -132,15 +145,29 @@ class TrainingFrame(TrainingPair):
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
-    """Raise ValueError if products of values would run over."""
+    """Raise ValueError unless values are small enough for their products to fit 32-bit floats."""
     if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
         raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrainingSet(Artifact):
-    """Head of a training set; its frames lie in the groups frames/00000, frames/00001…, real pairs after them in
-    pairs/00000…, and are read one by one."""
+    """Head of a training set: the camera, the outputs and what the target is.
+
+    The frames are stored in the groups frames/00000, frames/00001…, and real pairs in pairs/00000…. `open_training_set`
+    reads
+    them one by one.
+
+    Attributes
+    ----------
+    camera : CameraModel
+        The camera that was simulated.
+    outputs : tuple of str
+        Names of the target's components.
+    target_description : str
+    target_light : LightSpectrum or None
+        The light under which the target is defined; None if it is the light of each frame.
+    """
 
     kind: ClassVar[str] = "training set"
     version: ClassVar[int] = 3
@@ -149,17 +176,21 @@ class TrainingSet(Artifact):
     camera: CameraModel = group()
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the target is")
-    target_light: LightSpectrum | None = group(default=None)  # that the target is wanted under; None: that of each frame
+    target_light: LightSpectrum | None = group(default=None)
+
+    @property
+    def summary(self) -> str:
+        return f"{self.camera.summary} → {', '.join(self.outputs)}"
 
 
 def frame_name(index: int, scene: str) -> str:
-    """Return the stem of the files of one frame: its number and its scene, without odd characters."""
+    """Return the stem of a frame's file names: its number, and the name of its scene in letters, digits and hyphens."""
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 @dataclass(frozen=True)
 class FrameLight:
-    """Light of a frame, read without its pixels."""
+    """The light of a frame, which can be read without its pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
@@ -170,8 +201,16 @@ GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": Train
 
 
 class TrainingSetReader:
-    """An open training set: `head`, `len()`, `frame(i)`, iteration in order, simulated frames before real pairs. Memory
-    holds one frame at a time."""
+    """An open training set, from which frames are read one by one.
+
+    `len()` is the number of frames. Iteration yields simulated frames first, then real pairs. Memory holds one frame at a
+    time.
+
+    Attributes
+    ----------
+    head : TrainingSet
+        Camera, outputs and history.
+    """
 
     def __init__(self, root: h5py.File, path: Path) -> None:
         self._path = path
@@ -187,19 +226,28 @@ class TrainingSetReader:
 
     @property
     def simulated(self) -> int:
-        """Return the number of simulated frames, which come before real pairs."""
+        """Number of simulated frames, which come before real pairs."""
         return sum(group == "frames" for group, _ in self._names)
+
+    def __repr__(self) -> str:
+        real = len(self) - self.simulated
+        pairs = f" and {real} real pairs" if real else ""
+        return f"<{type(self).__name__}: {self.simulated} frames{pairs} of {self.head.summary}>"
+
+    def _repr_html_(self) -> str:
+        return html(repr(self), self.head)
 
     @property
     def has_pairs(self) -> bool:
-        """Return whether there are real pairs."""
+        """Whether the set holds real pairs."""
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
+        """Return a frame: a TrainingFrame if it was simulated, otherwise a TrainingPair."""
         return self._read(index, GROUPS[self._names[index][0]])
 
     def pair(self, index: int) -> TrainingPair:
-        """Return a frame without what a simulation alone knows, most of its bytes."""
+        """Return a frame without its electrons and fingerprints, which are most of its bytes."""
         return self._read(index, TrainingPair)
 
     def _read(self, index: int, kind: type[TrainingPair]) -> TrainingPair:
@@ -225,14 +273,25 @@ class TrainingSetReader:
 
 @contextlib.contextmanager
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
-    """Yield a reader of the training set at `path`; InputFileError if it is none or damaged. `unchanged`: its bytes have
-    been compared with its digest before, by this run."""
+    """Yield a TrainingSetReader for the training set at `path`.
+
+    Parameters
+    ----------
+    path : Path
+    unchanged : bool
+        Skip the comparison of the bytes with their digest, because this run has already made it.
+
+    Raises
+    ------
+    InputFileError
+        If the file is damaged or no training set.
+    """
     with store.open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
 class TrainingSetWriter:
-    """Writer of frames and pairs, one by one, to a training set being written."""
+    """Writer that appends frames and pairs, one by one, to a training set."""
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
@@ -248,7 +307,7 @@ class TrainingSetWriter:
         store.name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
-        """Append the frame that `write_part` stored, as it is stored; what else is stored beside it."""
+        """Append the frame stored by `write_part`, byte for byte, and return what is stored beside it."""
         with container.open_file(path) as part:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
@@ -259,7 +318,7 @@ class TrainingSetWriter:
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
-    """Yield a writer for a training set that appears at `path` when the block ends without an error."""
+    """Yield a TrainingSetWriter. The file appears at `path` when the block ends without an error."""
     with store.new_artifact(path, head.kind, head.version, head.history) as root:
         store.write_fields(root, head)
         store.name_axes(root, type(head), {}, head)
@@ -268,23 +327,23 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
 
 @dataclass(frozen=True)
 class SceneCoverage:
-    """The scene of a stored frame, and how much of the camera's light its data does not cover."""
+    """Name of a stored frame's scene, and how much of the camera's light the scene's data do not cover."""
 
     scene: str
-    uncovered: float  # share of white's electrons for which the scene holds no data
+    uncovered: float  # fraction of the electrons of a white at wavelengths for which the scene holds no data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
-    """Write one frame to a file, whole or not at all: what a killed run leaves, its successor goes on from."""
+    """Write one frame to a file of its own, so that an interrupted run can be continued."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
-        root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # named after a file, which need not be text
+        root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # file names need not be valid text
         root.attrs["uncovered"] = uncovered
         store.write_fields(root.create_group("frame"), frame, compressed=False)
 
 
 def read_part(path: Path) -> TrainingPair:
-    """Return the frame that `write_part` stored."""
+    """Return the frame stored by `write_part`."""
     with container.open_file(path) as part:
         kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
         frame: TrainingPair = store.read_fields(part["frame"], kind, path)
@@ -292,7 +351,7 @@ def read_part(path: Path) -> TrainingPair:
 
 
 def whole_part(path: Path) -> bool:
-    """Return whether the file of a frame is as `write_part` wrote it."""
+    """Return whether the file of a frame is undamaged."""
     try:
         return container.check(path, "l3 simulate")
     except InputFileError:

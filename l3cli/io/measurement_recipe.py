@@ -14,7 +14,7 @@ import msgspec
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import (
-    MOST_PRNU,
+    MAX_PRNU,
     Bits,
     CfaRecipe,
     ChannelRecipe,
@@ -297,7 +297,7 @@ def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
     """Yield the faults of data sheet figures. `most` is the largest DN."""
     if not 0 <= declared.black_level_dn < declared.white_level_dn <= most:
         yield fault(f"datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {most}", "datasheet")
-    yield from share_faults(declared.prnu, "datasheet.prnu", MOST_PRNU)
+    yield from share_faults(declared.prnu, "datasheet.prnu", MAX_PRNU)
 
 
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:

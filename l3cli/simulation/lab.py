@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST, MOST_WAVELENGTHS, CameraModel
+from l3cli.artifacts.camera import LONGEST_NM, MAX_WAVELENGTHS, CameraModel
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
@@ -26,7 +26,7 @@ MARGIN = 0.08  # of the frame's height around the chart
 MOUNT = 0.03  # reflectance between and around the patches
 OVEREXPOSED = 2.0  # full scales that a step taken again reaches
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
-Nanometres = Annotated[float, msgspec.Meta(gt=0, le=LONGEST)]
+Nanometres = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
 Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # two or more: noise is measured on pairs of frames
 SMALLEST_SENSOR = (64, 96)  # rows, columns on which the patches of a chart can be told apart
@@ -118,8 +118,8 @@ def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
     if first >= last:
         yield fault("mono: first_nm must be below last_nm", *ends)
         return
-    if reach / mono.step_nm > MOST_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MOST_WAVELENGTHS:
-        message = f"step_nm and spectrometer_step_nm must not make more than {MOST_WAVELENGTHS} steps"
+    if reach / mono.step_nm > MAX_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MAX_WAVELENGTHS:
+        message = f"step_nm and spectrometer_step_nm must not make more than {MAX_WAVELENGTHS} steps"
         yield fault(message, "mono.step_nm", "spectrometer_step_nm")
         return
     centres = slit_centres(camera, mono)

@@ -31,7 +31,7 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST
+from l3cli.artifacts.camera import LONGEST_NM
 from l3cli.errors import InputFileError
 from l3cli.physics.spectra import colour_science
 from l3cli.recipes.toml import LARGEST
@@ -467,7 +467,7 @@ def _text_curves(content: str, path: Path) -> CurveTable:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm")
+        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST_NM} nm")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
@@ -495,8 +495,8 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
     every = np.concatenate([x for x, _ in lines])
     if every.size and (other := other_unit(float(every.min()), float(every.max()))):
         wrong.append(f"{other[0]}; give X in nm")
-    elif not all((np.abs(line) <= LARGEST).all() for line in lines) or every.max(initial=0.0) > LONGEST:
-        wrong.append(f"X must lie within 0…{LONGEST} nm and every Y be a number within ±{LARGEST:g}")
+    elif not all((np.abs(line) <= LARGEST).all() for line in lines) or every.max(initial=0.0) > LONGEST_NM:
+        wrong.append(f"X must lie within 0…{LONGEST_NM} nm and every Y be a number within ±{LARGEST:g}")
     elif every.size:
         grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
         wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
@@ -552,8 +552,8 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
     steps = np.diff(wavelength)
     if not (np.abs(values) <= LARGEST).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
-    if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST):
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST} nm{column}")
+    if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
+        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST_NM} nm{column}")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:

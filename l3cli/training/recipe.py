@@ -10,7 +10,7 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import MAX_PATCH
-from l3cli.artifacts.plane_rules import MOST_LEAVES
+from l3cli.artifacts.plane_rules import MAX_LEAVES
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.table import RATIO_TAPS, WINDOWS
 from l3cli.classes import contrast, level
@@ -89,7 +89,7 @@ class LayerRecipe(Recipe):
 
     side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
     # classes, of a tree grown for them; 0: by structure, as next
-    leaves: Annotated[int, msgspec.Meta(ge=0, le=MOST_LEAVES)] = 0
+    leaves: Annotated[int, msgspec.Meta(ge=0, le=MAX_LEAVES)] = 0
     # pixels of a canonical CFA position it is grown on
     tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = 40000
     level_step: Count = 1  # levels of the first layer that make one

@@ -101,7 +101,7 @@ uncertainty.lamp_drift = 2  # uncertainty.lamp_drift is 2; give less than 1
 [sensor]
 rows = 192
 cols = 256
-pixel_pitch_um = 4e-6  # 4 is meant?
+pixel_pitch_um = 4e-6  # did you mean 4?
 bits = 12
 [cfa]
 channels = ["r", "g", "b"]

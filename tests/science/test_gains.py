@@ -83,8 +83,8 @@ def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
     assert equal(load(CameraModel, tmp_path / "camera.h5"), camera)
     for keys, words in (
         ("gains = [2.0]", "names 1 gains, gain.read_noise_e 0"),
-        ("gains = [1.0]\nread_noise_e = [1.0]", "stands there twice, or is 1"),
-        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "2 stands there twice"),
+        ("gains = [1.0]\nread_noise_e = [1.0]", "is listed twice, or is 1"),
+        ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "2 is listed twice"),
         ("read_noise_before_e = 1000.0", "more than noise.read_noise_e"),
         ("iso = -1", "gain.iso is -1"),
     ):

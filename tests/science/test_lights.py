@@ -186,7 +186,7 @@ def test_lights_of_other_classes_are_refused() -> None:
     for message, fields in (
         ("conditions/1 holds 1 layers, the table 2", {"later": ()}),
         ("conditions/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
-        ("conditions are not all lights", {"light": warm.light}),
+        ("conditions must list every light", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(table, conditions=(warm, dataclasses.replace(cool, **fields)))

@@ -90,7 +90,7 @@ def test_only_the_last_layer_has_colour_ratios(tmp_path: Path) -> None:
     assert (one.ratio_taps, two.ratio_taps, two.window_taps) == (0, 2, 75)
     save(table, tmp_path / "table.h5")
     assert equal(load(TransformTable, tmp_path / "table.h5"), table)
-    with pytest.raises(ValueError, match="a layer that another follows has colour ratios"):
+    with pytest.raises(ValueError, match="only the last layer may have colour ratios"):
         dataclasses.replace(TABLE, later=(two, one))
     with pytest.raises(ValueError, match="76 taps"):
         dataclasses.replace(TABLE, later=(dataclasses.replace(two, weights=two.weights[..., :76]),))
@@ -141,7 +141,7 @@ def test_bands_have_one_layer_of_three_components(tmp_path: Path) -> None:
     (layer,) = table.later
     plain = dataclasses.replace(layer, weights=layer.weights[..., : layer.window_taps])
     for fields in ({"later": (plain, plain)}, {"components": None}):
-        with pytest.raises(ValueError, match="outputs that are not three have one refinement layer at most"):
+        with pytest.raises(ValueError, match="a table without exactly three outputs may have one"):
             dataclasses.replace(table, **fields)
     with pytest.raises(ValueError, match="basis makes 4 planes, not 3"):
         LeadingComponents(np.eye(4))

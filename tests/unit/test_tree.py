@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from l3cli.artifacts.plane_rules import DEEPEST, FACTORS, MOST_LEAVES, MOST_SHIFT, ORIENTATIONS, SMALLEST, TESTS, TreeRule
+from l3cli.artifacts.plane_rules import FACTORS, MAX_DEPTH, MAX_LEAVES, MAX_SHIFT, ORIENTATIONS, SMALLEST, TESTS, TreeRule
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.table import PLANE_TOP
 from l3cli.classes import tree
@@ -93,7 +93,7 @@ EXTREMES = {
 @given(
     st.lists(st.sampled_from([*EXTREMES, "random"]), min_size=3, max_size=3),
     st.lists(st.sampled_from([-1, 1]), min_size=3, max_size=3),
-    st.integers(0, MOST_SHIFT),
+    st.integers(0, MAX_SHIFT),
     st.integers(0, 2**32 - 1),
 )
 def test_evidence_fits_32_bits(names: list[str], signs: list[int], shift: int, seed: int) -> None:
@@ -198,10 +198,10 @@ def full(depth: int) -> dict[str, Any]:
 
 
 def test_trees_at_their_limits() -> None:
-    assert (a_rule(**chain(DEEPEST)).depth, a_rule(**chain(DEEPEST)).structures) == (DEEPEST, DEEPEST + 1)
+    assert (a_rule(**chain(MAX_DEPTH)).depth, a_rule(**chain(MAX_DEPTH)).structures) == (MAX_DEPTH, MAX_DEPTH + 1)
     most = a_rule(**full(11))
-    assert (most.structures, most.depth) == (MOST_LEAVES, 11)
-    assert most.leaf[-MOST_LEAVES:].tolist() == list(range(MOST_LEAVES))
+    assert (most.structures, most.depth) == (MAX_LEAVES, 11)
+    assert most.leaf[-MAX_LEAVES:].tolist() == list(range(MAX_LEAVES))
     lone = a_rule(**chain(0))
     assert (lone.structures, lone.depth, lone.leaf.tolist(), lone.kinds) == (1, 0, [0], 2)
 
@@ -221,8 +221,8 @@ NO_TREE = "branch is not a tree"
         ({"branch": np.array([1, 0, -3, 0, 0], np.int32)}, NO_TREE),
         ({**full(0), "branch": np.zeros(0, np.int32), "test": np.zeros(0, np.uint8), "threshold": np.zeros(0)}, NO_TREE),
         ({"branch": np.array([1, 0, 0], np.int32)}, "has 3 along node"),
-        (chain(DEEPEST + 1), f"the tree is {DEEPEST + 1} tests deep, more than {DEEPEST}"),
-        (full(12), f"the tree has 4096 leaves, more than {MOST_LEAVES}"),
+        (chain(MAX_DEPTH + 1), f"the tree is {MAX_DEPTH + 1} tests deep, more than {MAX_DEPTH}"),
+        (full(12), f"the tree has 4096 leaves, more than {MAX_LEAVES}"),
         ({"test": np.array([0, 0, TESTS, 0, 0], np.uint8)}, f"tests below {TESTS}"),
         ({"turns": np.array([0, ORIENTATIONS, 0, 0], np.uint8)}, f"turns below {ORIENTATIONS}"),
         ({"cases": 0}, "cases must be at least 1"),

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MOST_GAIN
-from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, LEAST_F_NUMBER, LEAST_FOCAL_MM, PITCH_UM
+from l3cli.artifacts.camera import MAX_GAIN
+from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, MIN_F_NUMBER, MIN_FOCAL_MM, PITCH_UM
 from l3cli.frames.frame import array_rows
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
 from l3cli.recipes.builtin import CURVES
@@ -79,12 +79,12 @@ class PhotoCamera:
     @property
     def _focal_mm(self) -> float | None:
         value = self.stated.focal_length_mm
-        return value if value is not None and value >= LEAST_FOCAL_MM else None
+        return value if value is not None and value >= MIN_FOCAL_MM else None
 
     @property
     def _f_number(self) -> float | None:
         value = self.stated.f_number
-        return value if value is not None and value >= LEAST_F_NUMBER else None
+        return value if value is not None and value >= MIN_F_NUMBER else None
 
     def recipe(self) -> str:
         """Return the camera recipe, with a comment on the source of each figure."""
@@ -166,7 +166,7 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
     """
     found: dict[float, float] = {}
     for each in others:
-        if known.iso and each.iso and each.noise is not None and 1 < each.iso / known.iso <= MOST_GAIN:
+        if known.iso and each.iso and each.noise is not None and 1 < each.iso / known.iso <= MAX_GAIN:
             slope, constant = each.noise
             found.setdefault(each.iso / known.iso, float(np.sqrt(constant)) / slope)
     return tuple(sorted(found.items()))

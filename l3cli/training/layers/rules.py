@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.plane_rules import DEEPEST, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.plane_rules import MAX_DEPTH, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
@@ -103,7 +103,7 @@ def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tr
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
     def look(node: int, rows: list[Indices]) -> None:
-        split = _best_split(samples, rows, mapped) if depth[node] < DEEPEST else None
+        split = _best_split(samples, rows, mapped) if depth[node] < MAX_DEPTH else None
         if split is not None:
             heapq.heappush(waiting, (-split.gain, node, split, rows))
 

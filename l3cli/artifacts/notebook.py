@@ -1,0 +1,57 @@
+"""Summaries of artifacts for notebooks: HTML that lists the fields with axes, units and meanings, as xarray does."""
+
+from collections.abc import Iterator
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.schema import Spec, declared, instances
+
+MAX_VALUES = 8  # longer arrays are described by their shape and range
+MAX_LETTERS = 60  # of a text
+
+
+def html(title: str, content: Any) -> str:
+    """Return an instance of a dataclass of declared fields as HTML.
+
+    Parameters
+    ----------
+    title : str
+        Heading, such as the repr of the artifact.
+    content : dataclass
+        Instance with fields declared by `data` and `group`.
+    """
+    return f"<div><strong>{escape(title)}</strong>{''.join(_fields(content))}</div>"
+
+
+def _fields(content: Any) -> Iterator[str]:
+    """Yield a table of the datasets, then a folded block per group."""
+    fields = [(name, spec, getattr(content, name)) for name, spec, _ in declared(type(content))]
+    rows = [(name, _shape(spec, value), spec.unit, _preview(value), spec.doc) for name, spec, value in fields
+            if isinstance(spec, Spec)]  # fmt: skip
+    if rows:
+        cells = ("".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) for row in rows)
+        yield f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
+    for name, spec, value in fields:
+        for place, each in ({} if isinstance(spec, Spec) else instances(name, value)).items():
+            heading = f"{escape(place)} <em>{type(each).__name__}</em>"
+            yield f"<details><summary>{heading}</summary>{''.join(_fields(each))}</details>"
+
+
+def _shape(spec: Spec, value: Any) -> str:
+    """Return the type of a dataset, and its axes with their lengths."""
+    axes = ", ".join(f"{axis}: {length}" for axis, length in zip(spec.axes, np.shape(value), strict=True))
+    return f"{spec.dtype} ({axes})" if axes else spec.dtype
+
+
+def _preview(value: Any) -> str:
+    """Return a short value as text, and of a long array its range."""
+    array = np.asarray(value)
+    if array.dtype.kind == "U":
+        text = ", ".join(array.ravel()[:MAX_VALUES].tolist())
+        cut = array.size > MAX_VALUES or len(text) > MAX_LETTERS
+        return f"{text[:MAX_LETTERS]}…" if cut else text
+    if array.size > MAX_VALUES:
+        return f"{array.min():g} … {array.max():g}"
+    return ", ".join(str(each) if array.dtype.kind == "b" else f"{each:g}" for each in array.ravel().tolist())
