@@ -1,12 +1,16 @@
 """Chroma: the colour of a neighbourhood in which nothing is saturated (docs/method.md#chroma).
 
-chroma = the first k of least Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k] over channels
+    chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-With f the channel means above black over their sum and q a chroma centre, |f − q|² is least where |q|² Σ f − 2 Σ f q is:
-hence the weights |q|² − 2 q, and no division.
+summed over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The
+distance
+|f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is
+needed.
 
-A rule may dither (docs/method.md#dither): from the middle between two chromas to the centre of either a falling share of the
-CFA sites takes the other, so that colours do not step; layers that follow take the mean.
+A rule may dither between chromas (docs/method.md#dither). At the middle between two chromas about half of the CFA sites
+take
+the other chroma, and towards either centre fewer and fewer do. Colours then change smoothly, because later layers average
+over the sites.
 """
 
 import warnings
@@ -24,26 +28,35 @@ from l3cli.classes.windows import Integers, Neighbourhoods
 from l3cli.recipes.toml import Recipe
 
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
-TOP = 2**16 - 1  # of what enters the scores, which only values at the top of the range pass
-STARTS = 4  # of k-means: one in ten ends at centres that cost a tenth of S-CIELAB
+MAX_CHROMA_INPUT = 2**16 - 1  # clamp of the channel means, so that the scores stay within 32 bits
+STARTS = 4  # of k-means; one start in ten ends at centres that raise S-CIELAB by a tenth
 WIDTH_FRACTION = 8  # fractional bits of widths
-DITHERED = 0.6  # of the squared distance to the next centre: with all of it the palest paint takes on a cast
-TWINS = 2e-3  # squared distance of two centres, in shares of the mean channel, below which no site changes between them
-TURN = 159  # 256 times the golden section: sites one after the other, and any few of them, differ
+DITHERED = 0.6  # fraction of the squared distance to the next centre; with 1 the palest paint takes on a cast
+TWINS = 2e-3  # squared distance of two centres, relative to the mean channel, below which sites are not dithered
+TURN = 159  # 256 times the golden section, so that consecutive sites, and any few of them, differ
 SNIPPET = "features/chroma.cl"
 
 
 class Options(Recipe):
     """Chroma keys of the [classes] of a recipe."""
 
-    # colours distinguished where nothing is saturated, white one of them; 0 or 1: none (docs/method.md#chroma)
+    # number of colours distinguished where nothing is saturated, including white; 0 or 1: none (docs/method.md#chroma)
     chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
-    # between two chromas some CFA sites take one and some the other: no seams, for tables of several layers
+    # whether CFA sites between two chromas are divided among them, which avoids seams in tables of several layers
     chroma_dither: bool = False
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:
-    """Return the means of the channels over each patch (patch, tap), as shares of their sum: (patch, channel)."""
+    """Return the channel means of patches as fractions of their sum, (patch, channel).
+
+    Parameters
+    ----------
+    signal : ndarray, (patch, tap)
+        Signal above black.
+    neighbours : Neighbourhoods
+    site : int
+        CFA site at the centre of the patches.
+    """
     member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
     means = signal.astype(np.float64) @ member
     return means / np.maximum(means.sum(axis=1, keepdims=True), 1e-9)
@@ -52,8 +65,23 @@ def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site
 def choose_chromas(
     shares: NDArray[np.float64], count: int, seed: int, white: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64] | None:
-    """Return `count` centres (chroma, channel) of the channel shares (patch, channel) by k-means, the last of them, if they
-    are known, the shares of white's signals (channel); None if none or one is asked for."""
+    """Choose chroma centres by k-means.
+
+    Parameters
+    ----------
+    shares : ndarray, (patch, channel)
+        Channel means as fractions of their sum.
+    count : int
+        Number of centres.
+    seed : int
+    white : ndarray, (channel,), optional
+        Signals of a white, which becomes the last centre.
+
+    Returns
+    -------
+    ndarray, (chroma, channel), or None
+        None if `count` is 0 or 1.
+    """
     if count <= 1:
         return None
     if white is not None and white.min() > 0:
@@ -69,22 +97,24 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
     if len(distinct) <= count:
         return distinct
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of empty clusters
+        warnings.simplefilter("ignore", UserWarning)  # about empty clusters, which are dropped below
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
-    return np.asarray(centres[np.unique(member)])  # a centre that nobody is nearest to is left out
+    return np.asarray(centres[np.unique(member)])  # without centres that no sample is nearest to
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return integer weights (chroma, channel) whose lowest score is that of the nearest of `centres` (chroma, channel)."""
+    """Return integer weights (chroma, channel) such that the nearest of `centres` (chroma, channel) has the lowest score."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
 
 def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
-    """Return the chroma centres q (chroma, channel), rows of sum 1, of the integer weights |q|² − 2 q; equal shares if there
-    is one."""
+    """Return the chroma centres q (chroma, channel), rows of sum 1, of a rule's integer weights |q|² − 2 q.
+
+    A rule with a single chroma has equal fractions in all channels.
+    """
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
         return np.full((1, rule.channels), 1.0 / rule.channels)
@@ -93,9 +123,14 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return for each chroma (chroma) how much nearer than the second a colour is to it where no site takes that: DITHERED
-    of the squared distance from its centre to the nearest other, in 256ths of what scores are to sums of the channels; 0
-    without dither, and of twins, between which greys would flicker."""
+    """Return the widths (chroma) over which sites are dithered.
+
+    The width is the excess of the second score over the first at which no site takes the second chroma any more. It is
+    DITHERED
+    times the squared distance from the centre to the nearest other centre, in units of 1/256 of score per sum of the
+    channels.
+    It is 0 for rules without dither, and for twins, between which greys would flicker.
+    """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
     nearest = np.where(distance > 0, distance, np.inf).min(axis=1)
@@ -106,14 +141,14 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """Return the rule's black level."""
+    """Return the black level that the rule subtracts from channel means, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma (…), whatever is saturated."""
-    above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, TOP)
-    # below 2⁵³: exact in float64, whose products BLAS does
+    """Return the chroma (…) of pixels, whether or not something is saturated."""
+    above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
+    # below 2⁵³, so exact in float64, for which BLAS is fast
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():
@@ -128,13 +163,13 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Return the number of a chroma and its centre as the channels' shares, read back from the rule's weights |q|² − 2 q."""
+    """Return the number of a chroma and its centre, as fractions per channel, for reports and JSON."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as a row of a table begins, such as "1: r 0.30 g 0.45 b 0.25"."""
+    """Return an entry as the first cell of a table row, such as "1: r 0.30 g 0.45 b 0.25"."""
     return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
 
 
@@ -149,16 +184,18 @@ def macros(rule: ClassRule) -> dict[str, int]:
     return {
         "CHROMAS": rule.chromas,
         "CHROMA_FRACTION": CHROMA_FRACTION,
-        "CHROMA_TOP": TOP,
+        "CHROMA_TOP": MAX_CHROMA_INPUT,
         "CHROMA_BLACK_LEVEL": black_level,
         **({"CHROMA_TURN": TURN, "WIDTH_FRACTION": WIDTH_FRACTION} if chroma_widths(rule).any() else {}),
     }
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return (chroma and one of equal weights, 2 + pair of channels), as chroma.cl has them."""
+    """Return the array that chroma.cl reads: a row per chroma and one with equal weights, (chroma + 1, 2 + pair of
+    channels).
+    """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
-    pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # which the weights fit
+    pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit 16 bits
     pairs.reshape(len(weights), -1)[:, : rule.channels] = weights
     start = 2**15 * weights.sum(axis=1, keepdims=True, dtype=np.int32)
     widths = np.append(chroma_widths(rule), 0)[:, None].astype(np.int32)

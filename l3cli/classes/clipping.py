@@ -1,8 +1,14 @@
-"""Plain areas where channels begin to clip: one smooth function of the channels' means takes the place of classes, which
-switch hard (docs/method.md#plain-clipped-areas).
+"""Smooth rendering of uniform areas where channels begin to clip (docs/method.md#plain-clipped-areas).
 
-Blocks are whole periods of the array, of 4 pixels a side at least. A quad, 2 × 2 pixels, reads four maps from the blocks
-about it: the share of its outputs that is replaced, and what replaces it.
+Classes switch abruptly where channels clip. In uniform areas their outputs are therefore replaced by a smooth function of
+the
+channel means.
+
+The means are taken over blocks. A block consists of whole periods of the array and has sides of at least 4 pixels. A quad
+of
+2 × 2 pixels interpolates four maps between the blocks around it: the fraction of its outputs that is replaced, and the
+three
+outputs that replace it.
 """
 
 from dataclasses import dataclass
@@ -10,35 +16,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST = 4  # pixels, side of a block
-QUAD = 2  # pixels a side
-BEGINS, CLIPS = 0.6, 0.985  # means of a channel, shares of full scale, between which it passes for clipped more and more
-KEPT, REPLACED = 0.85, 0.975  # of the brightest channel, between which outputs are replaced
-PLAIN, TEXTURED = 0.12, 0.3  # range of a channel within 3 × 3 blocks, up to and from which they are so
-WHITE_FROM = 1.25  # times the luminance of the clipped white: brighter estimates are white
-FAINTEST = 1e-6  # weight of a channel that clips
-MAPS = 4  # share of the outputs that is replaced, and what is added to X, Y and Z
+SMALLEST_BLOCK = 4  # pixels, shortest side of a block
+QUAD = 2  # pixels, side of a quad
+# Mean of a channel, as a fraction of full scale, at which it begins to count as clipped, and at which it counts fully.
+BEGINS, CLIPS = 0.6, 0.985
+# Mean of the brightest channel, as a fraction of full scale, at which replacement begins, and at which it is complete.
+KEPT, REPLACED = 0.85, 0.975
+# Range of a channel within 3 × 3 blocks, as a fraction of full scale: up to the first uniform, from the second textured.
+PLAIN, TEXTURED = 0.12, 0.3
+WHITE_FROM = 1.25  # times the luminance of the clipped white, from which pixels are rendered white
+MIN_WEIGHT = 1e-6  # of a clipped channel in the grey level, so that the weights never sum to zero
+MAPS = 4  # the fraction of the outputs that is replaced, and the values added to X, Y and Z
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A mosaic at a table's levels."""
+    """A mosaic and its levels, as a table expects them."""
 
     values: NDArray[np.uint16]  # (row, col) DN
-    cfa: NDArray[np.uint8]  # channels, as seen from its first pixel
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channels, starting at the mosaic's first pixel
     black_level: float  # DN
     white_level: float
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return rows and columns of a block: whole periods of the array."""
-    rows, cols = (-(-SMALLEST // period) * period for period in cfa.shape)
+    """Return the rows and columns of a block, which are whole periods of the array."""
+    rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the least DN that makes a block count."""
+    """Return the lowest DN of a pixel that makes its block count as bright."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
@@ -69,14 +78,23 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Return outputs (output, row, col) with those of plain areas where channels clip replaced, from the `response`
-    (clipped, signal, output) and the signals of `white` (channel) of a table."""
+    """Replace the outputs of uniform areas where channels clip.
+
+    Parameters
+    ----------
+    outputs : ndarray, (output, row, col)
+    mosaic : Mosaic
+    response : ndarray, (clipped, signal, output)
+        `Clipping.response` of the table.
+    white : ndarray, (channel,)
+        Signals of a white.
+    """
     share, added = np.split(clipping_maps(mosaic, response, white), [1])
     return np.asarray((1 - share) * outputs + added)
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Return the maps (map, row, col) of every pixel; arguments as of `replaced`."""
+    """Return the maps (map, row, col) for every pixel. Parameters as in `replaced`."""
     means, spread = block_means(mosaic, len(response) - 1)
     maps, shape = block_maps(means, spread, response, white), mosaic.values.shape
     for axis, (length, side) in enumerate(zip(shape, block_sides(mosaic.cfa), strict=True), 1):
@@ -89,13 +107,21 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 
 
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
-    """Return the means (channel, block row, block col) of the blocks of a mosaic, shares of full scale, and the largest
-    range of a channel in each (block row, block col). Blocks at the ends lie within the mosaic; those that hold nothing
-    bright, or lack a channel, have means of 0."""
+    """Return the means and ranges of the channels in the blocks of a mosaic.
+
+    The last blocks lie completely within the mosaic, and may overlap the blocks before them.
+
+    Returns
+    -------
+    means : ndarray, (channel, block row, block col)
+        As fractions of full scale. They are 0 in blocks that contain nothing bright, or lack a channel.
+    spread : ndarray, (block row, block col)
+        Largest range of a channel, as a fraction of full scale.
+    """
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
     values = mosaic.values
     for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
-        if length > side and (begin := length - side) % side:  # of the last block, its pixels in the order of others' sites
+        if length > side and (begin := length - side) % side:  # shift the last block back, keeping the order of its sites
             index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
             values = values.take(index, axis)
     blocks, count = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True)), np.zeros(channels, int)
@@ -115,9 +141,29 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 
 
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
-    """Return the numbers (block), row by row, of blocks that may be plain, from the means and ranges of all; of each its
-    signals (channel, block), smoothed, how plain it is and the share of its outputs that is replaced. Others are textured,
-    or dark as all beside them: a plain block that counts has a mean that differs by TEXTURED from a dark one's."""
+    """Return the blocks that may be uniform.
+
+    Blocks are left out if they are textured, or if they are dark. Dark blocks have means of 0, so that a bright block
+    beside
+    one differs from it by at least TEXTURED.
+
+    Parameters
+    ----------
+    means : ndarray, (channel, block row, block col)
+    spread : ndarray, (block row, block col)
+        As returned by `block_means`.
+
+    Returns
+    -------
+    numbers : ndarray, (block,)
+        Indices of the blocks, row by row.
+    signal : ndarray, (channel, block)
+        Smoothed means.
+    plain : ndarray, (block,)
+        1 for uniform blocks, falling to 0 for textured ones.
+    share : ndarray, (block,)
+        Fraction of the outputs that is replaced.
+    """
     numbers = np.flatnonzero(means.any(axis=0) & (spread < TEXTURED))
     row, col = np.divmod(numbers, spread.shape[1])
     padded = np.pad(means, ((0, 0), (1, 1), (1, 1)), mode="edge").reshape(len(means), -1)
@@ -133,7 +179,7 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Return the maps (map, block row, block col) of blocks from their means and ranges."""
+    """Return the maps (map, block row, block col) from the means and ranges of the blocks."""
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
     grey = np.minimum(level * white[:, None], 1.0)
@@ -145,23 +191,29 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Return the grey (…), a white being 1, that is taken for the brightness of signals (channel, …): the mean of what
-    channels say that do not clip, and the most that one says if all do. `white` (channel) are the signals of a white."""
+    """Return the brightness (…) of signals (channel, …) as a grey, where a white is 1.
+
+    It is the mean of the channels' estimates, weighted by how little each clips. If all channels clip, it is the largest
+    estimate.
+    `white` (channel) holds the signals of a white.
+    """
     level = np.stack([each / one for each, one in zip(signal, white, strict=True)])
     clipped = smooth_step(signal, BEGINS, CLIPS)
-    weight = np.maximum(1 - clipped, FAINTEST)
+    weight = np.maximum(1 - clipped, MIN_WEIGHT)
     mean, every = (weight * level).sum(axis=0) / weight.sum(axis=0), clipped.min(axis=0)
     return np.asarray(mean + every * (level.max(axis=0) - mean))
 
 
 def added_terms(signal: Array) -> Array:
-    """Return the terms (clipped, signal, …) of signals (channel, …) whose sum by a response adds to the outputs of plain
-    areas: of each channel as far as it clips, all signals and 1."""
+    """Return the terms (clipped, signal, …) of signals (channel, …) that a response turns into a correction of the outputs.
+
+    There is one group of terms per clipped channel: all signals and 1, weighted by how far the channel clips.
+    """
     terms = np.concatenate([signal, np.ones_like(signal[:1])])
     return np.asarray(smooth_step(signal, BEGINS, CLIPS)[:, None] * terms)
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Return 0 up to `low`, 1 from `high` on, and smoothly what lies between."""
+    """Return 0 up to `low`, 1 from `high` on, and a smooth transition in between."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

@@ -1,7 +1,7 @@
-"""Chroma from far around, where pixels are alike, for which windows are too small (docs/method.md#coarse-chroma).
+"""Coarse chroma: the mean chroma of similar pixels over an area much larger than a window (docs/method.md#coarse-chroma).
 
-Blocks are means of 4 × 4 pixels of the planes. They pass four edge-avoiding steps, over blocks 1, 2, 4 and 8 from each
-other. Pixels get what these change of chroma, interpolated between blocks: nothing where an edge divides a block.
+The planes are averaged over blocks of 4 × 4 pixels. Four edge-avoiding steps smooth the blocks, with spacings of 1, 2, 4
+and 8 blocks. Each pixel then gets the change in chroma, interpolated between the blocks.
 """
 
 import numpy as np
@@ -10,25 +10,42 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import PLANE_STEP, CoarseChroma
 from l3cli.classes.planes import CHROMA, LUMINANCE
 
-BLOCK = 4  # pixels a side
-SPACINGS = (1, 2, 4, 8)  # blocks, by step
-REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels beyond which nothing counts
-ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # standard deviations of noise that likeness falls off by, by step
-POWER = 8  # of 1 − u / POWER, which is nearly exp(−u), but has an end
+BLOCK = 4  # pixels, side of a block
+SPACINGS = (1, 2, 4, 8)  # blocks, per step
+REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; more distant pixels have no influence
+ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity in standard deviations of noise, per step
+POWER = 8  # of (1 − u / POWER), which approximates exp(−u) but reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
 Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
-    """Return the squares of differences, in squared steps of a plane, from which on nothing is alike, (step, plane, power of
-    luminance in steps); `share`: of the camera's noise variance."""
+    """Return the squared differences beyond which blocks do not count as similar.
+
+    Parameters
+    ----------
+    chroma : CoarseChroma
+    share : float
+        Fraction of the camera's noise variance that the frame has.
+
+    Returns
+    -------
+    ndarray, (step, plane, power of luminance)
+        Polynomials of the luminance, in squared steps of a plane.
+    """
     steps = chroma.variance * (share / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]
 
 
 def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
-    """Return what coarse chroma adds to the outputs (chroma, row, col) of planes (plane, row, col), in their steps;
-    `scales`: of `scales_of`. Beyond the frame nothing is added."""
+    """Return what coarse chroma adds to the outputs (chroma, row, col), in steps of a plane.
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+    scales : ndarray
+        As returned by `scales_of`.
+    """
     before = blocks = blocks_of(planes)
     for spacing, scale in zip(SPACINGS, scales, strict=True):
         blocks = edge_avoiding(blocks, spacing, scale)
@@ -39,14 +56,14 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
 
 
 def blocks_of(planes: NDArray) -> Array:
-    """Return the means (plane, row, col) of blocks of planes, whose outermost pixels are repeated to fill them."""
+    """Return the block means (plane, row, col) of planes. Incomplete blocks repeat the outermost pixels."""
     rows, cols = planes.shape[1:]
     whole = np.pad(planes, ((0, 0), (0, -rows % BLOCK), (0, -cols % BLOCK)), mode="edge")
     return np.asarray(whole.reshape(3, -(-rows // BLOCK), BLOCK, -(-cols // BLOCK), BLOCK).mean(axis=(2, 4)))
 
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
-    """Return the mean (plane, row, col) over 3 × 3 blocks `spacing` from each other, of those alike."""
+    """Return the mean (plane, row, col) of similar blocks among 3 × 3 blocks with the given spacing."""
     _, rows, cols = blocks.shape
     least = _at(scale, blocks[LUMINANCE])
     padded = np.pad(blocks, ((0, 0), (spacing, spacing), (spacing, spacing)))
@@ -63,12 +80,12 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the block before each of so many pixels, 0 being one before the first, and the share of the next."""
+    """Return, for each pixel along an axis, the block before it and the weight of the block after it. Block 0 is outside."""
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Return the scale (plane, power) at a luminance (row, col), no less than in darkness."""
+    """Return the scale (plane, row, col) at a luminance (row, col); below zero luminance it is that of darkness."""
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -1,10 +1,11 @@
-"""Contrast: how much more a neighbourhood varies than noise of its level does (docs/method.md#contrast).
+"""Contrast: how much a neighbourhood varies, compared with noise at its level (docs/method.md#contrast).
 
-With count n, sum S, sum of squares Q and mean M = S · round(65536 / n) >> 16 of a channel (M is exact in uint32, as v has
-12 bits):
+For each channel let n be the count, S the sum, Q the sum of squares and M = S · round(65536 / n) >> 16 the mean. (M is
+exact
+in uint32, because v has 12 bits.)
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
-    contrast    number of contrast edges (of the pixel's level) < Σ V over the channels
+    contrast    number of contrast edges (at the pixel's level) that are below Σ V over the channels
 """
 
 from typing import Any
@@ -20,7 +21,7 @@ from l3cli.classes.windows import VARIANCE_FRACTION, Integers
 from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe
 
-MEAN_TRUNCATED = 1 / 3  # what M, rounded down, adds to V on average: matters where noise is below a DN
+MEAN_TRUNCATED = 1 / 3  # DN², mean increase of V because M is rounded down; matters where noise is below 1 DN
 SNIPPET = "features/contrast.cl"
 
 
@@ -31,7 +32,7 @@ class Options(Recipe):
 
 
 def check_edges(recipe: Options) -> None:
-    """Raise RecipeError if contrast edges cannot be."""
+    """Raise RecipeError unless the contrast edges are positive and increase."""
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")
 
@@ -39,7 +40,7 @@ def check_edges(recipe: Options) -> None:
 def stored_edges(
     recipe: Options, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """Return the rule's contrast edges (edge, level) from the camera's noise at `levels`, as `noise_of_grey` has them."""
+    """Return the contrast edges (edge, level) of the rule, from the camera's noise at `levels` (see `noise_of_grey`)."""
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
@@ -48,9 +49,16 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the mean over the channels of the noise variance (level) in DN² of greys at `levels`, shares of full scale in
-    the most sensitive channel, of frames of which `dark` DN of dark current have been taken off; clipped channels have
-    none."""
+    """Return the noise variance (level) of greys in DN², as the mean over the channels. Clipped channels have no noise.
+
+    Parameters
+    ----------
+    levels : ndarray, (level,)
+        Signals in the most sensitive channel, as fractions of full scale.
+    camera : CameraModel
+    dark : float
+        Dark signal in DN that has been subtracted from the frame.
+    """
     span = camera.white_level - camera.black_level
     if camera.readout is None:
         return camera.noise_variance(levels * span, dark)
@@ -60,7 +68,7 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
-    """Return contrast (…) at `level` (…)."""
+    """Return the contrast (…) of pixels at `level` (…)."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
     neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
@@ -72,12 +80,12 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Return the number of a contrast."""
+    """Return the number of a contrast, for reports and JSON."""
     return {"contrast": contrast}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as a row of a table begins: its number."""
+    """Return an entry as the first cell of a table row: its number."""
     return str(entry["contrast"])
 
 
@@ -92,5 +100,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """Return (contrast edge, level)"""
+    """Return the edges (contrast edge, level) that contrast.cl reads."""
     return rule.contrast_edges

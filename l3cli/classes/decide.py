@@ -1,4 +1,6 @@
-"""The class of a pixel from the statistics of its neighbourhood: the integer truth that every renderer is held against."""
+"""The class of a pixel from the statistics of its neighbourhood, in integers. Every renderer is tested against this
+module.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return class within its site (…) of every pixel."""
+    """Return the class within its site (…) of every pixel."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
@@ -27,7 +29,24 @@ def labels(rule: ClassRule, statistics: Statistics) -> Integers:
 def label_mosaic(
     values: NDArray[np.uint16], rule: ClassRule, cfa: NDArray[np.uint8], channels: int, phase: tuple[int, int] = (0, 0)
 ) -> Integers:
-    """Return the class of every pixel of a mosaic (row, col) whose first pixel has CFA site `phase`."""
+    """Return the class of every pixel of a mosaic.
+
+    Parameters
+    ----------
+    values : ndarray, (row, col)
+        Raw values in DN.
+    rule : ClassRule
+    cfa : ndarray, (cfa_row, cfa_col)
+    channels : int
+        Number of channels.
+    phase : tuple of int
+        CFA site (row, col) of the first pixel.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        Indices among the classes of all sites.
+    """
     statistics = mosaic_statistics(values, rule, neighbourhoods(cfa, rule.patch, channels), cfa, phase)
     return rule.on_site(labels(rule, statistics), statistics.site)
 
@@ -39,21 +58,22 @@ def label_patches(
     site: int,
     order: TapOrder | None = None,
 ) -> Integers:
-    """Return the class within `site` of each patch (patch, tap) of DN; `order`: that of the site, where it is known."""
+    """Return the class within `site` of each patch (patch, tap) of DN. `order` is the site's `tap_order`, if it is known."""
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class within `site` of each patch from what is seen of it."""
+    """Return the class within `site` of each patch from its sums."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return, by feature, the statistics (patch, …) that each further feature of `rule` takes from the pilot's patches
-    (patch, tap) of DN."""
+    """Return the statistics (patch, …) that each further feature takes from the pilot's patches (patch, tap) of DN, by
+    feature.
+    """
     if not rule.axes:
         return {}
     order = tap_order(rule, neighbours, site)

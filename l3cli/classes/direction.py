@@ -1,11 +1,15 @@
-"""Direction: along which axis a neighbourhood varies, how strongly, and whether it varies along that axis alone
-(docs/method.md#direction, with the formulas; coherence is none of them where a recipe does not ask for it). Whether
-brightness grows or falls along its axis does not matter: transforms are linear.
+"""Direction: the axis along which a neighbourhood varies most, how strongly, and whether it varies along that axis only.
 
-A patch that is mirrored or turned varies along another axis: a quarter turn exchanges axes 0 and 2, and 1 and 3;
-transposition exchanges 0 and 2; strength and coherence stay (`turned`). This holds to the last bit, since boxes lie
-symmetrically, but for ties. Sites that share their training as mirror images therefore read one another's classes at the
-turned direction (training/symmetry), and sums are averaged over those orientations only that leave every direction as it is.
+docs/method.md#direction has the formulas; coherence is left out unless the recipe asks for it. Rising and falling
+brightness
+along an axis count as the same direction, because transforms are linear.
+
+A mirrored or turned patch varies along another axis (`turned`). A quarter turn exchanges axes 0 and 2, and 1 and 3;
+transposition exchanges 0 and 2. Strength and coherence stay the same. The boxes are placed symmetrically, so this holds
+to
+the last bit, except for ties. Sites that share their training as mirror images therefore read each other's classes at
+the turned direction (training/symmetry), and sums are averaged only over orientations that leave every direction
+unchanged.
 """
 
 import math
@@ -23,28 +27,32 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # of the larger of the multipliers m
-SHARES = 16  # parts in which coherence is stored
-HEAD = 5  # constants before the strength edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
+SCALE = 64  # value of the larger multiplier m
+SHARES = 16  # coherence is stored in units of 1/SHARES
+HEAD = 5  # number of constants before the edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
 
 
 class Options(Recipe):
     """[classes.direction] of a recipe."""
 
     orientations: Literal[4, 8] = 4
-    strengths: tuple[float, ...] = (4.0,)  # edges of the largest difference over its noise
-    coherence: Share | None = None  # the axis across may vary by this share of the largest difference; none: not asked
+    strengths: tuple[float, ...] = (4.0,)  # edges of the largest difference divided by its noise
+    # largest difference across the axis, relative to that along it, of a coherent edge; default: coherence is not used
+    coherence: Share | None = None
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Return whether a patch has room for boxes of one period at distinct places."""
+    """Return whether patches are large enough for boxes of one period of the array at different positions."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
 def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
-    """Return windows, multipliers and strength edges by the camera's noise; RecipeError if the strengths cannot be."""
+    """Return the windows, multipliers and strength edges for a camera, as `FurtherFeature.axis` describes.
+
+    RecipeError if the strengths are not positive and increasing.
+    """
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
-        raise RecipeError("classes.direction.strengths must be there, be positive and increase")
+        raise RecipeError("classes.direction.strengths must be one or more positive numbers that increase")
     period = math.lcm(*camera.cfa.shape)
     span = rule.patch - period
     inner = inner_span(span)
@@ -59,12 +67,16 @@ def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, obser
 
 
 def inner_span(span: int) -> int:
-    """Return the distance, down and across, of equally symmetric boxes at a distance of about `span` along a diagonal."""
+    """Return the distance, down and across, of two diagonal boxes that lie symmetrically about `span` apart along the
+    diagonal.
+    """
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes of the four differences. Where none lies in the middle, both of its neighbours are taken."""
+    """Return the boxes of the four differences. If no box can lie exactly in the middle, both neighbouring positions are
+    used.
+    """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
     middle = sorted({span // 2, (span + 1) // 2})
@@ -80,7 +92,9 @@ def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
 def _strength_edges(
     keys: Options, windows: tuple[Window, ...], multipliers: Integers, camera: CameraModel, rule: ClassRule, dark: float
 ) -> Integers:
-    """Return (strength edge, level) of G: multiples of its root mean square by the camera's noise alone."""
+    """Return the strength edges (strength edge, level) of G, as multiples of its RMS value due to the camera's noise
+    alone.
+    """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -94,7 +108,7 @@ def _strength_edges(
 
 
 def check(axis: Axis, rule: ClassRule) -> None:
-    """Raise ValueError if the constants of an axis that has been read do not fit the formula."""
+    """Raise ValueError if the stored constants of the feature do not fit its formula."""
     if len(axis.constants) < HEAD or axis.sums != 4:
         raise ValueError(f"{len(axis.constants)} constants and {axis.sums} window sums")
     straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
@@ -106,12 +120,12 @@ def check(axis: Axis, rule: ClassRule) -> None:
 
 
 def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Return nothing: the camera's noise gives all edges."""
+    """Return no statistics: the edges follow from the camera's noise, not from the pilot."""
     return np.empty((*level.shape, 0))
 
 
 def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Return direction (…) by the four differences (…, axis) at `level` (…)."""
+    """Return the direction (…) from the four differences (…, axis) at `level` (…)."""
     straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
     steepest = size.argmax(axis=-1)
@@ -129,7 +143,7 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
 
 
 def with_less_noise(axis: Axis, share: float | NDArray[np.float64]) -> Axis:
-    """Return strength edges that are as many times the noise that is left."""
+    """Return the feature with strength edges for frames that have this fraction of the noise variance."""
     constants = axis.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(share, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -137,8 +151,7 @@ def with_less_noise(axis: Axis, share: float | NDArray[np.float64]) -> Axis:
 
 
 def turned(axis: Axis, transposed: bool, turns: int) -> Integers:
-    """Return the direction that each direction becomes when a patch is replaced by rot90(patch.T if transposed else
-    patch, turns)."""
+    """Return what each direction becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
     orientations = int(axis.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -167,12 +180,14 @@ def _axis_of(table: TransformTable) -> Axis:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Return the number of a direction, and the angle along which the neighbourhood varies, clockwise from the row."""
+    """Return the number of a direction, and the axis along which the neighbourhood varies, as an angle clockwise from the
+    row.
+    """
     return {"direction": index, "varies": _described(_axis_of(table), index)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as a row of a table begins, such as "3: along 90°"."""
+    """Return an entry as the first cell of a table row, such as "3: along 90°"."""
     return f"{entry['direction']}: {entry['varies']}"
 
 

@@ -1,8 +1,9 @@
-"""The features of a class rule, and what the module of each has to have.
+"""The features of a class rule, and the interface of their modules.
 
-Every rule has level, contrast, saturation and chroma, in which training and kernels are steeped: levels help one another,
-chromas share parents, saturated classes learn greys, and one loop compares levels and picks contrast edges. Any number of
-further features may follow, each of them switched on by a table of its name in a recipe.
+Every rule has level, contrast, saturation and chroma, on which training and kernels rely: levels borrow from neighbouring
+levels, chromas have common parents, saturated classes are trained on greys, and a single loop compares levels and selects
+contrast edges. Any number of further features may follow. A recipe switches a further feature on by a table with its
+name.
 """
 
 from collections.abc import Mapping
@@ -23,24 +24,24 @@ from l3cli.recipes.toml import Recipe
 class Feature(Protocol):
     """Interface of a feature's module."""
 
-    SNIPPET: str  # file of opencl/ with its formula
+    SNIPPET: str  # file with the formula, below opencl/
 
     @property
     def Options(self) -> type[Recipe]:
-        """Return the type of the feature's keys in a recipe."""
+        """The type of the feature's recipe keys."""
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Return its value number `index` in documents."""
+        """Return a description of value `index` for reports and JSON."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return such an entry as a row of a table begins."""
+        """Return such an entry as the first cell of a table row."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Return its value number `index` in text."""
+        """Return the name of value `index`."""
 
 
 class BasicFeature(Feature, Protocol):
-    """Level, contrast, saturation and chroma."""
+    """Interface of level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """Return the macros that the snippet is compiled with."""
@@ -50,58 +51,82 @@ class BasicFeature(Feature, Protocol):
 
 
 class FurtherFeature(Feature, Protocol):
-    """A feature that a recipe switches on.
+    """Interface of a feature that a recipe switches on.
 
-    It decides by integer sums over windows of the patch, by the level, and by constants that it has chosen when the rule was
-    made. Its snippet has the function
+    The feature is decided by integer sums over windows of the patch, by the level, and by constants that are chosen when
+    the rule
+    is made. Its snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
-    which gives what `values` gives. Window sums are of v = DN >> shift, below 2²⁰ in size.
+    which returns the same as `values`. Window sums are of v = DN >> shift, and their size is below 2²⁰.
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches of side `patch` are large enough to see the feature on a camera's array; else rules do
-        without it."""
+        """Return whether patches of side `patch` are large enough for the feature on a camera's array.
+
+        If they are not, rules leave the feature out.
+        """
 
     def axis(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Axis:
-        """Return what a table stores of the feature, from its `keys` in the recipe, next to the features of `rule`, for
-        frames from which `dark` DN of dark current have been subtracted. `observed` (patch, …) comes from the pilot; None
-        before it. Raise RecipeError if the keys are impossible."""
+        """Return what a table stores of the feature.
+
+        Parameters
+        ----------
+        keys
+            The feature's table in the recipe.
+        camera : CameraModel
+        rule : ClassRule
+            The rule so far, without this feature.
+        dark : float
+            Dark signal in DN that has been subtracted from frames.
+        observed : ndarray, (patch, …), or None
+            Statistics from the pilot; None before the pilot.
+
+        Raises
+        ------
+        RecipeError
+            If the keys are impossible.
+        """
 
     def check(self, axis: Axis, rule: ClassRule) -> None:
-        """Raise ValueError if an axis that has been read does not fit its formula, which could then read past its
-        constants."""
+        """Raise ValueError if the stored constants do not fit the formula, which could then read beyond their end."""
 
     def observe(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics (patch, …) that `axis` takes from the patches of the pilot; no columns if it takes none."""
+        """Return the statistics (patch, …) that `axis` takes from the patches of the pilot, without columns if it takes
+        none.
+        """
 
     def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-        """Return its value (…) from window sums (…, sum) at `level` (…)."""
+        """Return the value (…) of the feature from window sums (…, sum) at `level` (…)."""
 
     def with_less_noise(self, axis: Axis, share: float | NDArray[np.float64]) -> Axis:
-        """Return the same for frames with this share of the camera's noise variance, or that of each level."""
+        """Return the feature for frames with this fraction of the noise variance, in all or per level."""
 
     def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:
-        """Return the value that each value (value) becomes when a patch is replaced by rot90(patch.T if transposed else
-        patch, turns)."""
+        """Return what each value becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
 
     def macros(self, axis: Axis, rule: ClassRule) -> dict[str, int]:
         """Return the macros that the snippet is compiled with."""
 
 
-# In this order their snippets are joined and their arrays handed on.
+# The order in which snippets are joined and arrays are passed to kernels.
 BASIC: tuple[BasicFeature, ...] = (level, contrast, saturation, chroma)
-FURTHER: Mapping[str, FurtherFeature] = {  # by the table of a recipe that switches it on
+FURTHER: Mapping[str, FurtherFeature] = {  # by the name of the recipe table that switches it on
     "direction": direction,
 }
 
 
 def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:
-    """Return the module of a further feature of a rule. InputFileError if this l3 does not know it, or its constants do not
-    fit."""
+    """Return the module of a further feature of a rule.
+
+    Raises
+    ------
+    InputFileError
+        If this version of l3 does not know the feature, or its constants do not fit.
+    """
     feature = FURTHER.get(axis.name)
     if feature is None:
         raise InputFileError(f'the class rule has the feature "{axis.name}", which this l3 does not know; upgrade l3cli')
@@ -113,5 +138,5 @@ def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:
 
 
 def further_features(rule: ClassRule) -> tuple[tuple[FurtherFeature, Axis], ...]:
-    """Return the further features of a rule in order; InputFileError as `feature_of`."""
+    """Return the module and the stored form of each further feature of a rule; InputFileError as in `feature_of`."""
     return tuple((feature_of(axis, rule), axis) for axis in rule.axes)

@@ -1,6 +1,8 @@
-"""Level: how bright a neighbourhood is (docs/method.md#level).
+"""Level: the brightness of a neighbourhood (docs/method.md#level).
 
-level = number of level edges ≤ Σ (S · round(65536 / n) >> 8) over the channels, n and S being count and sum of a channel.
+    level = number of level edges ≤ Σ (S · round(65536 / n) >> 8)
+
+summed over the channels, where n is the count and S the sum of a channel.
 """
 
 from typing import Any, Literal
@@ -25,14 +27,30 @@ class Options(Recipe):
 
     levels: Count = 20
     spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges
-    lowest_level: float = 0.001  # upper edge of the darkest level, share of full scale
-    highest_level: float = 0.95  # lower edge of the brightest level, share of full scale
-    level_edges: tuple[float, ...] | None = None  # shares of full scale, in place of the four keys above
+    lowest_level: float = 0.001  # upper edge of the darkest level, as a fraction of full scale
+    highest_level: float = 0.95  # lower edge of the brightest level, as a fraction of full scale
+    level_edges: tuple[float, ...] | None = None  # as fractions of full scale; replaces the four keys above
 
 
 def edge_shares(recipe: Options, reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the level edges, increasing, as shares of full scale of the most sensitive channel, all channels of which clip
-    at `reach` of it; RecipeError if they cannot be."""
+    """Return the level edges that a recipe asks for.
+
+    Parameters
+    ----------
+    recipe : Options
+    reach : float
+        Signal of a grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
+
+    Returns
+    -------
+    ndarray, (level edge,)
+        Signals of greys, as fractions of the full scale of the most sensitive channel, increasing.
+
+    Raises
+    ------
+    RecipeError
+        If the edges do not increase or lie outside of 0…1.
+    """
     if recipe.level_edges is not None:
         edges = np.array(recipe.level_edges)
         if not (edges.size and edges[0] > 0 and edges[-1] < 1 and (np.diff(edges) > 0).all()):
@@ -45,30 +63,49 @@ def edge_shares(recipe: Options, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return a share of full scale in the middle of each of the levels that edges at `shares` make, as `edge_shares`."""
+    """Return the middle of each level, as a fraction of full scale, from the level edges. Parameters as in `edge_shares`."""
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
 
 def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean over channels of such `sensitivity` (channel) of what a grey gives, each clipped at 1, that gives a
-    `share` (…) of full scale in the most sensitive one (docs/method.md#exposures)."""
+    """Return the mean over the channels of a grey's signal, each channel clipped at 1 (docs/method.md#exposures).
+
+    Parameters
+    ----------
+    share : ndarray, (…)
+        Signal in the most sensitive channel, as a fraction of full scale.
+    sensitivity : ndarray, (channel,)
+        Relative to the most sensitive channel.
+    """
     if (sensitivity == 1).all():
         return share
     return np.asarray(np.minimum(share[..., None] * sensitivity, 1.0).mean(axis=-1))
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean over the channels that a grey would have if none clipped, from the mean (…) of its channels, each
-    clipped at 1: where the sensitive channels clip, the others determine it. Return the mean itself where all are alike."""
+    """Return the mean over the channels that a grey would have if no channel clipped.
+
+    Where the sensitive channels clip, the others determine it. Without differences in sensitivity the result equals
+    `mean`.
+
+    Parameters
+    ----------
+    mean : ndarray, (…)
+        Mean over the channels, each clipped at 1.
+    sensitivity : ndarray, (channel,)
+        Relative to the most sensitive channel.
+    """
     if (sensitivity == 1).all():
         return mean
-    knots = np.append(0.0, np.unique(1 / sensitivity))  # shares at which a channel clips, between which the mean is linear
+    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear in between
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """Return the rule's level edges at `shares` of full scale of a grey in the most sensitive channel."""
+    """Return the level edges of the rule, given as signals of a grey in the most sensitive channel, in fractions of full
+    scale.
+    """
     span = camera.white_level - camera.black_level
     means = clipped_mean(shares, camera.sensitivity)
     in_values = (camera.black_level + means * span - truncation(shift)) / 2**shift
@@ -82,30 +119,32 @@ def levels(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def level_of_mean(rule: ClassRule, total: float) -> int:
-    """Return the level of a flat area by the sum over the channels of their means, in DN, which is on no grid."""
+    """Return the level of a uniform area from the sum of its channel means in DN, which need not be integers."""
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return shares of full scale at which each level but the darkest begins; `black_level` and `white_level` in DN."""
+    """Return where each level except the darkest begins, as a fraction of full scale. The black and white levels are in
+    DN.
+    """
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
-    """Return the bounds (level + 1) of the levels as shares of full scale, from 0 to 1."""
+    """Return the bounds (level + 1) of the levels as fractions of full scale, from 0 to 1."""
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
 
 def entry(table: TransformTable, level: int) -> dict[str, Any]:
-    """Return the number and bounds of a level, as shares of full scale; the first begins at 0, the last ends at 1."""
+    """Return the number and bounds of a level, as fractions of full scale, for reports and JSON."""
     lower, upper = bounds(table)[level : level + 2].tolist()
     return {"level": level, "from": lower, "to": upper}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as a row of a table begins, such as "3: 0.0020–0.0031"."""
+    """Return an entry as the first cell of a table row, such as "3: 0.0020–0.0031"."""
     return f"{entry['level']}: {entry['from']:.4f}–{entry['to']:.4f}"
 
 
@@ -123,5 +162,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return (level edge) the highest level sum below each, as kernels compare; no sum reaches 2³¹."""
+    """Return the highest level sum below each level edge, which is what kernels compare. No sum reaches 2³¹."""
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

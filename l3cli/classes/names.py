@@ -7,18 +7,17 @@ from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FURTHER, Feature, further_features
 
-# as documents call the features
+# features by their names in reports and JSON
 AXES: dict[str, Feature] = {"level": level, "contrast": contrast, "chroma": chroma, "saturation": saturation, **FURTHER}
 
 
 def heading(axis: str, entry: dict[str, Any]) -> str:
-    """Return the beginning of a table row for an entry that the feature `axis` has made."""
+    """Return the first cell of a table row for an entry of the feature `axis`."""
     return AXES[axis].heading(entry)
 
 
 def further_headings(entry: dict[str, Any]) -> list[str]:
-    """Return a phrase of each further feature for a class from the entry that they have filled, such as "direction 3: along
-    90°"."""
+    """Return one phrase per further feature in a class's entry, such as "direction 3: along 90°"."""
     return [f"{name} {feature.heading(entry)}" for name, feature in FURTHER.items() if name in entry]
 
 
@@ -32,7 +31,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Return the place of a class of the first layer, feature by feature."""
+    """Return the value of each feature of a class of the first layer, in words, by feature."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -51,7 +50,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Return the place of a class of a refinement layer, feature by feature."""
+    """Return the value of each feature of a class of a refinement layer, in words, by feature."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -71,7 +70,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a place among so many, with words for the first and the last one."""
+    """Return a value among `count` values in words, with additional words for the first and the last."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -79,7 +78,7 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def further_names(table: TransformTable, further_class: int) -> list[str]:
-    """Return the value of each further feature in text, in order."""
+    """Return the name of each further feature's value, in order."""
     values = table.first.rule.split_further(further_class)
     return [
         feature.name(table, value) for (feature, _), value in zip(further_features(table.first.rule), values, strict=True)
@@ -87,6 +86,6 @@ def further_names(table: TransformTable, further_class: int) -> list[str]:
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """Return "chroma K", or "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    """Return "chroma K", or "saturated A+B" with the pattern of channels that is most typical of the saturation case."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

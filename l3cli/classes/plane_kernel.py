@@ -1,4 +1,4 @@
-"""Class rules as kernels see them: files of opencl/, macros for shapes, arrays for values."""
+"""Class rules in the form that OpenCL kernels need: source files, macros for sizes, and arrays of values."""
 
 import bisect
 
@@ -12,19 +12,19 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, further_features
 from l3cli.classes.structure import NOISE_TRACE
 
-TOGETHER = 16  # leaves at most that are decided at once
-NEVER = np.finfo(np.float32).max  # what nothing exceeds: the threshold of leaves
+PART_LEAVES = 16  # most leaves in a part of a tree, all of which are decided at once
+NEVER = np.finfo(np.float32).max  # threshold of leaves, which no value exceeds
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """Return the file of a rule's formula, and by variant that of its kernel `structures`."""
+    """Return the file with a rule's formula, and for each variant the file with its kernel `structures`."""
     if isinstance(rule, StructureRule):
         return "common/structure.cl", {"processor": "cpu/structures.cl", "graphics": "gpu/structures.cl"}
     return "common/tree.cl", {"processor": "cpu/trees.cl", "graphics": "gpu/trees.cl"}
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """Return the macros that formula and kernel are compiled with."""
+    """Return the macros that the formula and the kernel are compiled with."""
     if isinstance(rule, StructureRule):
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
@@ -40,23 +40,23 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
 
 
 def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
-    """Return the constants of the formula, in the order in which the kernels of a variant take them."""
+    """Return the constants of the formula, in the order of the arguments of a variant's kernels."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
     return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """Return the tests of a tree's parts, as trees.cl has them."""
+    """Return the tests of a tree, grouped by its parts, in the layout that cpu/trees.cl describes."""
     first, end = _parts(rule), _leaf_ends(rule).tolist()
     words = -(-len(first) // 32)
     groups: list[list[tuple[int, int, int]]] = [[] for _ in range(words + len(first))]
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
         part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
-        if end[node] <= [*first, rule.structures][part + 1]:  # within a part: leaves are ruled out
+        if end[node] <= [*first, rule.structures][part + 1]:  # a test within a part excludes leaves
             chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
-        else:  # above them: parts
+        else:  # a test above the parts excludes parts
             parts = range(part, bisect.bisect_left(first, next_leaf))
             chosen = {
                 word: range(max(parts.start - 32 * word, 0), min(parts.stop - 32 * word, 32))
@@ -70,13 +70,14 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """Return the first leaves of the parts that a tree is cut into: the largest branches of at most TOGETHER leaves, from
-    left to right."""
+    """Return the first leaf of each part of a tree, from left to right. A part is a largest branch of at most PART_LEAVES
+    leaves.
+    """
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
     while above:
         node = above.pop()
-        if end[node] - leaf[node] <= TOGETHER:
+        if end[node] - leaf[node] <= PART_LEAVES:
             first.append(int(leaf[node]))
         else:
             above += [int(rule.branch[node]) + 1, int(rule.branch[node])]
@@ -84,7 +85,7 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return the number (node) of the leaf after those below each node."""
+    """Return, for each node, the number of the leaf after the last leaf below it."""
     end = rule.leaf + 1
     for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches follow their node
         end[node] = end[rule.branch[node] + 1]
@@ -100,20 +101,25 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Return numerator (node) of each test and, from bit `place` on, its denominator."""
+    """Return the numerator (node) of each test, combined with its denominator from bit `place` on."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return files of opencl/ with the formulas of a rule's features; `joined` follows them, then rule.cl."""
+    """Return the files below opencl/ with the formulas of a rule's features. `joined` and rule.cl follow them."""
     return tuple(feature.SNIPPET for feature in (*BASIC, *(feature for feature, _ in further_features(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return the further features as rule.cl asks for them: FURTHER values in one, from WINDOW_SUMS sums over the windows
-    that EACH_WINDOW names, by `further_of`. Values past the end of an axis are its last. BOX_ROWS and BOX_COLUMNS are the
-    size of the windows where all have one."""
+    """Return C source that combines the further features, for rule.cl.
+
+    It defines FURTHER, the number of combined values; WINDOW_SUMS, the number of sums; EACH_WINDOW, which lists the
+    windows; and
+    the function `further_of`. Values beyond the end of a feature are replaced by its last value. If all windows have the
+    same
+    size, BOX_ROWS and BOX_COLUMNS give it.
+    """
     windows, values = [], []
     sums = constants = 0
     for axis in rule.axes:
@@ -142,15 +148,19 @@ def joined(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros of the features' snippets and of rule.cl, which joins them."""
+    """Return the macros of the features' snippets and of rule.cl."""
     basic = {key: value for feature in BASIC for key, value in feature.macros(rule).items()}
     further = {key: value for feature, axis in further_features(rule) for key, value in feature.macros(axis, rule).items()}
     return basic | further | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the constants of the features, in the order in which kernels take them. After those that noise gives, edges of
-    contrast and what further features read, lie those of `others`, which differ in nothing else."""
+    """Return the constants of the features, in the order of the kernels' arguments.
+
+    `others` are rules that differ only in what depends on noise: contrast edges and constants of further features. Their
+    values
+    follow those of `rule`.
+    """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])
         if feature is contrast

@@ -1,7 +1,8 @@
-"""Layers in fixed point: planes whose integers are the same wherever they are computed (docs/method.md#planes).
+"""Layers in fixed point. Their planes are integers that are the same on every device (docs/method.md#planes).
 
-Weights of each channel are rounded so that they add up to their rounded sum: else what is rounded off would colour plain
-areas, and differently at every site. They fit 16 bits, which processors multiply twice as fast as floats.
+The weights of each channel are rounded such that they add up to their rounded sum. Otherwise rounding would tint uniform
+areas,
+differently at every site. Weights fit 16 bits, which processors multiply twice as fast as floats.
 """
 
 import functools
@@ -16,42 +17,50 @@ from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, PlaneLayer, TransformTa
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 
-MOST_FRACTION = 16
-MOST_WEIGHT, MOST_SUM = 2.0**15 - 2, 2.0**31 - 2**MOST_FRACTION  # before rounding, which adds less than 1 to a weight
-COARSE, COARSE_TOP = 5, 2**15 - 1  # bits by which a layer between reads planes coarser, and within which size
-BLOCK = 256  # classes that are turned into integers at a time, in a processor's cache
-LUMINANCE, CHROMA = 1, [0, 2]  # the plane that is Y, and the others
+MAX_FRACTION = 16
+MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # before rounding, which adds less than 1 to a weight
+COARSE, COARSE_TOP = 5, 2**15 - 1  # layers between first and last drop these bits of a plane, and clamp it to this size
+BLOCK = 256  # classes that are converted at a time, so that they fit the processor's cache
+LUMINANCE, CHROMA = 1, [0, 2]  # indices of the plane Y, and of the chroma planes
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """A layer's transforms to planes, as integers."""
+    """The transforms of a layer, which make planes, as integers."""
 
     weights: NDArray[np.int16]  # (class, plane, tap)
     intercept: NDArray[np.int64]  # (class, plane)
-    fraction: NDArray[np.int32]  # (class) F
+    fraction: NDArray[np.int32]  # (class) F, the number of fractional bits
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Return the planes (plane, …) of sums Σ W · DN + B, or of coarse planes, of pixels (…) of the classes `label`."""
+        """Return the planes (plane, …) of pixels.
+
+        Parameters
+        ----------
+        sums : ndarray, (plane, …)
+            Σ W · DN + B, or the same of coarse planes.
+        label : ndarray, (…)
+            Class of each pixel.
+        """
         fraction = self.fraction.astype(np.int64)[label]
         rounded = (sums + (1 << fraction >> 1)) >> fraction
         return np.clip(rounded, -PLANE_TOP, PLANE_TOP).astype(np.int32)
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the columns X − aY, Y, Z − bY of outputs X, Y, Z: rows of outputs times it are planes."""
+    """Return the basis that makes planes X − aY, Y, Z − bY: rows of outputs X, Y, Z times the basis are rows of planes."""
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
     return basis
 
 
 def planes_basis(table: TransformTable) -> NDArray[np.float64]:
-    """Return the columns (output, plane) that make planes of rows of a table's outputs."""
+    """Return the basis (output, plane) that makes planes from the outputs of a table's first layer."""
     return opponent_basis(table.white_point) if table.components is None else table.components.basis
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """Return the first layer of a table as integers; InputFileError if its transforms are beyond all planes."""
+    """Return the first layer of a table as integers; InputFileError if its transforms are too large."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), planes_basis(table)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
@@ -59,33 +68,34 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Return a layer that reads planes and after which another does; InputFileError if its transforms are beyond all
-    planes."""
+    """Return a refinement layer that another one follows as integers; InputFileError if its transforms are too large."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
     return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the planes as a layer between reads them."""
+    """Return the planes as layers between the first and the last read them: with fewer bits, and clamped."""
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
 
 def raw_middle(bits: int) -> int:
-    """Return the offset that brings raw values of so many bits into 16 bits with a sign."""
+    """Return the offset that is subtracted from raw values with this number of bits, so that they fit signed 16-bit
+    integers.
+    """
     return 2**15 if bits == 16 else 0
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Input of a layer's transforms."""
+    """Input values of a layer's transforms."""
 
-    step: float  # weights are per so many of the values
-    zero: float  # the value that stands for nothing
-    largest: float  # size of the values as kernels read them
-    farthest: float  # size of `zero`, as kernels read it
+    step: float  # input value that weights refer to
+    zero: float  # input value without signal
+    largest: float  # greatest size of the values that kernels read
+    farthest: float  # size of `zero` as kernels read it
 
 
-BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes
+BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes, in layers that another follows
 
 
 def _raw(bits: int, black_level: float, white_level: float) -> _Read:
@@ -101,14 +111,25 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the factor (class) by which transforms (class, plane, tap) of taps in units of full scale, with an intercept
-    (class, plane), could be larger for their planes to be computed as integers; below 1 they are too large."""
+    """Return the factor (class) by which transforms could grow until their planes no longer fit integers.
+
+    Below 1 the transforms are too large.
+
+    Parameters
+    ----------
+    weights : ndarray, (class, plane, tap)
+        Per unit of full scale.
+    intercept : ndarray, (class, plane)
+    bits : int
+    black_level, white_level : float
+        In DN.
+    """
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same (class) of transforms (class, plane, tap) of planes to planes that a further layer reads."""
+    """Return the same factor (class) as `room_for`, for a refinement layer that another one follows."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -116,7 +137,9 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Return transforms (class, output, tap), (class, output) as integers; `layouts`: classes, channels of taps."""
+    """Return transforms (class, output, tap) and (class, output) as integers; `layouts` pairs classes with the channels of
+    taps.
+    """
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
     made = FixedPoint(
@@ -128,7 +151,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), BLOCK):
             block = distinct[start : start + BLOCK] + classes.start
-            # Sums over the first axis are sums of long rows, which numpy does several times as fast.
+            # Classes come last, because numpy sums over the first axis several times as fast.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -143,8 +166,10 @@ def _fixed_point(
 
 
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first of each class of equal transforms (distinct), and for every class the place of its like among these:
-    classes without patches of their own, half of those of many channels, have a neighbour's."""
+    """Return the first class of each group of equal transforms, and for every class the index of its group.
+
+    Classes without patches of their own have a neighbour's transform. With many channels these are half of all classes.
+    """
     rows = np.concatenate([weights.reshape(len(weights), -1), intercept], axis=1)
     _, first, like = np.unique(
         rows.view(np.dtype((np.void, rows[0].nbytes))).ravel(), return_index=True, return_inverse=True
@@ -153,26 +178,29 @@ def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> t
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
-    """Return the factor (class) by which weights (tap, plane, class) of an input, with an offset (plane, class), could be
-    larger."""
+    """Return the factor (class) by which weights (tap, plane, class) with an offset (plane, class) could grow."""
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * read.largest  # what it may add to sum and offset
-    return np.minimum(MOST_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MOST_SUM - rounding) / (sums + 1e-30))
+    rounding = 2 * len(weights) * read.largest  # largest change of sum and offset by rounding
+    return np.minimum(MAX_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MAX_SUM - rounding) / (sums + 1e-30))
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return F (class) of transforms that could be `room` (class) times larger."""
-    fraction = np.minimum(MOST_FRACTION, np.floor(np.log2(room)))
+    """Return the number of fractional bits F (class) of transforms that could be `room` (class) times larger."""
+    fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
     return fraction.astype(np.int32)
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Return the weights (tap, …), a channel's taps between two of the `ends`, as whole numbers less than one away, of sums
-    over each channel that are the nearest: those that lose most are rounded up, of equal ones the first."""
+    """Round weights (tap, …) to integers less than 1 away, such that the sum over each channel is the nearest integer.
+
+    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up;
+    among equal
+    ones, the first.
+    """
     whole = np.floor(weights)
     loss = whole - weights
     for start, end in pairwise(ends):
@@ -192,7 +220,7 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (output, …) → (plane, …), one product after the other, so that every machine rounds alike."""
+    """Return (plane, …) from (output, …). Products are added one by one, so that every machine rounds in the same way."""
     exact = values.astype(np.float64)
 
     def plane(column: NDArray[np.float64]) -> NDArray[np.float64]:

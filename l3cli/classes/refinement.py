@@ -1,4 +1,6 @@
-"""Classes of a plane layer, of whole frames: from the planes and classes of the first layer (docs/method.md#structure)."""
+"""Classes of a refinement layer in whole frames, from the planes and classes of the first layer
+(docs/method.md#structure).
+"""
 
 import functools
 from dataclasses import replace
@@ -16,16 +18,33 @@ from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
-RATIO_DARKEST = 2**9  # steps of a plane: the least mean luminance that a ratio is taken to
-ROWS_AT_ONCE = 64  # whose differences stay in the caches
+RATIO_DARKEST = 2**9  # steps of a plane; ratios are not taken to a lower mean luminance
+ROWS_AT_ONCE = 64  # few enough for their differences to stay in the processor's caches
 
 
 def label_planes(
     planes: NDArray[np.int32], first: Integers, rule: PlaneRule, first_rule: ClassRule, *others: PlaneRule
 ) -> Integers:
-    """Return the class (row, col) of every pixel, among those of all sites, from the first layer's planes (plane, row, col)
-    and classes (row, col). `others`: the rules of further sets of transforms, which differ in the scale of gradients alone;
-    classes of the sets follow one another, as if each had sites of its own."""
+    """Return the class of every pixel in a refinement layer.
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+        Planes that the first layer has rendered.
+    first : ndarray, (row, col)
+        Classes of the first layer.
+    rule : PlaneRule
+    first_rule : ClassRule
+    *others : PlaneRule
+        Rules of further sets of transforms, which differ only in the scale of gradients. The sets are numbered one after
+        the
+        other, as if each had its own sites.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        Indices among the classes of all sites.
+    """
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
     kind = rule.kind(_structure(planes, scale, place.site, _of_all_sets(rule, others)), first_rule.lost(place.kind))
@@ -33,14 +52,14 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return the rule with the sites of all sets, and the scales of gradients at the levels of all."""
+    """Return the rule with the sites, and the scales of gradients, of all sets of transforms."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure class (row, col) of pixels where nothing is saturated."""
+    """Return the structure, or the leaf, (row, col) of pixels where nothing is saturated."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), REACH)
         return structures(luminance, mirrored(level, REACH - 1), site, rule)
@@ -50,8 +69,15 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """Return the quantities that a tree's tests compare, from planes (plane, row, col), levels (row, col) and the scale
-    (level) of gradients."""
+    """Return the quantities that the tests of a tree compare.
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+    level : ndarray, (row, col)
+    factor, shift : ndarray, (level,)
+        Scale of gradients.
+    """
     place = mirrored(level, tree.REACH - 1)
     return tree.evidence(
         mirrored(planes.astype(np.int32), tree.REACH), factor.astype(np.int32)[place], shift.astype(np.int32)[place]
@@ -59,24 +85,29 @@ def plane_evidence(
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Return the planes (…, row, col) with `margin` more pixels on each side, mirrored about the outermost ones."""
+    """Return planes (…, row, col) with a margin of `margin` pixels, mirrored about the outermost pixels."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
 
 
 def window_means(planes: NDArray, side: int) -> NDArray:
-    """Return the means (…, row, col) over side × side of planes (…, row, col) with a margin of mirrored pixels. Whole planes
-    are added, along rows and then along columns: means of a strided view of windows take ten times as long."""
+    """Return the means (…, row, col) over side × side windows of planes with a margin of side // 2 pixels.
+
+    Whole planes are added along rows and then along columns. A strided view of the windows would take ten times as long.
+    """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
     return np.asarray(functools.reduce(np.add, [across[..., first : first + rows, :] for first in range(side)]) / side**2)
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
-    """Return a word for each class (class) of the first layer, as kernels read it. Its lower half holds the factor of
-    gradients, from bit 8 on their shift, from bit 14 on the orientation of its site; its upper half the first class of
-    its site and level, with the highest bit set where saturation decides and it is the class (opencl/common/gradient.cl).
-    `others`: as in label_planes."""
+    """Return a 64-bit word for each class (class) of the first layer, as kernels read it (opencl/common/gradient.cl).
+
+    The lower half holds the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14).
+    The upper
+    half holds the first class of the site and level. If saturation decides, it holds the class itself and bit 31 is set.
+    `others` as in `label_planes`.
+    """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
     scale = place.level + first.levels * (place.site // len(rule.turns))
@@ -94,11 +125,11 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Return the distance of the two chroma planes of a pixel from their means over side × side if all of the window had one
-    colour and only light and shade: (chroma, row, col) of planes (plane, row, col), in their steps.
+    """Return the chroma changes that light and shade alone would cause, (chroma, row, col) in steps of a plane.
+
+    They are the distances of a pixel's chroma planes from their means over side × side if the window had one colour:
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
-
     """
     exact = planes.astype(np.float64)
     first, luminance, second = window_means(mirrored(exact, side // 2), side)
@@ -107,13 +138,13 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 
 
 def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
-    """Return the distance of the two chroma planes of a pixel to their means over the pixels q of side × side that are like
-    it in all planes p: (chroma, row, col) of planes (plane, row, col), in their steps.
+    """Return the difference between a pixel's chroma and that of similar pixels, (chroma, row, col) in steps of a plane.
+
+    The mean is taken over the pixels q of a side × side window, weighted by their similarity in all planes p:
 
         Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
-
     """
-    planes = planes.astype(np.result_type(planes, np.float32))  # training's are of float32, and rounded as they are
+    planes = planes.astype(np.result_type(planes, np.float32))  # float32 stays float32, as in training
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
     change = np.empty((2, rows, cols), planes.dtype)
     for first in range(0, rows, ROWS_AT_ONCE):
@@ -128,7 +159,9 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the taps behind the windows of side × side of a last layer that has `count` of them: (tap, row, col) of planes
-    (plane, row, col), in their steps."""
+    """Return the taps that follow those of the windows in a last layer, (tap, row, col) in steps of a plane.
+
+    `count` is one of RATIO_TAPS.
+    """
     kinds = (shaded_chroma, bilateral_change)[: RATIO_TAPS.index(count)]
     return np.concatenate([np.empty((0, *planes.shape[1:])), *(kind(planes, side) for kind in kinds)])

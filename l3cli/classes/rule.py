@@ -1,4 +1,4 @@
-"""From a recipe, whose keys the features declare, to a camera's class rule: the ordered product of the features."""
+"""Make a camera's class rule from a recipe. The rule's classes are all combinations of the features' values."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -47,12 +47,12 @@ from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the tables of the further features that a recipe has, by name, in the order of FURTHER."""
+    """Return the tables of the further features that a recipe contains, by name, in the order of FURTHER."""
     return {name: keys for name in FURTHER if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of the features switched on that patches are too small for on a camera's array."""
+    """Return the names of requested features for which the patches are too small on a camera's array."""
     return [name for name in switched_on(recipe) if not FURTHER[name].fits(camera, recipe.patch)]
 
 
@@ -65,12 +65,28 @@ def make_rule(
     observed: Mapping[str, NDArray[np.float64]] | None = None,
     spared_cases: int = 0,
 ) -> ClassRule:
-    """Return the integer rule for a camera: edges in DN, contrast edges from its noise model (docs/method.md#classes).
-    It is for frames of which `dark` DN of dark current have been taken off.
+    """Return the class rule of a camera (docs/method.md#classes).
 
-    `chroma_centres` (chroma, channel) are shares of the channel means in their sum; without them there is one chroma.
-    `spared_cases` are as ClassRule has them. `observed` is what the pilot has seen for each further feature, None before it.
-    RecipeError if the recipe asks for what the camera cannot give, such as more levels than values.
+    Parameters
+    ----------
+    recipe : ClassRecipe
+    camera : CameraModel
+        Its levels and noise determine the edges.
+    case_of_code : ndarray, (code,)
+        Saturation case of each pattern of saturated channels.
+    chroma_centres : ndarray, (chroma, channel), optional
+        Channel means as fractions of their sum. Without centres there is a single chroma.
+    dark : float
+        Dark signal in DN that has been subtracted from the frames.
+    observed : mapping, optional
+        Statistics of the pilot for each further feature; None before the pilot.
+    spared_cases : int
+        See ClassRule.
+
+    Raises
+    ------
+    RecipeError
+        If the recipe is impossible for this camera, for example with more levels than raw values.
     """
     if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
         raise RecipeError(f"classes.patch is {recipe.patch}, not an odd number up to {MAX_PATCH}")
@@ -109,9 +125,12 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the recipe's radius, limited to the patch, and wide enough for every site to see every channel: else sites
-    would put one clipped area into different cases, most of which no clipped grey is taught to
-    (docs/method.md#saturation-cases)."""
+    """Return the recipe's saturation radius, limited to the patch, and wide enough for every site to see every channel.
+
+    Otherwise sites would assign different cases to the same clipped area, and most of these cases are never trained on
+    clipped
+    greys (docs/method.md#saturation-cases).
+    """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):
         seen = window_channels(camera.cfa, 2 * radius + 1)

@@ -1,6 +1,8 @@
 """Saturation: which channels clip near the centre of a neighbourhood (docs/method.md#saturation-cases).
 
-case = case_of_code[bit c set if any pixel of channel c within the saturation radius is ≥ saturation (in DN)]
+    case = case_of_code[code]
+
+Bit c of the code is set if a pixel of channel c within the saturation radius is at or above `saturation`, in DN.
 """
 
 from collections.abc import Sequence
@@ -15,29 +17,49 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 from l3cli.recipes.toml import Count, CountOrNone, Recipe
 
-SMALLEST_SHARE = 2e-4  # of the training patches: rarer patterns join the nearest of these
+MIN_FRACTION = 2e-4  # of the training patches; rarer patterns join the nearest case
 SNIPPET = "features/saturation.cl"
 
 
 class Options(Recipe):
     """Saturation keys of the [classes] of a recipe."""
 
-    saturation: float = 0.985  # share of full scale from which a pixel is saturated
+    saturation: float = 0.985  # fraction of full scale from which a pixel counts as saturated
     saturation_radius: CountOrNone = 2  # pixels
-    max_cases: Count = 12  # saturation patterns that get classes of their own, the unsaturated one included
+    max_cases: Count = 12  # saturation patterns with their own classes, including the unsaturated pattern
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
-    """Return the case of every saturation code from how often each occurred (code); `filters` (channel), None: each its own.
+    """Choose the saturation cases of a rule.
 
-    Code 0 is case 0. The most frequent others get cases, `most` in all. Every other code joins the nearest of these: first
-    one that has lost a filter if it has, then the one that differs in the fewest channels, among equals one that clips all
-    its clipped channels. Only if there is none it joins case 0.
+    Code 0 is case 0. The most frequent other codes become cases. Every remaining code joins the nearest case. Nearest is,
+    in
+    this order:
+
+    1. a case that has lost a filter if the code has, and otherwise a case that has not,
+    2. the case that differs in the fewest channels,
+    3. a case that clips all channels that the code clips.
+
+    Codes join case 0 only if there is no other case.
+
+    Parameters
+    ----------
+    occurrences : ndarray, (code,)
+        How often each pattern of saturated channels occurred.
+    most : int
+        Largest number of cases, including case 0.
+    filters : sequence of int, optional
+        Filter of each channel. By default every channel has its own.
+
+    Returns
+    -------
+    ndarray, (code,)
+        Case of each code.
     """
     codes = np.arange(len(occurrences))
     lost = lost_filters(codes, filters or range(int(codes[-1]).bit_length())) > 0
     frequent = np.argsort(-occurrences[1:], kind="stable")[: most - 1] + 1
-    chosen = np.sort(frequent[occurrences[frequent] > SMALLEST_SHARE * occurrences.sum()])
+    chosen = np.sort(frequent[occurrences[frequent] > MIN_FRACTION * occurrences.sum()])
     chosen = np.concatenate([chosen[~lost[chosen]], chosen[lost[chosen]]])
     case_of_code = np.zeros(len(occurrences), dtype=np.uint16)
     if not chosen.size:
@@ -51,20 +73,21 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Return the number of cases, the first after case 0, that hold no code (code) in which a filter has lost all of its
-    channels."""
+    """Return the number of cases, from case 1 on, in which no filter has lost all of its channels."""
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Return in how many filters, those of the channels being `filters` (channel), codes (code) have all saturated."""
+    """Return the number of filters all of whose channels are saturated, for each code; `filters` gives each channel's
+    filter.
+    """
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
 def stored_threshold(recipe: Options, camera: CameraModel) -> int:
-    """Return the rule's saturation, in DN."""
+    """Return the value from which the rule counts a pixel as saturated, in DN."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
@@ -77,7 +100,7 @@ def saturation_codes(
 
 
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
-    """Return the saturation codes (patch) of DN (tap, patch) in `order`."""
+    """Return the saturation code (patch,) of values in DN (tap, patch), whose taps are sorted by `order`."""
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
         if taps.stop > taps.start:
@@ -86,29 +109,29 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Return codes (…) of patterns of saturated channels (…, channel)."""
+    """Return codes (…) from patterns of saturated channels (…, channel)."""
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
 def cases(rule: ClassRule, code: Integers) -> Integers:
-    """Return the saturation case (…) of codes (…)."""
+    """Return the saturation case (…) of each code."""
     return rule.case_of_code[code].astype(np.int64)
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Return the number of a saturation case and the channels that all patterns sorted into it have saturated."""
+    """Return the number of a saturation case, and the channels saturated in all its patterns, for reports and JSON."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as a row of a table begins, such as "2: r g"."""
+    """Return an entry as the first cell of a table row, such as "2: r g"."""
     return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
 
 
 def name(table: TransformTable, case: int) -> str:
-    """Return "saturated A+B": the pattern of channels nearest to all that share the saturation case."""
+    """Return "saturated A+B", with the pattern of channels that is most typical of the case."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
@@ -121,8 +144,12 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the distance of each pattern from every other, as choose_cases measures it: channels that differ, and half
-    for each of the others that is not within it. There may be 2¹⁶ patterns: too many to compare them in pairs."""
+    """Return the summed distance of each pattern to all others, measured as in choose_cases.
+
+    The distance is the number of channels that differ, plus one half if the other pattern is not contained in this one.
+    With up
+    to 2¹⁶ patterns they cannot be compared in pairs.
+    """
     holds = codes[:, None] >> np.arange(channels) & 1
     often = holds.sum(axis=0)
     within = np.zeros(2**channels)
@@ -139,5 +166,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return (code)"""
+    """Return the case of each code."""
     return rule.case_of_code

@@ -1,4 +1,4 @@
-"""Statistics that every feature decides by: channel sums and squares over patches, and their saturation codes."""
+"""The statistics from which features are decided: sums and squares of the channels over patches, and saturation codes."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,18 +15,18 @@ from l3cli.frames.frame import pad_mosaic, shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the neighbourhoods of pixels, of any shape (…)."""
+    """Statistics of the neighbourhoods of pixels. Arrays have the pixels' shape (…)."""
 
     neighbours: Neighbourhoods
-    site: Integers  # (…), or one site for all, (1)
-    sums: Integers  # (…, channel) of v = DN >> shift
-    squares: Integers | None  # (…, channel) of v²; None: the rule has one contrast, and nothing else asks for them
-    code: Integers  # (…) bit c: a pixel of channel c near the centre is saturated
-    windows: Integers  # (…, sum) of v over the windows of all further features
+    site: Integers  # (…), or (1,) if all pixels have the same site
+    sums: Integers  # (…, channel) sums of v = DN >> shift
+    squares: Integers | None  # (…, channel) sums of v²; None if the rule has a single contrast
+    code: Integers  # (…) bit c is set if a pixel of channel c near the centre is saturated
+    windows: Integers  # (…, sum) sums of v over the windows of all further features
 
     @cached_property
     def scaled(self) -> Integers:
-        """Return channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
+        """Channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
@@ -36,7 +36,7 @@ class PatchSums(NamedTuple):
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None as above
     code: Integers  # (patch) saturation codes
-    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all further features: whole numbers below 2²⁴
+    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all further features; integers below 2²⁴
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
@@ -46,12 +46,14 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean loss of values, in DN, when they are shifted right."""
+    """Return the mean decrease of values, in DN, when they are shifted right."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Return the sums of DN (tap, patch) in `order`, which are overwritten."""
+    """Return the sums over patches of values in DN (tap, patch), whose taps are sorted by `order`. The values are
+    overwritten.
+    """
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
@@ -73,7 +75,18 @@ def _channel_sums(values: NDArray[np.uint32], order: TapOrder) -> NDArray[np.uin
 def mosaic_statistics(
     values: NDArray[np.uint16], rule: ClassRule, neighbours: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
 ) -> Statistics:
-    """Return statistics of every pixel of a mosaic (row, col) of DN whose first pixel has CFA site `phase`."""
+    """Return the statistics of every pixel of a mosaic.
+
+    Parameters
+    ----------
+    values : ndarray, (row, col)
+        Raw values in DN.
+    rule : ClassRule
+    neighbours : Neighbourhoods
+    cfa : ndarray, (cfa_row, cfa_col)
+    phase : tuple of int
+        CFA site (row, col) of the first pixel.
+    """
     rows, cols = values.shape
     padded = pad_mosaic(values, rule.radius, cfa.shape).astype(np.int64)
     channel = tiled(shifted_cfa(cfa, (phase[0] - rule.radius, phase[1] - rule.radius)), padded.shape)
@@ -94,7 +107,7 @@ def mosaic_statistics(
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
-    """Return window sums (row, col, sum) of a padded mosaic of v."""
+    """Return the window sums (row, col, sum) of a padded mosaic of v."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = np.zeros((sum(axis.sums for axis in rule.axes), rows, cols), np.int64)
     first = 0
@@ -108,7 +121,7 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Return the padded array cut down to the margin that the saturation radius needs."""
+    """Return the padded array with only the margin that the saturation radius needs."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 

@@ -1,6 +1,8 @@
-"""Structure: strength and direction of the edge at a pixel, from the luminance that the layer before has made
-(docs/method.md#structure, with the formulas). The angle of (a, b) there is twice that of the gradient. All is computed in
-integers below 2³¹, and so equal everywhere.
+"""Structure: strength and direction of the edge at a pixel, from the luminance that the previous layer has rendered.
+
+docs/method.md#structure has the formulas. The angle of (a, b) is twice the angle of the gradient. All integers stay below
+2³¹,
+so results are the same on every device.
 """
 
 import functools
@@ -12,14 +14,24 @@ from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
 WIDE, NEAR = 3, 2  # lengths of `triangle_sums`: weights 1 2 3 2 1 and 1 2 1
-SIGMA = 16  # gradient units a standard deviation of noise
-NOISE_TRACE = 2 * 81 * SIGMA**2  # trace of the tensor that noise alone makes on average
-REACH = 3  # pixels beyond a plane that the structure of its edge reads
+SIGMA = 16  # gradient units per standard deviation of noise
+NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the tensor of noise alone
+REACH = 3  # pixels beyond the border that the structure of a pixel at the border reads
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
-    """Return structure (row, col) from luminance (row + 2 REACH, col + 2 REACH) and levels of the first layer (row + 4, col
-    + 4), both with a margin of mirrored pixels, and CFA sites (row, col)."""
+    """Return the structure (row, col) of every pixel.
+
+    Parameters
+    ----------
+    luminance : ndarray, (row + 2 REACH, col + 2 REACH)
+        With a margin of mirrored pixels.
+    level : ndarray, (row + 4, col + 4)
+        Levels of the first layer, with a margin of mirrored pixels.
+    site : ndarray, (row, col)
+        CFA sites.
+    rule : StructureRule
+    """
     xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int32)[level], rule.gradient_shift.astype(np.int32)[level])
     trace = xx + yy
     strength = np.searchsorted(rule.strength_edges.astype(np.int64), trace, side="left")
@@ -32,7 +44,10 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
 def tensor(
     luminance: NDArray[np.integer], factor: NDArray[np.int32], shift: NDArray[np.int32]
 ) -> tuple[Integers, Integers, Integers]:
-    """Return weighted sums (row, col) of products of gradients, each scaled by `factor` and `shift` (row + 4, col + 4)."""
+    """Return the structure tensor xx, yy, xy (row, col): weighted sums of products of gradients.
+
+    Gradients are scaled by `factor` and `shift` (row + 4, col + 4).
+    """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
     xx, yy, xy = (triangle_sums(each, WIDE).astype(np.int64) for each in (across * across, down * down, across * down))
@@ -40,8 +55,11 @@ def tensor(
 
 
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
-    """Return sums of values (row, col) over windows whose weights grow along both axes from 1 to `length` and fall again: of
-    sums of `length` values those of as many. Integers of 32 bits are added in a third of the time of 64 with weights."""
+    """Return sums of values (row, col) over windows whose weights rise from 1 to `length` and fall again, along both axes.
+
+    They are computed as sums of sums of `length` values. With 32-bit integers this takes a third of the time of weighted
+    64-bit sums.
+    """
     for _ in range(2):
         for axis in (0, 1):
             count = values.shape[axis] - length + 1
@@ -53,7 +71,7 @@ def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.intege
 
 
 def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
-    """Return the number 0…7 of the multiple of 45° nearest the angle of (a, b), and how long (a, b) is along it."""
+    """Return the number 0…7 of the multiple of 45° nearest to the angle of (a, b), and the length of (a, b) along it."""
     width, height = np.abs(a), np.abs(b)
     flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # 22.6°
     diagonal = np.where(a > 0, np.where(b > 0, 1, 7), np.where(b > 0, 3, 5))
@@ -63,8 +81,10 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs that (a, b) take when a 3 × 3 window is read in the order `turn` (tap): a quarter turn changes
-    both, a mirror image that of b, a transposition that of a."""
+    """Return the signs of (a, b) when a 3 × 3 window is read in the order `turn` (tap).
+
+    A quarter turn changes both signs, a mirror image that of b, a transposition that of a.
+    """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
     swapped = down[0] == 0  # the tap below the centre lies to its right
@@ -73,8 +93,10 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def name(rule: StructureRule, number: int, site: int) -> str:
-    """Return a structure at a site in text, such as "flat", "strength 2 of 2, no direction" or "strength 1 of 2, edge at
-    45°": the angle is that of the edge, from the horizontal, anticlockwise."""
+    """Return the name of a structure at a site, such as "flat" or "strength 1 of 2, edge at 45°".
+
+    The angle is that of the edge, anticlockwise from the horizontal.
+    """
     if number == 0:
         return "flat"
     strength, within = divmod(number - 1, 1 + DIRECTIONS)

@@ -1,7 +1,8 @@
-"""Trees: threshold tests on what the planes of the layer before show near a pixel (docs/method.md#trees, with the evidence).
+"""Trees: threshold tests on the planes of the previous layer near a pixel (docs/method.md#trees lists the quantities).
 
-A test compares a numerator with threshold times a denominator. Both are integers below 2³¹ that are converted to float32 and
-multiplied by IEEE-754's rules, once: the outcome is the same wherever it is computed.
+A test compares a numerator with a threshold times a denominator. Both are integers below 2³¹, which are converted to
+float32
+and multiplied once, by the rules of IEEE 754. The outcome is therefore the same on every device.
 """
 
 from dataclasses import dataclass
@@ -16,15 +17,15 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-TOP, CHROMA_TOP = 2895, 2047  # of gradients: sums of 81 squares of both, and of their differences, stay below 2³¹
-DARK = 512  # 16 pixels of luminance in planes' steps below which colours are not distinguished
-REACH = 3  # pixels beyond a plane that the tests at its edge read
+TOP, CHROMA_TOP = 2895, 2047  # clamps of gradients, so that sums of 81 squares, and differences of such sums, fit 31 bits
+DARK = 512  # weighted sum of luminance over 16 pixels, in steps of a plane; the quotient of chroma goes no lower
+REACH = 3  # pixels beyond the border that the tests of a pixel at the border read
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # denominators
 
 
 class Test(NamedTuple):
-    """A test of a tree: its name for people, and the denominator of its numerator."""
+    """A test of a tree: the name of its numerator, and the index of its denominator."""
 
     name: str
     denominator: int
@@ -60,15 +61,22 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """Quantities that tests compare, of the neighbourhoods of pixels."""
+    """The quantities that tests compare, for every pixel."""
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """Return the evidence (row, col) of planes (plane, row + 2 REACH, col + 2 REACH) with the `factor` and `shift` (row +
-    4, col + 4) of gradients, both with a margin of mirrored pixels."""
+    """Return the quantities that tests compare, (row, col).
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row + 2 REACH, col + 2 REACH)
+        With a margin of mirrored pixels.
+    factor, shift : ndarray, (row + 4, col + 4)
+        Scale of gradients, with a margin of mirrored pixels.
+    """
     luminance = planes[LUMINANCE]
     chroma = [plane for index, plane in enumerate(planes) if index != LUMINANCE]
 
@@ -107,18 +115,18 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
-    """Return leaf (…) of pixels of CFA `site` (…)."""
+    """Return the leaf (…) of pixels at the CFA sites `site` (…)."""
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # of a node in an orientation, and of a node: where the planes begin that are compared
+    # offsets of the planes that are compared: numerators per orientation and node, denominators per node
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
     while True:
         at = node.take(pixel)
-        inner = np.flatnonzero(rule.branch.take(at))  # the others have reached a leaf
+        inner = np.flatnonzero(rule.branch.take(at))  # pixels that have not reached a leaf
         if not inner.size:
             return rule.leaf[node].reshape(seen.numerators.shape[1:])
         pixel, at = pixel.take(inner), at.take(inner)
@@ -129,8 +137,7 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Return which numerators of a window as it lies are those of each test after it is read in orientation number `turn` of
-    `orientations`, and with which sign."""
+    """Map each tree test to the numerator, and the sign, that it has when the window is turned to orientation `turn`."""
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
     total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal
@@ -141,8 +148,10 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
 
 
 def turned_axes(turn: int) -> tuple[bool, int, int]:
-    """Return, of a window read in orientation number `turn` of `orientations`, whether its columns are rows as it lies,
-    and the signs of its steps across and down."""
+    """Return how the axes of a window change when it is read in orientation `turn` (0…7).
+
+    The result is whether rows and columns are exchanged, and the signs of the steps across and down.
+    """
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
     down = int(row[2, 1] - row[1, 1]), int(col[2, 1] - col[1, 1])

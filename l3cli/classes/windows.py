@@ -1,4 +1,4 @@
-"""The windows about the sites of a CFA: which channel each tap is of, and the reciprocals that go with their numbers."""
+"""The windows around the sites of a CFA: the channel of each tap, and reciprocals of the number of taps per channel."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,16 @@ VARIANCE_FRACTION = 9  # fractional bits of a channel variance
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The p × p windows of every site of a CFA, and the reciprocals of the class formulas."""
+    """The p × p windows of every site of a CFA, and the reciprocals in the class formulas."""
 
     channel: Integers  # (site, tap) channel of each tap
-    count: Integers  # (site, channel) taps of each channel
+    count: Integers  # (site, channel) number of taps of each channel
     mean_reciprocal: Integers  # (site, channel) round(65536 / count)
     variance_reciprocal: Integers  # (site, channel) round(512 / count)
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return windows of side `patch` about every site; RecipeError if one does not reach every channel."""
+    """Return the windows of side `patch` around every site; RecipeError if a window does not contain every channel."""
     channel = window_channels(cfa, patch)
     count = np.array([np.bincount(window, minlength=channels) for window in channel])
     if (count == 0).any():
@@ -33,7 +33,7 @@ def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbo
 
 
 def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
-    """Return the channel of each tap (site, tap), row by row, of the windows of side `patch` about every site."""
+    """Return the channel of each tap (site, tap), row by row, in windows of side `patch` around every site."""
     rows, cols = cfa.shape
     reach = np.arange(patch) - patch // 2
     windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
@@ -47,17 +47,19 @@ def _divided(numerator: int, count: Integers) -> Integers:
 
 @dataclass(frozen=True)
 class TapOrder:
-    """The taps of a site's window sorted by channel, those near the centre first in each: sums over the taps of a channel
-    are then sums over neighbouring rows of an array (tap, patch), the fastest that numpy does."""
+    """The taps of a site's window sorted by channel, and within a channel with those near the centre first.
 
-    taps: Integers  # (tap)
-    channels: tuple[slice, ...]  # (channel) where its taps lie
-    inner: tuple[slice, ...]  # (channel) where those lie that decide the saturation case
+    Sums over a channel's taps are then sums over adjacent rows of an array (tap, patch), which numpy computes fastest.
+    """
+
+    taps: Integers  # (tap) indices in the window
+    channels: tuple[slice, ...]  # the taps of each channel
+    inner: tuple[slice, ...]  # the taps of each channel that decide the saturation case
     windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all further features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
-    """Return the order for one site."""
+    """Return the order of taps for one site."""
     channel, channels = neighbours.channel[site], neighbours.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
@@ -73,7 +75,7 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return the number of times that each tap (sum, tap), row by row, counts in the window sums of all further features."""
+    """Return how often each tap (sum, tap), row by row, counts in the window sums of all further features."""
     counts = np.zeros((sum(axis.sums for axis in rule.axes), rule.patch, rule.patch), np.float32)
     first = 0
     for axis in rule.axes:
@@ -85,7 +87,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return CFA site (row, col) of every pixel of a frame."""
+    """Return the CFA site (row, col) of every pixel of a frame whose first pixel has the site `phase`."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col

@@ -257,7 +257,7 @@ def _constants(table: TransformTable) -> dict[str, Any]:
     if table.later:
         values |= {"plane_step": PLANE_STEP, "plane_top": PLANE_TOP, "coarse": COARSE, "coarse_top": COARSE_TOP,
                    "ratio_darkest": RATIO_DARKEST, "alike": ALIKE.tolist(),
-                   "clip_sides": list(clipping.block_sides(table.cfa)), "faintest": clipping.FAINTEST,
+                   "clip_sides": list(clipping.block_sides(table.cfa)), "faintest": clipping.MIN_WEIGHT,
                    "begins": [clipping.BEGINS, clipping.CLIPS],
                    "kept": [clipping.KEPT, clipping.REPLACED], "plain": [clipping.PLAIN, clipping.TEXTURED],
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,

@@ -216,7 +216,7 @@ def _clipping_known(table: TransformTable) -> dict[str, float | int]:
         "clip_rows": rows,
         "clip_columns": columns,
         "clip_bright": clipping.first_bright(table.black_level, table.white_level),
-        "clip_faintest": clipping.FAINTEST,
+        "clip_faintest": clipping.MIN_WEIGHT,
         "clip_begins": clipping.BEGINS,
         "clip_clips": clipping.CLIPS,
         "clip_kept": clipping.KEPT,

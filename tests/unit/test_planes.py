@@ -9,7 +9,7 @@ from l3cli.artifacts.table import PLANE_STEP
 from l3cli.classes.planes import (
     COARSE,
     COARSE_TOP,
-    MOST_FRACTION,
+    MAX_FRACTION,
     coarse,
     fixed_point,
     opponent_basis,
@@ -33,11 +33,11 @@ def test_no_raw_values_leave_32_bits(bits: int, size: float) -> None:
     assert least >= -(2**15)
     assert most < 2**15
     offset = fixed.intercept + middle * weights.sum(axis=-1)
-    size_of_sum = (np.abs(weights) * max(-least, most)).sum(axis=-1) + np.abs(offset) + 2**MOST_FRACTION
+    size_of_sum = (np.abs(weights) * max(-least, most)).sum(axis=-1) + np.abs(offset) + 2**MAX_FRACTION
     assert size_of_sum.max() < 2**31
     assert np.abs(weights).max() < 2**15
     one_more = (np.abs(weights).max(axis=(1, 2)) >= 2**14 - 1) | (size_of_sum.max(axis=-1) >= 2**29)
-    assert (one_more | (fixed.fraction == MOST_FRACTION)).all()  # no class has room for another bit
+    assert (one_more | (fixed.fraction == MAX_FRACTION)).all()  # no class has room for another bit
 
 
 def test_weights_of_each_channel_add_up_as_they_did() -> None:
@@ -76,7 +76,7 @@ def test_layers_between_read_16_bits_and_stay_within_32() -> None:
     layer = table.later[0]
     layer = dataclasses.replace(layer, intercept=np.full_like(layer.intercept, 0.7))
     fixed = refined_fixed_point(layer, opponent_basis(table.white_point))
-    sums = (np.abs(fixed.weights.astype(np.int64)) * COARSE_TOP).sum(axis=-1) + np.abs(fixed.intercept) + 2**MOST_FRACTION
+    sums = (np.abs(fixed.weights.astype(np.int64)) * COARSE_TOP).sum(axis=-1) + np.abs(fixed.intercept) + 2**MAX_FRACTION
     assert sums.max() < 2**31
     planes = np.array([0, 1 << COARSE >> 1, (1 << COARSE >> 1) - 1, -(1 << COARSE), 2**22 - 1, 1 - 2**22], np.int32)
     assert coarse(planes).tolist() == [0, 1, 0, -1, COARSE_TOP, -COARSE_TOP]

@@ -199,7 +199,7 @@ def clipping_macros(table: TransformTable) -> Macros:
         "REPLACED_FROM": clipping.REPLACED,
         "PLAIN_UP_TO": clipping.PLAIN,
         "TEXTURED_FROM": clipping.TEXTURED,
-        "FAINTEST": clipping.FAINTEST,
+        "FAINTEST": clipping.MIN_WEIGHT,
     }
     return {
         "CHANNELS": len(table.channels),
