@@ -158,7 +158,7 @@ def test_a_table_for_less_noise_has_lower_edges() -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (direction.Options(strengths=()), "strengths must be there"),
+        (direction.Options(strengths=()), "one or more positive numbers"),
         (direction.Options(strengths=(3.0, 2.0)), "increase"),
         (direction.Options(strengths=(-1.0, 2.0)), "positive"),
     ],
