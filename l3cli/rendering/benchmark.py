@@ -1,6 +1,6 @@
-"""Time of a frame, stage by stage, on synthetic frames through synthetic tables of real size.
+"""Rendering time per frame and stage, measured with synthetic frames and synthetic tables of realistic size.
 
-A frame is timed from uint16 in host memory to the result in host memory, everything included.
+The time of a frame runs from uint16 values in host memory to the result in host memory, with all transfers.
 """
 
 import functools
@@ -26,11 +26,11 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-SIDE = 5  # of the windows of the second layer
-TWO_LAYERS = ("default",)  # classes with a second layer
-STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # as configs/classes/default.toml has them
+SIDE = 5  # pixels, side of the second layer's windows
+TWO_LAYERS = ("default",)  # class recipes with a second layer
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # values of configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
-FRAMES = 40  # timed frames of each case, after WARM_UP more
+FRAMES = 40  # timed frames per case, after WARM_UP untimed frames
 WARM_UP = 3
 
 
@@ -43,7 +43,7 @@ class Case:
     patch: int
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # 3: X, Y, Z, shown as sRGB of 8 bits; another number: outputs as they are
+    outputs: int = 3  # 3: X, Y, Z, encoded as 8-bit sRGB; other numbers: floating-point outputs
 
 
 CFAS = {
@@ -53,7 +53,6 @@ CFAS = {
 CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and chromas of recipes in configs/classes
 
 
-# Long: a rule and a table have many fields, and each is named.
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
     """Return a table with as many classes as a trained one: the recipe's levels and chromas, two contrasts (one before a
     second layer) and ten saturation cases.
@@ -113,7 +112,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
 
 
 def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
-    """Return the directions of the recipe `default` before a second layer."""
+    """Return the direction feature that the recipe `default` uses before a second layer."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
     noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
@@ -147,12 +146,14 @@ def _second_layer(
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return variance (DN²) of the noise of `synthetic_frame`, nearly."""
+    """Return the approximate noise variance of `synthetic_frame` in DN²."""
     return 30 + 0.4 * level
 
 
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
-    """Return a smooth scene over all levels with noise and some texture: neighbours change class as in real ones."""
+    """Return a smooth scene over all levels, with noise and some texture, so that neighbours differ in class as in real
+    frames.
+    """
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
     channel = cfa[row % cfa.shape[0], col % cfa.shape[1]]
@@ -166,8 +167,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return edges all over the frame, as near to one another as in a busy scene: from one pixel of a site to the next,
-    structures change more often than not."""
+    """Return edges all over the frame, as dense as in a busy scene, so that adjacent pixels of a site mostly differ in
+    structure.
+    """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
         drawn = rng.standard_normal((case.height // side + 1, case.width // side + 1))
@@ -192,14 +194,21 @@ TINY = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return all measurements of a variant on a device, by default of the one made for it and of the reference."""
+    """Return the measurements of a variant on a device. Without `variant`, the reference renderer is measured, too."""
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in TINY if variant is None]
 
 
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
-    """Return medians over FRAMES frames on an OpenCL device: frame_ms as the caller waits, stages_ms as the device counts
-    them (OpenCLRenderer.stage_times), stages_sum_ms."""
+    """Return the medians over FRAMES frames on an OpenCL device.
+
+    Returns
+    -------
+    dict
+        The case, and "frame_ms" as the caller waits, "stages_ms" as the device measures them (OpenCLRenderer.stage_times)
+        and
+        "stages_sum_ms".
+    """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)
     shown = display if case.outputs == 3 else None
@@ -215,7 +224,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Return the same of the numpy reference, which has no stages to speak of."""
+    """Return the same for the numpy reference, with only three stages."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))
@@ -232,7 +241,7 @@ def _synthetic(case: Case) -> tuple[TransformTable, RawFrame, Display]:
 
 
 def _times(render: Callable[[], object]) -> list[float]:
-    """Return the milliseconds of FRAMES calls of `render`."""
+    """Return the durations of FRAMES calls of `render`, in ms."""
     waits = []
     for turn in range(WARM_UP + FRAMES):
         start = time.perf_counter()

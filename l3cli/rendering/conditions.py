@@ -1,6 +1,8 @@
-"""Selection of a table's transforms by the conditions of what is rendered: a frame's light, or a mixture of two
-(docs/method.md#several-lights), its analog gain (docs/method.md#gains), and the noise that a filter in time has left in
-each pixel (docs/method.md#noise-sets)."""
+"""Selection of the transforms that fit a frame.
+
+They depend on the frame's light, which may be a mixture of two (docs/method.md#several-lights), on its analog gain
+(docs/method.md#gains), and on the noise that a temporal filter has left in each pixel (docs/method.md#noise-sets).
+"""
 
 import functools
 import itertools
@@ -24,13 +26,13 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-LITTLE = 1e-30  # DN², where all clips
-DARKEST_REFINED = 2.0  # signal over noise: refinement layers of darker levels leave more noise than those of this one
-LEFT = (1 / 16, 1 / 4)  # shares of noise that a filter in time leaves: noise of lower gains
-STEPS = 12  # of gains that frames are rendered at, to a doubling
-SAME_GAIN = 0.01  # relative difference
-FAR = 1.5  # times an analog gain beyond those at which a camera's noise is known
-CLEARLY_LESS = 0.75  # of a noise: transforms for hardly less are not worth a set
+MIN_VARIANCE = 1e-30  # DN², assumed where all channels clip
+DARKEST_REFINED = 2.0  # signal-to-noise ratio; transforms of darker levels would leave more noise than those at this level
+LEFT = (1 / 16, 1 / 4)  # fractions of the noise left by a temporal filter, for which transforms at lower gains are used
+STEPS = 12  # gains per doubling at which frames are rendered
+SAME_GAIN = 0.01  # relative difference up to which gains count as equal
+FAR_GAIN = 1.5  # factor beyond the known analog gains from which a frame is reported
+CLEARLY_LESS = 0.75  # fraction of a noise; transforms for hardly less noise are not worth a set
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -41,16 +43,20 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 @dataclass(frozen=True)
 class Mix:
-    """Two of a table's lights, by their indices, and the share of the cooler one."""
+    """A mixture of two of a table's lights."""
 
-    warm: int
-    cool: int
-    share: float
+    warm: int  # index of the light
+    cool: int  # index of the light
+    share: float  # of the cooler light
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the mix for a scene whose white has the XYZ (3): linear in reciprocal colour temperature between the lights
-    next to it, the outermost light beyond. None: the table has transforms for no single light."""
+    """Return the mixture of a table's lights for a scene whose white has the given XYZ (3).
+
+    The mixture is linear in reciprocal colour temperature between the two nearest lights. Beyond the outermost light it
+    is
+    that light alone. The result is None if the table has no transforms for single lights.
+    """
     if not table.lights:
         return None
     mireds = [mired_of(light.white_point[:3]) for light in table.lights]
@@ -63,13 +69,15 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the one of those two lights that is nearer to a white (3), alone: for frames that are balanced for it."""
+    """Return the nearer of the two lights that `mix_for` mixes, alone. It is used for frames that are balanced for a white
+    (3).
+    """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
 
 
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
-    """Return the table of the transforms that a mix of its lights makes; None: of those for all lights in common."""
+    """Return the table whose transforms are a mixture of those for two lights; for None, those for all lights in common."""
     common = table.of_light(None)
     if mix is None:
         return common
@@ -88,7 +96,7 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
 
 
 def described(table: TransformTable, mix: Mix) -> str:
-    """Return the mix in words, such as "62 % A, 38 % D65", or "A"."""
+    """Return the mixture in words, such as "62 % A, 38 % D65", or "A"."""
     warm, cool, percent = table.lights[mix.warm].name, table.lights[mix.cool].name, round(100 * mix.share)
     if percent in (0, 100):
         return cool if percent else warm
@@ -96,7 +104,7 @@ def described(table: TransformTable, mix: Mix) -> str:
 
 
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
-    """Return the transforms between those of two, by a share of each layer, or one of each class of it."""
+    """Return layers with transforms between those of two others, by a weight per layer, or per class of a layer."""
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
@@ -112,7 +120,10 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Mix two; equal ones stay; shares, of all or of each along the first axis, of 0 and 1 give one of the two."""
+    """Return the weighted mean of two arrays; `share` is the weight of the second, for all or per element of the first axis.
+
+    Equal values, and values with a weight of 0 or 1, are returned unchanged.
+    """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
     return np.where(one == other, one, (1 - share) * one + share * other).astype(warm.dtype)
@@ -122,27 +133,36 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 
 
 def known_gains(table: TransformTable) -> tuple[float, float]:
-    """Return the least and the largest analog gain at which the noise of a table's camera is known; 1 is that of its own."""
+    """Return the lowest and the highest analog gain at which the noise of a table's camera is known, relative to its own
+    gain.
+    """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the analog gain of a camera's frames over that of the table's camera, both brought to the same levels; 1 of a
-    table of before, which does not know its camera."""
+    """Return the analog gain of a camera's frames relative to the table's camera, when both are brought to the same levels.
+
+    It is 1 for an older table, which does not hold its camera.
+    """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
 
 
 def nearest_step(gain: float) -> float:
-    """Return the nearest of the gains that frames are rendered at, STEPS to a doubling: of a gain that drifts few renderers
-    are made, and noise is that of transforms within 3 %."""
+    """Return the nearest gain at which frames are rendered, of STEPS per doubling.
+
+    A gain that drifts then needs few renderers. The noise differs by at most 3 % from that of the transforms.
+    """
     return float(2.0 ** (round(STEPS * np.log2(gain)) / STEPS))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Return the table for frames at an analog gain over its camera's (docs/method.md#gains), with transforms for less noise
-    where that is of such a gain that the table is for, too; itself if it does not know its camera."""
+    """Return the table for frames at an analog gain, relative to its camera's gain (docs/method.md#gains).
+
+    Transforms that the table has for less noise are kept if they still apply. A table that does not hold its camera is
+    returned as it is.
+    """
     if gain == 1 or table.camera is None:
         return table
     common, *lit = (_at_gain(table.of_light(light), gain) for light in (None, *table.lights))
@@ -154,7 +174,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Return the same of a table of no single lights."""
+    """Return a table without single lights for frames at an analog gain."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -167,15 +187,19 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return the one set of transforms for a gain, each class with those of the level at which the camera's own noise is as
-    large beside the signal; what clips keeps its own."""
+    """Return one set of transforms for a gain.
+
+    The relative noise of each level at this gain equals that of another level at the camera's own gain. Each class takes
+    the
+    transforms of that level. Classes of clipped pixels keep their own.
+    """
     if gain == 1:
         return table
     assert table.camera is not None
     camera, exposure, span = table.camera.at_gain(gain), table.exposure, table.white_level - table.black_level
 
     def noise(of: CameraModel, seconds: float, at: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.maximum(contrast.noise_of_grey(at, of, of.dark_signal(seconds)), LITTLE)
+        return np.maximum(contrast.noise_of_grey(at, of, of.dark_signal(seconds)), MIN_VARIANCE)
 
     means = level.centres(level.inner_bounds(table.first.rule, table.black_level, table.white_level))
     levels = level.unclipped_level(means, camera.sensitivity) / camera.sensitivity.mean()
@@ -205,8 +229,12 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
-    """Return a layer of an array of so many `sites` whose classes where nothing clips, which have no intercept, have the
-    transforms of other levels: each level of the first layer those at `place` (level)."""
+    """Return a layer whose unclipped classes take the transforms of other levels.
+
+    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) states,
+    for each
+    level of the first layer, the level to read, which may lie between two. `sites` is the number of sites of the array.
+    """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
     there, own = rule.split(every), numbers if first else np.asarray(rule.level_of(numbers))
@@ -222,18 +250,26 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return for each noise below the camera's that a table has transforms for, the largest first, the share of the noise up
-    to which a pixel is rendered by these: a quarter of the way, in logarithms, to the next larger noise."""
+    """Return, for each noise below the camera's, the fraction of noise up to which its transforms are used, largest noise
+    first.
+
+    The limit lies a quarter of the way, in logarithms, to the next larger noise.
+    """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """Transforms that the pixels of a frame choose from: those for the noise of a table's camera and, `by_noise`, those for
-    less. InputFileError if they do not read alike.
+    """The sets of transforms that the pixels of a frame choose from.
 
-    Classes for less noise follow the others, as if they were of an array of more sites: whatever is chosen by class, by
-    kernels or by the reference, lies in arrays of all sets, one behind the other.
+    The first set is for the noise of the table's camera. With `by_noise`, further sets are for less noise. The classes of
+    the sets
+    are numbered one after the other, as if each set had its own sites, so that kernels and the reference index one array.
+
+    Raises
+    ------
+    InputFileError
+        If the sets have class rules with different formulas.
     """
 
     def __init__(self, table: TransformTable, by_noise: bool) -> None:
@@ -249,7 +285,7 @@ class NoiseSets:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return the share of the noise that a frame has of what its table is for."""
+        """Return the fraction of the noise, relative to the noise that the table is for."""
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
@@ -260,19 +296,19 @@ class NoiseSets:
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """Return the first layers, one behind the other; the rule is that of the first set."""
+        """The first layers of all sets, joined; the rule is that of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """Return each refinement layer of all sets in the same way."""
+        """The refinement layers of all sets, joined in the same way."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """Return the first layers as integers."""
+        """The first layers of all sets as integers."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
@@ -287,8 +323,11 @@ class NoiseSets:
 
 
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
-    """Return the table for frames with this share of the camera's noise variance: class edges that follow noise, but not
-    trees, are scaled, so that detail that noise would hide differs from flat areas again; transforms stay as learned."""
+    """Return the table with class edges for frames that have this fraction of the camera's noise variance.
+
+    Edges of contrast, strength and further features follow the noise, so that texture differs from flat areas again. The
+    scale of gradients and the transforms stay the same.
+    """
     first = _with_edges(table.first.rule, share)
 
     def scaled(layer: PlaneLayer) -> PlaneLayer:
@@ -303,13 +342,13 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Return a rule whose edges that follow noise are for this share of its variance, or that of each level."""
+    """Return a rule with its noise-dependent edges scaled for this fraction of the noise variance, in all or per level."""
     axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
     features = FurtherFeatures.of(axes) if axes else None
     return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Return edges (edge, …) times a share; they still increase."""
+    """Return edges (edge, …) multiplied by a fraction, kept increasing."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

@@ -1,4 +1,6 @@
-"""Pictures of XYZ in a colour space: matrix, gamut, curve and rounding (docs/method.md#display)."""
+"""From XYZ to a picture in a colour space: matrix, gamut mapping, tone curve, transfer curve, rounding
+(docs/method.md#display).
+"""
 
 from dataclasses import dataclass
 
@@ -11,20 +13,20 @@ from l3cli.physics.display import CODES, Tone, codes, display_white
 from l3cli.physics.gamut import gamut_of, into_gamut
 from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
 
-MOST_LAYERS = 4
+MAX_LAYERS = 4  # that the renderers support
 
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and the picture, the last stage of rendering.
+    """Everything between XYZ and the codes of a picture, which is the last stage of rendering.
 
-    code = top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)), rounded.
+    code = top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)), rounded
     """
 
-    matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, adaptation and exposure scale folded in
-    bits: int  # of a code, a key of CODES
-    space: Space = SRGB  # with a curve
-    tone: Tone | None = None  # None: linear values as they are
+    matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, including adaptation and exposure scale
+    bits: int  # bits of a code, a key of CODES
+    space: Space = SRGB  # must have a transfer curve
+    tone: Tone | None = None  # None: no tone curve
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
@@ -34,13 +36,13 @@ class Display:
 
     @property
     def curve(self) -> Curve:
-        """Return the transfer curve of the space."""
+        """Transfer curve of the space."""
         assert self.space.curve is not None
         return self.space.curve
 
     @property
     def top(self) -> int:
-        """Return the code of 1."""
+        """The highest code."""
         return 2**self.bits - 1
 
     @property
@@ -49,8 +51,24 @@ class Display:
 
 
 def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
-    """Return a display that shows `scale` · XYZ of a scene whose white is `white` (3) in a space that has a curve, adapted
-    so that this white becomes that of the space; RecipeError if white or scale is not positive."""
+    """Return a display for scenes with a given white.
+
+    Parameters
+    ----------
+    white : ndarray, (3,)
+        XYZ of the scene's white, which becomes the white of the space.
+    scale : float
+        Exposure: factor of XYZ.
+    bits : int
+        8 or 16.
+    space : Space
+        A space with a transfer curve.
+
+    Raises
+    ------
+    RecipeError
+        If white or scale is not positive.
+    """
     if not np.all(np.asarray(white) > 0):
         raise RecipeError("scene white and exposure must be positive")
     return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
@@ -59,14 +77,20 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
 def adapted_display(
     adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB, tone: Tone | None = None
 ) -> Display:
-    """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ of a scene, adapted to D65, in a space that has a
-    curve, through a tone curve; RecipeError if the scale is not positive."""
+    """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ, where the adaptation leads to D65.
+
+    RecipeError if the scale is not positive.
+    """
     return Display(linear_matrix(adaptation, scale, space), bits, space, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
-    """Return linear values of a space = M (3, 3) @ XYZ of a scene: `scale` · `adaptation` (3, 3) to D65, and from there to
-    what the space shows as white; RecipeError if the scale is not positive."""
+    """Return M (3, 3), such that M @ XYZ are linear values of a space.
+
+    It multiplies by `scale`, adapts to D65 by `adaptation` (3, 3), and from there to the white of the space. RecipeError
+    if the
+    scale is not positive.
+    """
     if not (np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
     daylight, neutral = display_white(), space.neutral_xyz
@@ -75,7 +99,7 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise RecipeError unless a table's outputs are what a picture is made from: X, Y, Z, or GREY."""
+    """Raise RecipeError unless pictures can be made of a table's outputs, which are X, Y, Z or GREY."""
     if outputs not in (("X", "Y", "Z"), GREY):
         raise RecipeError(
             f"pictures need the outputs X, Y, Z, or Y alone, this table has {', '.join(outputs)}; write an .exr file"
@@ -83,34 +107,32 @@ def require_xyz(outputs: tuple[str, ...]) -> None:
 
 
 def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how the outputs of a table are adapted to D65.
+    """Return the matrix that adapts the outputs of a table to D65.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
     adaptation : ndarray, (3, 3)
-        XYZ under D65 of the table's X, Y, Z, by the white of the scene.
+        From the table's X, Y, Z under the white of the scene to XYZ under D65.
 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation`; of a table that shows grey, the white of D65 times the second output, Y. Values of a picture are then
-        equal, to the bit.
+        `adaptation`. For a table that shows grey it is the white of D65 times Y, so that R, G and B of a picture are
+        exactly
+        equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 
 
 def require_known_layers(table: TransformTable) -> None:
-    """Raise RecipeError for a table of more layers than renderers know."""
-    if len(table.layers) > MOST_LAYERS:
-        raise RecipeError(
-            f"this table has {len(table.layers)} layers, and {MOST_LAYERS} at most can be rendered; train it again"
-        )
+    """Raise RecipeError if a table has more layers than renderers support."""
+    if len(table.layers) > MAX_LAYERS:
+        raise RecipeError(f"this table has {len(table.layers)} layers; train it again with at most {MAX_LAYERS}")
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Return XYZ planes (output, row, col) as the display's codes (row, col, 3), computed in float64."""
+    """Return XYZ planes (output, row, col) as codes (row, col, 3), computed in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)
     shown = within if display.tone is None else display.tone.toned(within)

@@ -1,5 +1,6 @@
-"""Measurements of few pixels a frame: the exposure of a sequence, followed without flicker (docs/method.md#display), and the
-share of a frame that a table has learned to render."""
+"""Measurements on a sample of a frame's pixels: exposure without flicker (docs/method.md#display), and out-of-range
+pixels.
+"""
 
 import functools
 import math
@@ -17,21 +18,35 @@ from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
-GRID = (32, 48)  # rows and columns of pixels that are measured, at most
+GRID = (32, 48)  # largest number of rows and columns of pixels that are measured
 
 
 class SpreadSamples:
-    """Evenly spread patches of frames, about 1500 each of one CFA site, at a table's levels, and their classes in its first
-    layer."""
+    """About 1500 evenly spaced patches of a frame, all at one CFA site, at the table's levels, with their classes."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
         self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
-        self._orders: dict[int, TapOrder] = {}  # by CFA site
+        self._orders: dict[int, TapOrder] = {}  # per CFA site
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Return patches (patch, tap) of a frame with the gains (channel) of a white balance, shading that of each patch;
-        the CFA site of them all, that of the frame's first pixel; and their classes (patch) within the site."""
+        """Return the patches of a frame, their CFA site and their classes.
+
+        Parameters
+        ----------
+        frame : RawFrame
+        gains : ndarray, (channel,), optional
+            Gains of a white balance, which are applied to the patches.
+
+        Returns
+        -------
+        patches : RawFrame
+            Values (patch, tap), with the shading of each patch.
+        site : int
+            CFA site of all patches, which is that of the frame's first pixel.
+        labels : ndarray, (patch,)
+            Classes of the first layer, within the site.
+        """
         table, rule = self._table, self._table.first.rule
         cut, site = self._cut(frame), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
         if gains is not None:
@@ -42,7 +57,7 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Return the same patches (patch, tap) of a frame without a white balance."""
+        """Return the same patches (patch, tap) without a white balance."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
@@ -62,26 +77,29 @@ class SpreadSamples:
         return replace(frame, values=patches, shading=shading)
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
-        """Return rows and columns of the grid in which the patches of a frame lie, row by row."""
+        """Return the rows and columns of the grid of patches, which are numbered row by row."""
         down, across = self._geometry(frame)
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return the numbers that `_windows` depends on, of rows and of columns."""
+        """Return the arguments of `_windows` for rows and for columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
-        """Return values (patch, tap) as shares of full scale."""
+        """Return values (patch, tap) as fractions of full scale."""
         full_scale = np.float32(self._table.white_level - self._table.black_level)
         return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
 
 class LightMeter:
-    """The 99th percentile of Y of a frame, from about 1500 pixels of one CFA site rendered on the processor, at most the
-    luminance of a white that clips every channel: such a white is always shown white.
+    """Meter of the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the processor.
 
-    All sites of a table answer a flat area alike, so one stands for all. A pure function of the frame, whatever the device.
+    The result is limited to the luminance of a white that clips every channel, because such a white is always shown
+    white. The
+    pixels have a single CFA site, since all sites respond equally to uniform areas. The result depends only on the frame,
+    not on
+    the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -91,7 +109,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return Y that ought to be shown white, of the frame with the gains of a white balance."""
+        """Return the Y of a frame that should be shown white, after the gains of a white balance."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -101,10 +119,12 @@ class LightMeter:
         return raised * frame.light_share * min(white_percentile(luminance), self._limit)
 
 
-@functools.lru_cache(4)  # the same for every frame of a sequence
+@functools.lru_cache(4)  # frames of a sequence share it
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return padded indices (position, tap) along an axis of patches at evenly spread samples, at most so many, of the first
-    sample's phase, and the samples that these are."""
+    """Return the padded indices (position, tap) of evenly spaced patches along an axis, and the indices that they stand for.
+
+    All patches are centred on samples with the phase of the first sample. There are at most `most` patches.
+    """
     available = -(-length // period)
     spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
     chosen = spread[np.diff(spread, prepend=-1) > 0]  # np.unique would load modules that rendering does not need
@@ -114,7 +134,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return index (patch, tap) into a frame's values, row by row, of what patches hold. One, not two: half the time."""
+    """Return the index (patch, tap) of each tap in the flattened frame. One index takes half the time of two."""
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
     places.flags.writeable = False
@@ -122,11 +142,12 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 
 
 class SteadyExposure:
-    """Exposure scale of each frame of a sequence in its order.
+    """Exposure scale of each frame of a sequence, in order.
 
-    The first frame is shown as its light asks, later ones follow exponentially in log exposure: noise in the
-    measurement is averaged away, a change of light is followed without overshoot, and one of analog gain at once. Only past
-    frames count.
+    The first frame gets the scale that its brightness requires. Later frames approach theirs exponentially, in log
+    exposure. This
+    averages the noise of the measurement, and follows a change of light without overshoot. A change of analog gain is
+    followed immediately. The scale depends only on past frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -134,8 +155,9 @@ class SteadyExposure:
         self._log: float | None = None
 
     def scale(self, brightness: float, gain: float = 1.0) -> float:
-        """Return the scale of the next frame, of this analog gain; a frame that is all dark leaves it where it was (1 at the
-        beginning)."""
+        """Return the scale of the next frame, at its analog gain. A completely dark frame keeps the scale (1 at the
+        beginning).
+        """
         if brightness > 0:
             wanted = math.log(gain / brightness)
             self._log = wanted if self._log is None else self._log + self._share * (wanted - self._log)
@@ -144,23 +166,23 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Shares of a frame's pixels, each counted once at most among the first three."""
+    """Fractions of a frame's pixels that the table was not trained for. A pixel counts in at most one of the first three."""
 
-    darker: float  # than every level that the table has patches of
-    brighter: float
-    untrained: float  # between those levels, in classes without patches of their own
-    saturated: float  # clipped, or so near a clipped pixel that it decides the class
+    darker: float  # darker than every level with training patches
+    brighter: float  # brighter than every level with training patches
+    untrained: float  # between these levels, but in classes without training patches
+    saturated: float  # in classes that clipped pixels decide
 
 
 class RangeMeter:
-    """Shares of frames outside of what a table has learned, from about 1500 pixels of one CFA site each (as LightMeter)."""
+    """Meter of the pixels that a table was not trained for, from about 1500 pixels of one CFA site per frame."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
         self._samples = table.first.rule.by_axis(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
-        """Return the shares of a frame of any size and phase."""
+        """Return the fractions for a frame of any size and phase."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
@@ -172,7 +194,9 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """Return the darkest and brightest level that the table has patches of, as shares of full scale."""
+        """Return the darkest and the brightest signal of the levels that have training patches, as fractions of full
+        scale.
+        """
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

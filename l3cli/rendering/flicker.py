@@ -1,9 +1,13 @@
-"""Flicker of mains light in a sequence: how much brighter each frame is because of it (docs/method.md#flicker).
+"""Flicker of mains light in a sequence: by how much it brightens or darkens each frame (docs/method.md#flicker).
 
-Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. A camera of r frames a second sees this, and its second harmonic, at
-the nearest distance to a multiple of r: 100 Hz at 30 frames a second is 10 Hz. The log brightness of a sequence is a slow
-trend, jumps where the light or the picture changes, and sines of these few known frequencies. They are fitted to the
-differences from frame to frame, where a jump is one outlier, which the fit leaves out.
+Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. A camera with r frames per second sees this frequency, and its
+second
+harmonic, aliased: at the distance to the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per
+second.
+
+The log brightness of a sequence is modelled as a slow trend, jumps where light or picture change, and sines at these few
+known frequencies. The model is fitted to the differences between consecutive frames. There a jump is a single outlier,
+which the robust fit ignores.
 """
 
 from collections.abc import Sequence
@@ -17,23 +21,23 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import SpreadSamples
 
-LOOKAHEAD = 16  # frames on either side of a frame that its flicker is fitted to
-LEAST_STEPS = 8  # differences between frames, for a fit
-LEAST_CYCLES = 2.0  # of a sine within that window: slower ones are changes of light
+LOOKAHEAD = 16  # frames before and after a frame to which its flicker is fitted
+MIN_STEPS = 8  # differences between frames that a fit needs
+MIN_CYCLES = 2.0  # of a sine within the window; slower changes are changes of light
 MAINS_HZ = (50, 60)
-HARMONICS = (2, 4)  # of the mains: light has no sign, so it flickers at twice its frequency
-LEAST_SIGNAL = 0.005  # of full scale, of a patch whose ratio counts
-LEAST_PATCHES = 50
-LEAST_SUM, BIWEIGHT = 10, 5  # rounds of reweighting: for the least sum of magnitudes, then by Tukey's biweight
-EXACT = 5e-4  # log ratio up to which a step agrees with a fit, however small the others' errors are
-OUTLIER = 4.685  # standard deviations, of Tukey's biweight
+HARMONICS = (2, 4)  # multiples of the mains frequency; lamps flicker at twice the frequency, since power has no sign
+MIN_SIGNAL = 0.005  # of full scale, in a patch whose ratio counts
+MIN_PATCHES = 50
+L1_ROUNDS, BIWEIGHT_ROUNDS = 10, 5  # of reweighting: for least absolute deviations, then with Tukey's biweight
+EXACT = 5e-4  # log ratio; steps this close to the fit agree with it, however small the other errors are
+OUTLIER = 4.685  # cut-off of Tukey's biweight in standard deviations
 Array = NDArray[np.float64]
 
 
 class BrightnessRatio:
-    """The log ratio of the brightness of each frame to that of the frame before, from about 1500 patches of the raw values.
+    """The log ratio of each frame's brightness to the previous frame's, from about 1500 patches of raw values.
 
-    It is the median over the patches, so that what moves does not count as long as it is less than half of the picture.
+    It is the median over the patches, so that motion has no influence while it covers less than half of the picture.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -41,15 +45,15 @@ class BrightnessRatio:
         self._before: Array | None = None
 
     def of(self, frame: RawFrame) -> float:
-        """Return the log ratio to the frame before; 0 of the first frame, and where patches are dark or clipped."""
+        """Return the log ratio to the previous frame, or 0 for the first frame and if patches are dark or clipped."""
         patches = self._samples.patches(frame)
         signal = self._samples.signal(patches)
         now = np.where((signal < 1).all(axis=1), signal.mean(axis=1, dtype=np.float64), np.nan) / frame.gain
         before, self._before = self._before, now
         if before is None or before.shape != now.shape:
             return 0.0
-        usable = np.minimum(now, before) * frame.gain > LEAST_SIGNAL  # false where one is not known
-        if usable.sum() < LEAST_PATCHES:
+        usable = np.minimum(now, before) * frame.gain > MIN_SIGNAL  # false where either is NaN
+        if usable.sum() < MIN_PATCHES:
             return 0.0
         return float(np.median(np.log(now[usable] / before[usable])))
 
@@ -64,7 +68,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     rate : Fraction
         Frames per second.
     frames : int
-        Frames in which a sine must have LEAST_CYCLES, and differ from another by one cycle.
+        Frames in which a sine must have MIN_CYCLES, and differ from another by one cycle.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
     for harmonic in HARMONICS:
         cycles = Fraction(mains * harmonic) / rate
         seen = float(abs(cycles - round(cycles)))
-        if seen * frames >= LEAST_CYCLES and all(abs(seen - other) * frames >= 1 for other in found):
+        if seen * frames >= MIN_CYCLES and all(abs(seen - other) * frames >= 1 for other in found):
             found.append(seen)
     return found
 
@@ -84,8 +88,8 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
 class Flicker:
     """The flicker of a frame."""
 
-    log: float  # of the factor by which it makes the frame brighter
-    mains: int | None  # Hz, of the mains that explain it; None: no flicker is seen
+    log: float  # logarithm of the factor by which flicker brightens the frame
+    mains: int | None  # Hz; None if no flicker is seen
 
 
 def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rate: Fraction) -> Flicker:
@@ -109,7 +113,7 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
     """
     at, steps = np.asarray(times, np.float64), np.asarray(ratios, np.float64)[1:]
     best, least = Flicker(0.0, None), np.inf
-    if steps.size < LEAST_STEPS:
+    if steps.size < MIN_STEPS:
         return best
     total = _spread(steps - np.median(steps))
     for mains in MAINS_HZ:
@@ -130,14 +134,14 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
 
 
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
-    """Return the solution of basis · x = values without outliers, and the spread of what is left."""
+    """Return the robust solution of basis · x = values, and the spread of the residuals."""
     weights = np.ones(values.size)
-    for number in range(LEAST_SUM + BIWEIGHT):
+    for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):
         root = np.sqrt(weights)
         solution = np.linalg.lstsq(basis * root[:, None], values * root, rcond=1e-9)[0]
         left = values - basis @ solution
         scale = max(_spread(left), EXACT)
-        if number < LEAST_SUM:
+        if number < L1_ROUNDS:
             weights = EXACT / np.maximum(np.abs(left), EXACT)
         else:
             weights = np.square(np.clip(1 - np.square(left / (OUTLIER * scale)), 0, None))
@@ -145,5 +149,5 @@ def _robust(basis: Array, values: Array) -> tuple[Array, float]:
 
 
 def _spread(values: Array) -> float:
-    """Return the standard deviation of a normal distribution with the same median of magnitudes."""
+    """Return the standard deviation of a normal distribution with the same median of absolute values."""
     return float(np.median(np.abs(values)) * 1.4826)

@@ -13,7 +13,7 @@ from l3cli.artifacts.camera_recipe import known_arrays, parse_cfa
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, array_doubt, phase_doubt, share_below_black
-from l3cli.rendering.conditions import FAR, known_gains
+from l3cli.rendering.conditions import FAR_GAIN, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
 BEYOND = 1.5  # times the white level: no saturated pixel lies so far above
@@ -184,7 +184,7 @@ def other_gain(frame: RawFrame, table: TransformTable) -> str:
             f"{its}: noise in the dark is {deviation:.0f} DN, more than the black level of {there.black_level:.0f} DN; "
             "values below 0 are cut off, and the dark becomes too bright"
         )
-    if least != most and not least / FAR < frame.gain < most * FAR:
+    if least != most and not least / FAR_GAIN < frame.gain < most * FAR_GAIN:
         return f"{its}, whose read noise is known for {least:.3g} to {most:.3g}; that of the nearest is taken"
     return ""
 

@@ -1,4 +1,4 @@
-"""The plain truth of rendering in float64: what every other backend is held against (docs/method.md#rendering)."""
+"""The reference renderer in float64, against which every other backend is tested (docs/method.md#rendering)."""
 
 import functools
 from collections.abc import Iterable, Iterator
@@ -17,29 +17,29 @@ from l3cli.frames.frame import RawFrame, pad_mosaic, shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Of the output unit: pixels of less brightness stay as they are, far below the noise of any sensor.
+# In output units. The spectra of darker pixels, which are far below the noise of any sensor, are not smoothed.
 SPECTRA_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
-    """Renderer in numpy: slow, exact, without a device. `by_noise`: as make_renderer has it."""
+    """Renderer in numpy: slow and exact, without a device. `by_noise` as in `make_renderer`."""
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
         self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
-        """Return class (row, col) of every pixel in a layer of the table."""
+        """Return the class (row, col) of every pixel in a layer of the table."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return outputs of the table, (output, row, col)."""
+        """Return the outputs of the table, (output, row, col)."""
         return self.exact_outputs(frame).astype(np.float32)
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
-        """Return the outputs, and the classes (row, col) of the first layer and, if there are more, of the last."""
+        """Return the outputs, and the classes (row, col) of the first layer and, if there are several, of the last layer."""
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
@@ -52,7 +52,7 @@ class ReferenceRenderer:
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return `outputs` before rounding to float32."""
+        """Return the outputs in float64, before they are rounded to float32."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
@@ -69,18 +69,21 @@ class ReferenceRenderer:
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes that the last layer of a table of several reads of a frame, (plane, row, col)."""
+        """Return the planes (plane, row, col) that the last layer reads, for a table with refinement layers."""
         levelled = at_table_levels(frame, self.table)
         return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Return the fixed-point transforms of all layers but the last."""
+        """Fixed-point transforms of all layers except the last."""
         basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return class (row, col) in the first layer of every pixel of a frame at the table's levels, of all sets."""
+        """Return the class (row, col) of every pixel in the first layer, among the classes of all sets of transforms.
+
+        The frame must be at the table's levels.
+        """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
             for table in self._sets.tables
@@ -91,8 +94,7 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that layer `number` after the first reads of a frame at the table's levels, and the classes
-        of its pixels."""
+        """Return the planes that refinement layer `number`, from 1, reads, and the classes of its pixels."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -102,53 +104,67 @@ class ReferenceRenderer:
         return planes, labels
 
     def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:
-        """Return outputs (output, row, col) of a frame at the table's levels with those of its plain clipped areas replaced,
-        if the table has what becomes of them."""
+        """Return outputs (output, row, col) in which uniform clipped areas are replaced, if the table supports it."""
         clipping = self.table.later[-1].clipping
         if clipping is None:
             return made
         return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Return class (row, col) in refinement layer `place`, from 0, of every pixel."""
+        """Return the class (row, col) of every pixel in a refinement layer, counted from 0."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
-    """Return the frame on the black level, white level and depth that the table is for, its channels shaded alike."""
+    """Return the frame at the black level, white level and bit depth of the table, with equal shading in all channels."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Return the mosaic of a frame at the table's levels, in which plain clipped areas are sought."""
+    """Return the mosaic of a frame at the table's levels, in which uniform clipped areas are looked for."""
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
-    """Return each pixel's transform of a first layer applied to its neighbourhood: (output, row, col) from a frame at the
-    table's levels and its classes (row, col)."""
+    """Apply the transforms of a first layer.
+
+    Parameters
+    ----------
+    frame : RawFrame
+        At the table's levels.
+    labels : ndarray, (row, col)
+        Class of each pixel.
+    table : TransformTable
+    first : MosaicLayer
+
+    Returns
+    -------
+    ndarray, (output, row, col)
+    """
     signal = (frame.values - frame.black_level) / (table.white_level - table.black_level)
     return _transformed(_mosaic_windows(signal, table), labels, first)
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Return planes (plane, row, col) of the first layer from a frame at the table's levels, by its classes (row, col)."""
+    """Return the planes (plane, row, col) of the first layer, from a frame at the table's levels and its classes (row,
+    col).
+    """
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
 
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Return planes (plane, row, col) that a layer makes of those of the layer before, by its classes (row, col)."""
+    """Return the planes (plane, row, col) that a refinement layer makes from those of the previous layer."""
     return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
 def refinement_outputs(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
 ) -> NDArray[np.float64]:
-    """Return outputs (output, row, col) of a plane layer by its classes (row, col); `share`: of the noise."""
+    """Return the outputs (output, row, col) of the last layer. `share` is the fraction of the camera's noise variance."""
     ratios = np.moveaxis(taps_behind(planes, layer.side, layer.ratio_taps), 0, -1) * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
@@ -169,12 +185,12 @@ def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """Return the patches (col, tap) of a row of windows, planes one behind the other."""
+    """Return the patches (col, tap) of a row of windows, with the planes one after the other."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Return planes (plane, row, col) of windows (plane, row, col, …) by the transforms of their classes (row, col)."""
+    """Return the planes (plane, row, col) that fixed-point transforms make from windows (plane, row, col, …)."""
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -185,10 +201,12 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Return outputs (output, row, col) of windows (plane, row, col, …) and `ratios` (row, col, tap) by the transforms of
-    their classes (row, col)."""
+    """Return the outputs (output, row, col) that transforms make from windows (plane, row, col, …).
+
+    `ratios` (row, col, tap) are further taps that follow those of the windows.
+    """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
-    for row, label in enumerate(labels):  # a row at a time: the chosen transforms of a whole frame would fill gigabytes
+    for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would fill gigabytes
         patches = _patches(windows, row)
         if ratios is not None:
             patches = np.concatenate([patches, ratios[row]], axis=1)
@@ -198,12 +216,17 @@ def _transformed(
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Return outputs (output, row, col) of smoothed spectra; at the borders planes are mirrored about the outermost pixels.
+    """Return outputs (output, row, col) with smoothed spectra. At the borders planes are mirrored about the outermost
+    pixels.
 
-        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²        Y: mean of the outputs, q: pixels of the window, p too
-        o_p ← ō_p · Y_p / Ȳ_p                                    ō, Ȳ: means weighed by w
+    With Y the mean of the outputs, p the pixel and q the pixels of its window, including p:
 
-    Means are taken of differences from the pixel itself, so that a plain area stays as it is to the last bit.
+        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²
+        o_p ← ō_p · Y_p / Ȳ_p
+
+    where ō and Ȳ are means weighted by w. Means are taken of differences from the pixel, so that uniform areas stay
+    unchanged to
+    the last bit.
     """
     _, rows, cols = planes.shape
     brightness = planes.mean(axis=0)
@@ -212,7 +235,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     total, brighter, change = np.ones_like(brightness), np.zeros_like(brightness), np.zeros_like(planes)
     for down, right in np.ndindex(smoothing.window, smoothing.window):
         if down == right == smoothing.radius:
-            continue  # of the pixel itself: no difference, and a weight of 1
+            continue  # the pixel itself has no difference and a weight of 1
         there = slice(down, down + rows), slice(right, right + cols)
         difference = around[there] - brightness
         weight = np.maximum(1 - np.square(difference / scale), 0) ** 2

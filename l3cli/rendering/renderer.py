@@ -21,36 +21,41 @@ BACKENDS = {
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MOST_HELD = 16  # renderers, each with its transforms on the device: gains that a sequence goes through
+MAX_HELD = 16  # renderers that are kept, one per gain, each with its transforms on the device
 
 
 class Renderer(Protocol):
-    """Renderer of frames through the table it was made from, which keeps whatever is the same from frame to frame."""
+    """A renderer for one table. It keeps everything that does not change from frame to frame."""
 
     @property
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return class (row, col) of every pixel in a layer of the table, equal for every backend."""
+        """Return the class (row, col) of every pixel in a layer of the table. All backends return the same classes."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return outputs of the table, (output, row, col), of the frame's size."""
+        """Return the outputs of the table (output, row, col) at the size of the frame."""
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
-        """Return `outputs`, and `labels` of the first layer and, if there are more, of the last."""
+        """Return `outputs`, and `labels` of the first layer and, if there are several, of the last layer."""
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as sRGB (row, col, 3), uint8 or uint16 as the display says. RecipeError unless outputs are X, Y,
-        Z."""
+        """Return the frame as a picture (row, col, 3), uint8 or uint16.
+
+        RecipeError unless the outputs are X, Y, Z or GREY.
+        """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Return the picture of each frame, in order; while the caller uses one the next may be computed."""
+        """Return the picture of each frame, in order. The next picture may be computed while the caller uses one."""
 
 
 def make_ready(backend: str, **options: str | None) -> None:
-    """Prepare what a renderer of any table takes: import what it needs, find its device, wake the device's compiler. It
-    takes as long as reading a table, beside which it can be done; whatever is wrong is said by `make_renderer`, whose
-    `options` these are."""
+    """Prepare what all renderers of a backend need: import modules, find the device, start its compiler.
+
+    This takes about as long as reading a table, so both can run in parallel. Errors are reported by `make_renderer`,
+    which has the
+    same `options`.
+    """
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
         from l3cli.rendering.opencl import programs
@@ -59,10 +64,24 @@ def make_ready(backend: str, **options: str | None) -> None:
 
 
 def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, **options: str | None) -> Renderer:
-    """Return the renderer called `backend` for a table. RecipeError if there is none, DeviceError if it finds no device.
+    """Return a renderer for a table.
 
-    `by_noise`: pixels of which a filter in time has left little noise are rendered by the table's transforms for that.
-    `options` are the backend's: of "opencl" `device` and `variant` (OpenCLRenderer).
+    Parameters
+    ----------
+    backend : str
+        "opencl" or "reference".
+    table : TransformTable
+    by_noise : bool
+        Whether pixels with less noise, after a temporal filter, are rendered with the table's transforms for less noise.
+    **options
+        Options of the backend: `device` and `variant` for "opencl" (see OpenCLRenderer).
+
+    Raises
+    ------
+    RecipeError
+        If the backend is unknown.
+    DeviceError
+        If no device is found.
     """
     if backend not in BACKENDS:
         raise RecipeError(f'backend "{backend}" is unknown; {suggestion(backend, BACKENDS)}')
@@ -71,16 +90,18 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 
 
 class NoiseRenderer:
-    """Renderer of a backend (`make_renderer`) for frames of any noise.
+    """Renderer for frames of any analog gain and noise.
 
-    A frame is rendered by the transforms for its analog gain. One that a filter in time has left less noise is so by those
-    that the noise of each pixel asks for or, of a table that has none for less, with class edges that its share of noise
-    asks for.
+    A frame is rendered with the transforms for its analog gain. A frame with less noise, after a temporal filter, is
+    rendered
+    with the transforms that the noise of each pixel requires. If the table has none for less noise, class edges are
+    adjusted to
+    the frame's fraction of noise instead.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
         self.table, self._backend, self._options = table, backend, options
-        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and share of noise; None: by pixel
+        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and noise fraction; None: per pixel
         self._tables: dict[float, TransformTable] = {}  # by gain
         self._of((1.0, 1.0))
 
@@ -99,13 +120,13 @@ class NoiseRenderer:
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
-        """Return what a frame is rendered by."""
+        """Return the gain and the noise fraction that a frame is rendered with; None instead of the fraction: per pixel."""
         gain = nearest_step(frame.gain)
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
     def of_frame(self, frame: RawFrame) -> Renderer:
-        """Return the renderer by the one set of transforms for the gain and the mean share of noise of a frame."""
+        """Return the renderer with a single set of transforms, for the gain and the mean noise fraction of a frame."""
         return self._of((nearest_step(frame.gain), frame.noise_share))
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
@@ -121,13 +142,13 @@ class NoiseRenderer:
         return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame; those that follow one another with the same noise overlap on the device."""
+        """Yield the picture of each frame. Consecutive frames with equal noise overlap on the device."""
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)
 
 
 def _make_room(held: dict[Any, Any]) -> None:
-    """Drop the oldest of what is held by gain, if there are too many."""
-    if len(held) == MOST_HELD:
+    """Drop the oldest entry if there are too many."""
+    if len(held) == MAX_HELD:
         del held[next(iter(held))]
