@@ -1,5 +1,9 @@
-"""Warnings of frames that a table was not made for: of another camera, array, light level, or of values that its camera
-hardly gives, by mistakes about depth, byte order, black level and size."""
+"""Warnings about frames that do not fit a table.
+
+A frame may come from another camera or array, or have light levels that the table was not trained for. Its values may
+also be
+implausible, because of mistakes about bit depth, byte order, black level or size.
+"""
 
 import re
 from collections.abc import Iterator
@@ -16,22 +20,23 @@ from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, array_doubt, phase_do
 from l3cli.rendering.conditions import FAR_GAIN, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
-BEYOND = 1.5  # times the white level: no saturated pixel lies so far above
-SHALLOW = 0.55  # times the white level: no pixels of the same depth clip so far below
-CLIPPED = 1e-3  # fraction of the pixels that have the highest value where a sensor clips
-NEAR_BLACK = 0.75  # of it, at least, and its inverse at most: what is about black
-DARKEST = 0.1  # percentile of the values: about black in most pictures
-SAME_DEPTH = 0.02  # of the white level
-TORN = 1.5  # times as much as with rows and columns exchanged that rows may differ by
+MAX_OVERSHOOT = 1.5  # times the white level; no saturated pixel is higher
+SHALLOW = 0.55  # times the white level; a sensor of the same bit depth does not clip below it
+CLIPPED = 1e-3  # fraction of the pixels with the highest value, from which the sensor is assumed to clip
+NEAR_BLACK = 0.75  # lowest ratio to the black level of a value that counts as black; its inverse is the highest
+DARKEST = 0.1  # percentile of the values that is close to black in most pictures
+SAME_DEPTH = 0.02  # relative difference of white levels up to which bit depths are the same
+SHEARED = 1.5  # differences between rows, relative to those with rows and columns exchanged, from which a size is wrong
 LINES = 64  # pairs of rows that are compared
 
-NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # shares of a frame that are worth a word
-LONG, MANY_TIMES = 60.0, 100.0  # s; times the training's: exposure times that are probably in another unit
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fractions of a frame that are reported
+# Exposure times above so many seconds, or times the training's exposure, are probably in another unit.
+LONG, MANY_TIMES = 60.0, 100.0
 T = TypeVar("T", bound="WithFrame")
 
 
 class WithFrame(Protocol):
-    """Holder of a frame, raw or already rendered."""
+    """Something that holds a frame, either raw or already rendered."""
 
     @property
     def frame(self) -> object: ...
@@ -39,25 +44,27 @@ class WithFrame(Protocol):
 
 @dataclass
 class FrameWarnings:
-    """Warnings of some frames of a run, each once: of one frame, or of the worst of several."""
+    """Collector of the warnings about the frames of a run. Each is reported once, for one frame or for the worst of
+    several.
+    """
 
     table: TransformTable
     _seen: int = 0
     _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
-    _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # text about camera or array: frame, number
-    _notes: dict[str, str] = field(default_factory=dict)  # first frame of each
-    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # share, frame, number of frames
+    _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → first frame, number of frames
+    _notes: dict[str, str] = field(default_factory=dict)  # note of a file → first frame
+    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # kind → fraction, worst frame, number of frames
 
     def __post_init__(self) -> None:
         self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
-        """Measure a frame."""
+        """Check a frame."""
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # then the values tell nothing else
+        misread = _misread(frame)  # if so, other checks of the values mean nothing
         of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
         for text in (*of_camera, *of_values):
             self._note(text, frame.name)
@@ -71,8 +78,12 @@ class FrameWarnings:
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
     def watched(self, frames: Iterator[T], stills: bool) -> Iterator[T]:
-        """Pass frames on, after a check of every still, or the first frame of a sequence, unless others are to read it.
-        Later frames are only checked for values that the converter cannot give, and only if the first has none."""
+        """Pass frames on, and check every still, or the first frame of a sequence.
+
+        Later frames of a sequence are only checked for values that the converter cannot give, and only if the first frame
+        has none.
+        Frames that a worker will read are not checked.
+        """
         first_text = ""
         for each in frames:
             if isinstance(each.frame, RawFrame) and (stills or not self._seen):
@@ -83,24 +94,24 @@ class FrameWarnings:
             yield each
 
     def _note(self, text: str, name: str) -> None:
-        """Count what is said of a frame; "" says nothing."""
+        """Count a warning about a frame; "" is no warning."""
         if text:
             first, count = self._others.get(text, (name, 0))
             self._others[text] = first, count + 1
 
     @property
     def assumption(self) -> str:
-        """Return what was assumed of a frame whose exposure time is unknown; "" if nothing was."""
+        """What was assumed about frames with an unknown exposure time; "" if nothing was."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)
         return (
-            f"{self._untimed[0]}: exposure time unknown; dark current of the training's {exposure:.3g} s is taken off "
+            f"{self._untimed[0]}: exposure time unknown; subtracting the dark current of the training's {exposure:.3g} s "
             f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
         )
 
     def lines(self) -> Iterator[str]:
-        """Yield a line for each warning."""
+        """Yield one line per warning."""
         darkest, brightest = self._meter.learned_range()
         texts = {
             "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); name a "
@@ -120,7 +131,7 @@ class FrameWarnings:
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if a file names another camera than the table's; "" if it names none, or that one."""
+    """Return a warning if the file names another camera than the table's, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
@@ -137,8 +148,7 @@ def _words(name: str) -> set[str]:
 
 
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning, with the phase that fits, if the sites of one channel differ as they do where a file misstates
-    its array; else ""."""
+    """Return a warning, with the phase that fits, if the pixels contradict the file's colour filter array, otherwise ""."""
     if other := _other_array(frame, table):
         return other
     doubt = phase_doubt(frame, table.cfa)
@@ -146,20 +156,20 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
         return ""
     fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
-        f"sites of one channel differ by {doubt.stated:.1%} on average, its colour filter array begins elsewhere than it "
-        f"says; ‹phase› {fitting} leaves {doubt.least:.1%}"
+        f"sites of one channel differ by {doubt.stated:.1%} on average: the stated position of its colour filter array is "
+        f"wrong; with ‹phase› {fitting} they differ by {doubt.least:.1%}"
     )
 
 
 def _misread(frame: RawFrame) -> str:
-    """Return a warning of values that look like noise and, with another packing or byte order, do not; else ""."""
+    """Return a warning if values look like noise, but not with another packing or byte order, otherwise ""."""
     if not frame.misread:
         return ""
-    return f"its pixels look like noise, neighbours of one channel are unrelated; with {frame.misread} they are not"
+    return f"its pixels look like noise: neighbours of one channel are unrelated; read it with {frame.misread}"
 
 
 def _other_array(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning of a mosaic whose pixels show another array than the table's, in any phase; else ""."""
+    """Return a warning if the pixels show another array than the table's, in whatever phase, otherwise ""."""
     doubt = array_doubt(frame, table.cfa)
     if doubt is None:
         return ""
@@ -171,7 +181,7 @@ def _other_array(frame: RawFrame, table: TransformTable) -> str:
 
 
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning of an analog gain at which noise is not known, or too large for the levels; else ""."""
+    """Return a warning if the noise at the frame's analog gain is unknown, or too large for the levels, otherwise ""."""
     if frame.gain == 1:
         return ""
     its = f"its analog gain is {frame.gain:.3g} times that of the table's camera"
@@ -202,9 +212,11 @@ def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
 
 
 def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """Yield a warning for values that the table's camera hardly gives, as the frame's levels and size are taken."""
+    """Yield warnings about values that the table's camera can hardly give, with the levels and size assumed for the
+    frame.
+    """
     top = int(frame.values.max())
-    too_high = top > BEYOND * frame.white_level
+    too_high = top > MAX_OVERSHOOT * frame.white_level
     lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
     if text := _too_high(frame, table.bits, top) if too_high else beyond_converter(frame, table) or lower:
         yield text
@@ -213,7 +225,7 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
-    """Return a warning of values beyond the white level, or nothing."""
+    """Return a warning about values above the white level, otherwise ""."""
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
@@ -227,7 +239,7 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
             f"shifted up; divide them by {step}, or give ‹black_level› and ‹white_level› of values as these"
         )
     if top <= most:
-        return ""  # it is only called clipped too early
+        return ""  # only the stated white level is too low
     return (
         f"its values reach {top} DN, its white level is {frame.white_level:g}: they are of another depth, or not raw; "
         "give ‹black_level› and ‹white_level›"
@@ -235,7 +247,9 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
 
 
 def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
-    """Return what to say of values that the table's converter cannot give, of a frame at the table's levels; else ""."""
+    """Return a warning about values that the table's converter cannot give, for a frame at the table's levels,
+    otherwise "".
+    """
     most = 2**table.bits - 1
     levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)
     if not levels or frame.values.max() <= most:
@@ -247,7 +261,7 @@ def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _clips_lower(frame: RawFrame, top: int) -> str:
-    """Return a warning of values that end at all ones of fewer bits, or nothing."""
+    """Return a warning if values end at the highest value of fewer bits, otherwise ""."""
     depth = top.bit_length()
     if not (top > frame.black_level and 8 <= depth < 16 and top == 2**depth - 1 and top < SHALLOW * frame.white_level):
         return ""
@@ -261,19 +275,19 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
 
 
 def _below_black(frame: RawFrame) -> str:
-    """Return a warning of values further below black than noise explains, or nothing."""
+    """Return a warning about values further below black than noise explains, otherwise ""."""
     share = share_below_black(frame)
     if not share:
         return ""
     return (
         f"{share:.0%} of its pixels have less than {BELOW * frame.black_level:.0f} DN, its black level is "
-        f"{frame.black_level:g}: black has been taken off it, or its values are of another depth; give ‹black_level› and "
-        "‹white_level›"
+        f"{frame.black_level:g}: the black level has been subtracted already, or the values have another bit depth; give "
+        "‹black_level› and ‹white_level›"
     )
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning of darkest values where the table's camera has its black, and a black level far below, or nothing."""
+    """Return a warning if the darkest values lie at the camera's black level, but the stated black level is far lower."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
@@ -282,23 +296,23 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
     if not NEAR_BLACK * black <= darkest <= black / NEAR_BLACK:
         return ""
     return (
-        f"its darkest values lie at {darkest:.0f} DN, as those of the table's camera, whose black level is {black:g}; with "
-        f"{frame.black_level:g} they are fog, and colours pale; leave ‹black_level› out, or give it as {black:g}"
+        f"its darkest values lie at {darkest:.0f} DN, near the camera's black level of {black:g}; with the black level "
+        f"{frame.black_level:g} colours look washed out; omit ‹black_level›, or give {black:g}"
     )
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Return a warning of rows that would follow one another far more smoothly with rows and columns exchanged; or none."""
+    """Return a warning if rows would be much smoother with rows and columns exchanged, otherwise ""."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""
-    if _step(frame.values, period) <= TORN * _step(frame.values.reshape(cols, rows), period):
+    if _step(frame.values, period) <= SHEARED * _step(frame.values.reshape(cols, rows), period):
         return ""
-    return f"{rows}×{cols} pixels tear it, {cols}×{rows} do not; give ‹size› {cols}x{rows}: rows first, then columns"
+    return f"the picture looks sheared at {rows}×{cols} pixels; did you mean ‹size› {cols}x{rows} (rows first)?"
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Return mean difference between rows of the same channels, `period` apart."""
+    """Return the mean difference between rows with the same channels, which are `period` rows from each other."""
     last = len(values) - period
     if last < 1:
         return 0.0

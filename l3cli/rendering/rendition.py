@@ -1,4 +1,4 @@
-"""Rendition of frames as pictures: colour space, bits, exposure and white, as given or as they follow what is measured."""
+"""How frames become pictures: colour space, bit depth, exposure and white, either as given or as measured."""
 
 import itertools
 import math
@@ -24,46 +24,58 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-LEAST, MOST = 1e-9, 1e9  # times Y, of an exposure
-ANY_RATE = Fraction(30)  # frames/s, where only one frame is measured
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # factors of Y
+ANY_RATE = Fraction(30)  # frames/s; without effect, because only the first frame is measured
 
 
 @dataclass(frozen=True)
 class Rendition:
-    """Rendition of outputs as pictures."""
+    """Settings that turn outputs into pictures."""
 
-    balance: WhiteBalance | None  # of frames that have none of their own; None: outputs are written as they are
-    exposure: float | None  # None: automatic
+    balance: WhiteBalance | None  # for frames without their own balance; None: outputs are written unchanged
+    exposure: float | None  # factor of Y; None: automatic
     bits: int
-    space: Space | None = SRGB  # of the values; without a curve they are linear, in floating point. None: no colours
-    raw: bool = False  # for raw developers: the exposure is stated, not carried out
-    mosaic: str | None = None  # with `raw` a mosaic of the pixels, as their format names it
-    stops: float = 0.0  # EV by which pictures are brighter than their exposure says
-    stated_exposure: bool = False  # the exposure is times that which the file of each frame states
-    tone: Tone | None = None  # curve of what is shown
+    space: Space | None = SRGB  # without a transfer curve values are linear, in floating point; None: no colours
+    raw: bool = False  # for raw converters: the exposure is recorded but not applied
+    mosaic: str | None = None  # with `raw`: the name of the mosaic's array in the file format
+    stops: float = 0.0  # additional exposure in EV
+    stated_exposure: bool = False  # whether the exposure is multiplied by the one in each frame's file
+    tone: Tone | None = None  # tone curve
 
     @property
     def is_linear(self) -> bool:
-        """Return whether values are linear, in floating point."""
+        """Whether values are linear, in floating point."""
         return self.space is None or self.space.curve is None
 
     @property
     def measures_exposure(self) -> bool:
-        """Return whether pictures are made whose exposure is automatic."""
+        """Whether pictures are made with automatic exposure."""
         return self.balance is not None and self.exposure is None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the values of a picture."""
+        """Names of the three values of a picture's pixels."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
-OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # as they are
+OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # writes the table's outputs unchanged
 
 
 def chosen_space(name: str | None, linear: bool) -> Space:
-    """Return the space of pictures, None: sRGB, without its curve where values are `linear`; RecipeError if there is none of
-    this name, or it has no codes and they are asked for."""
+    """Return the colour space of pictures.
+
+    Parameters
+    ----------
+    name : str or None
+        None for sRGB.
+    linear : bool
+        Whether values are linear, without the transfer curve.
+
+    Raises
+    ------
+    RecipeError
+        If the space is unknown, or is linear while codes are requested.
+    """
     if name is not None and name not in SPACES:
         raise RecipeError(f'space "{name}" is unknown; {suggestion(name, SPACES)}')
     space = SPACES[name or SRGB.name]
@@ -75,7 +87,7 @@ def chosen_space(name: str | None, linear: bool) -> Space:
 
 
 def outputs_as_they_are(table: TransformTable) -> Rendition:
-    """Return the rendition that leaves a table's outputs as they are; X, Y, Z are colours."""
+    """Return the rendition that writes a table's outputs unchanged. X, Y, Z are labelled as colours."""
     if table.outputs != ("X", "Y", "Z"):
         return OUTPUTS
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
@@ -85,12 +97,32 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the rendition of pictures, and the source of the frames' white; None: all have that of the rendition.
-    `estimated_by`: as of white_source. RecipeError if there is no such exposure, white, space or depth, or the table's
-    outputs are not X, Y, Z."""
-    if exposure is not None and not (isinstance(exposure, Real) and LEAST <= exposure <= MOST):
+    """Return the rendition of pictures, and the source of the frames' white, or None if all frames have the rendition's
+    white.
+
+    Parameters
+    ----------
+    table : TransformTable
+    exposure : float or None
+        Factor of Y; None for automatic exposure.
+    white : str or None
+        As in `white_source` and `given_white`.
+    space : str
+    bits : int
+        8, 16 or FLOAT_BITS.
+    estimated_by : TransformTable, optional
+        As in `white_source`.
+
+    Raises
+    ------
+    RecipeError
+        If an argument is impossible, or the table's outputs are not X, Y, Z or Y.
+    """
+    if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
-        raise RecipeError(f"exposure {given_as} is not within {LEAST:g}…{MOST:g} times Y; leave it out: automatic")
+        raise RecipeError(
+            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit it for automatic exposure"
+        )
     if bits not in DEPTHS:
         raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
     require_xyz(table.outputs)
@@ -103,8 +135,25 @@ def shown_as(
 def rendered(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
 ) -> tuple[NDArray[Any], float]:
-    """Return the pixels (row, col, value) of a frame as the rendition wants it, upright, and the scale of its exposure,
-    which those for raw developers do not have. `scale` 0: automatic; `balance`: the frame's own, None: the rendition's."""
+    """Render a frame.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    frame : RawFrame
+    rendition : Rendition
+    scale : float
+        Exposure scale; 0 for automatic exposure.
+    balance : WhiteBalance, optional
+        White balance of this frame; by default the rendition's.
+
+    Returns
+    -------
+    pixels : ndarray, (row, col, value)
+        Upright.
+    scale : float
+        Exposure scale that applies to the picture. It is not applied to pictures for raw converters.
+    """
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
         balanced_frame, display = shown(renderer, frame, rendition, balance, scale)
@@ -121,18 +170,27 @@ def rendered(
 def shown(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """Return a frame with the gains of its white balance, and how its outputs are shown; `scale` 0: automatic."""
+    """Return a frame with the gains of its white balance applied, and its display. A `scale` of 0 is automatic exposure."""
     frame = balanced(frame, renderer.table, balance.gains)
-    # The exposure of one frame alone needs the whole frame's luminance before the first value is encoded: two runs.
+    # Automatic exposure of a single frame needs the luminance of all pixels before encoding, so it is rendered twice.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)
     return frame, adapted_display(adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
 
 
 class FrameMeter:
-    """Meter of frames in their order: the exposure scale and white balance that each is shown with. `rate` (frames/s): at
-    which both follow what is measured, or stay those of the first frame if the source is held; None: each frame has its own
-    white, and automatic exposure is not measured. `source`: of the white, None: the rendition's."""
+    """Meter that determines the exposure scale and white balance of each frame, in order.
+
+    Parameters
+    ----------
+    table : TransformTable
+    rendition : Rendition
+    source : WhiteSource or None
+        Source of the frames' white; None for the rendition's white.
+    rate : Fraction or None
+        Frames per second. Exposure and white follow the measurements at this rate; a source whose white is held keeps the
+        first frame's. None for stills: each frame has its own white, and automatic exposure is left to the renderer.
+    """
 
     def __init__(
         self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None
@@ -148,14 +206,29 @@ class FrameMeter:
         return bool(self._light or self._source or self._stated)
 
     def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Return the scale of the next frame (0: automatic), its balance (None: the rendition's), and the white that was
-        found, None where there is nothing to tell it by; InputFileError if it cannot be taken."""
+        """Return the scale, the balance and the measured white of the next frame.
+
+        Returns
+        -------
+        scale : float
+            0 for automatic exposure.
+        balance : WhiteBalance or None
+            None for the rendition's balance.
+        white : SceneWhite or None
+            None if the frame shows nothing from which to estimate it.
+
+        Raises
+        ------
+        InputFileError
+            If the white cannot be taken from the frame.
+        """
         brightness, balance, white = self.looked_at(frame)
         return self.scale(frame, brightness), balance, white
 
     def looked_at(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Return the brightness of the next frame (0: not measured), its balance and the white that was found, as
-        `measured`, which also takes the exposure on to the frame."""
+        """Return the brightness (0 if not measured), the balance and the white of the next frame, without updating the
+        exposure.
+        """
         white = self._measured_white(frame) if self._source else None
         return self._light.brightness(frame, self._balance) if self._light else 0.0, self._balance, white
 
@@ -189,8 +262,12 @@ class FrameMeter:
 
 
 class Following:
-    """Frames in order, each with exposure scale and white balance, as of FrameMeter; `rate` None: both stay those of the
-    first frame. `temporal`: what filters the frames in time."""
+    """Determines exposure scale and white balance of frames in order, and filters them.
+
+    Parameters are those of FrameMeter. With `rate` None, all frames keep the scale and balance of the first. `temporal`
+    is the
+    temporal filter, if any.
+    """
 
     def __init__(
         self, table: TransformTable, rendition: Rendition, source: WhiteSource | None, rate: Fraction | None,
@@ -203,8 +280,10 @@ class Following:
         self._first: tuple[float, WhiteBalance | None] | None = None
 
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
-        """Return the next frame, filtered, its scale, and its balance, None: the rendition's. InputFileError if its white
-        cannot be taken."""
+        """Return the next frame, filtered, with its scale and its balance (None for the rendition's).
+
+        InputFileError if its white cannot be measured.
+        """
         with self._alone:
             measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]
             self._first = measured

@@ -1,12 +1,18 @@
-"""Uncertainty of rendered outputs (docs/measurement.md#uncertainty): the noise of the camera through all that a table does,
-the choice of classes included, by the parametric bootstrap.
+"""Uncertainty of rendered outputs due to the camera's noise (docs/measurement.md#uncertainty), by the parametric bootstrap.
 
-    σ(p) = G(class) · K(kind) · E(p) · s(p)      s: standard deviation of a raw value as bright as the output of pixel p
+    σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-The picture is taken for a scene, which the camera sees again and again with new noise. Gains G of the classes of the last
-layer, and factors K of the kinds of the first, make the mean σ of each the standard deviation of those renderings. Windows
-at the border of a frame read some raw values twice, since they are mirrored there, so that noise averages less: factors E of
-the outermost rows and columns make their mean σ right, too.
+s is the standard deviation of a raw value that is as bright as the output of pixel p. The gains G belong to the classes
+of
+the last layer, the factors K to the kinds of the first.
+
+To find them, the rendered picture is taken as the true scene. The camera is simulated several times with new noise, and
+the
+frames are rendered, so that the effect of noise on the choice of classes is included. G and K are fitted such that the
+mean
+σ of each class and kind equals the standard deviation of these renderings. At the border of a frame windows are mirrored
+and read some raw values twice, so that noise averages out less. The factors E of the outermost rows and columns correct
+this.
 """
 
 import math
@@ -28,45 +34,49 @@ from l3cli.rendering.renderer import Renderer
 
 Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
-# Bits of a mask: clipped values decide the class or the result; a class without training patches of its own.
+# Bits of a mask: clipped values decide the class or the result; the class has no training patches.
 CLIPPED, UNTRAINED = 1, 2
-PIECE, PIECES, SEAM = 96, 4, 8  # pixels, side of a piece of a large frame; pieces a side; pixels at edges, not counted
-BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels that all renderings have, unless that makes fewer or more renderings
-SMOOTHED = 0.5  # pixels, of a Gaussian: noise that is left in a picture would count twice
-FITS = 3  # of signals to outputs, each trusting the less where the last erred: patterns may be finer than is resolved
-ROUNDS = 4  # in which gains and factors settle
-PRIOR = 50  # pixels for which a class follows the classes that it is one of
-EDGE = 4  # pixels, rows and columns at each side that have factors of their own; further in, mirroring adds under 2 %
-TILES = (1, 2, 4, 8, 16)  # pixels, sides of regions whose means are compared; pieces hold whole ones
-FEWEST = 9  # tiles of a frame
-LITTLE = 1e-30  # where noise changes no raw value, as in a black frame of a quiet camera, σ is 0
-LEAST = 32  # pixels, side of a frame
-STRIP = 1 << 16  # pixels that maps are made of at once, so that a processor's cache has them
+PIECE, PIECES, SEAM = 96, 4, 8  # pixels, side of a piece of a large frame; pieces per side; pixels ignored at seams
+BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels in all renderings together; fewest and most renderings
+SMOOTHED = 0.5  # pixels, σ of a Gaussian that removes noise left in the picture, which would otherwise count twice
+FITS = 3  # rounds of reweighted least squares from outputs to signals
+ROUNDS = 4  # of fitting gains and factors, until they settle
+PRIOR = 50  # pixels, weight of the prior that a class behaves like its coarser classes
+EDGE = 4  # pixels; rows and columns at each side with their own factors. Further inside, mirroring adds less than 2 %
+TILES = (1, 2, 4, 8, 16)  # pixels, sides of the tiles whose means are compared; each side fits the size of a piece
+MIN_TILES = 9  # of a frame
+TINY = 1e-30  # avoids division by zero where noise changes no raw value and σ is 0, as in a black frame
+MIN_SIDE = 32  # pixels, of a frame
+STRIP = 1 << 16  # pixels of the maps that are computed at once, so that they fit the processor's cache
 SEED = 20
 
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Noise of outputs over that of raw values, as a scene has it; serves other frames of the scene."""
+    """Gains from the noise of raw values to the noise of outputs, for one scene. They also apply to other frames of the
+    scene.
+    """
 
     by_class: NDArray[np.float32]  # (class of the last layer, output)
     by_kind: NDArray[np.float32]  # (class of the first layer, output) factor of its kind
     by_edge: NDArray[np.float32]  # (side, distance, output) factor at the top, bottom, left and right; EDGE distances
-    area: Array  # (tile, output) variance of the mean over a tile times its pixels, over that of a pixel
-    unit: float  # DN of a raw value where the brightness of the outputs is 1
+    area: Array  # (tile, output) variance of a tile's mean, times its number of pixels, relative to a single pixel
+    unit: float  # DN of a raw value at which the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of a frame's outputs, upright as they are."""
+    """Uncertainty of a frame's outputs, in the upright orientation of the picture."""
 
-    sigma: NDArray[np.float32]  # (row, col, output) standard deviation left by the camera's noise
-    mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0: as trained
+    sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the camera's noise
+    mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0 for reliable pixels
     gains: NoiseGains
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
-        """Return the standard deviation (output) of the mean over the pixels (row, col) that are `inside`, whose noise is
-        correlated as that of a square of as many pixels."""
+        """Return the standard deviation (output) of the mean over the pixels where `inside` (row, col) is true.
+
+        The noise is assumed to be correlated as in a square with the same number of pixels.
+        """
         pixels = int(inside.sum())
         sides = np.log2(TILES[: len(self.gains.area)])
         area = np.array([np.interp(math.log2(pixels) / 2, sides, each) for each in self.gains.area.T])
@@ -74,15 +84,27 @@ class Uncertainty:
 
 
 def require_known_noise(table: TransformTable) -> None:
-    """Raise RecipeError if the table does not know its camera's noise."""
+    """Raise RecipeError if the table does not hold its camera, and so does not know its noise."""
     if table.camera is None:
         raise RecipeError("the table does not hold its camera, whose noise is needed; train it again")
 
 
 def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:
-    """Return the uncertainty of a frame's outputs by a renderer of one set of transforms, those for the frame's gain and
-    noise; `like`: that of a frame of the same scene, whose gains serve. RecipeError as `require_known_noise`, and for a
-    frame that is too small."""
+    """Return the uncertainty of a frame's outputs.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        A renderer with one set of transforms, for the frame's gain and noise.
+    frame : RawFrame
+    like : Uncertainty, optional
+        Uncertainty of another frame of the same scene, whose gains are used instead of a new bootstrap.
+
+    Raises
+    ------
+    RecipeError
+        If the table does not hold its camera, or the frame is too small.
+    """
     table = renderer.table
     require_known_noise(table)
     (outputs, labels), (rows, columns) = renderer.classified(frame), frame.values.shape
@@ -114,44 +136,33 @@ class RegionMean:
     """Mean outputs over a region of a picture."""
 
     mean: Array  # (output)
-    sigma: Array  # (output) standard deviation that the camera's noise leaves
+    sigma: Array  # (output) standard deviation of the mean due to the camera's noise
     pixels: int
-    unusual: float  # share of pixels that are clipped or of classes without training patches
+    unusual: float  # fraction of pixels that are clipped or whose class has no training patches
 
 
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
-    """Average the outputs over a polygon, with the uncertainty of the mean.
+    """Return the mean of a picture over a polygon, with its uncertainty.
 
-    Neighbouring pixels share raw values, so their errors are correlated. The uncertainty of the mean allows for this.
+    Correlations between pixels are taken into account.
 
     Parameters
     ----------
     picture : ndarray, (row, col, output)
-        Outputs of a frame, from `Renderer.outputs`.
+        Outputs as `l3cli.render` or `Renderer.outputs` gives them, in the picture's orientation.
     of : Uncertainty
-        Uncertainty of the same frame, from `Renderer.uncertainty`.
-    polygon : sequence of (float, float)
-        Corners (row, col). Pixels count if their centres, at whole numbers, lie inside.
+        Uncertainty of the same frame.
+    polygon : sequence of (row, col)
+        Corners of the polygon. Pixels whose centres lie inside are counted.
 
     Returns
     -------
     RegionMean
-        `mean` and `sigma` (output), the number of `pixels`, and `unusual`, the fraction of pixels that are clipped or whose
-        class has no training patches.
 
     Raises
     ------
     RecipeError
-        If no pixel lies inside the polygon, or if picture and uncertainty differ in shape.
-
-    Examples
-    --------
-    >>> import l3cli as l3
-    >>> renderer = l3.Renderer("table.h5")
-    >>> frame = l3.read_raw("unseen/00000_composition-5-0_raw.tif", renderer.table)
-    >>> grey = l3.region(renderer.outputs(frame), renderer.uncertainty(frame), [(10, 10), (10, 40), (30, 40), (30, 10)])
-    >>> grey.mean.shape, grey.sigma.shape, grey.pixels
-    ((3,), (3,), 600)
+        If no pixel lies inside, or picture and uncertainty have different shapes.
     """
     if picture.shape != of.sigma.shape:
         raise RecipeError(f"the picture is of shape {picture.shape}, its uncertainty {of.sigma.shape}; give one frame's")
@@ -163,8 +174,10 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
 
 
 def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return which pixels (row, col) have their centres, whole numbers, within a polygon of (row, col) corners, by the
-    even-odd rule."""
+    """Return which pixels (row, col) have their centres, at integer coordinates, within a polygon of (row, col) corners.
+
+    The even-odd rule decides.
+    """
     row, col = np.indices(shape)
     inside = np.zeros(shape, bool)
     corners = np.asarray(polygon, np.float64)
@@ -176,7 +189,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the bits of a mask by the classes (class) of the first layer and of the last."""
+    """Return the bits of the mask for the classes (class) of the first layer and of the last."""
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -184,7 +197,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return CLIPPED (row, col) where the clipped area about pixels takes the place of their transforms, and 0 elsewhere."""
+    """Return CLIPPED (row, col) where uniform clipped areas replace the outputs, and 0 elsewhere."""
     none = np.zeros(frame.values.shape, np.uint8)
     if not table.later or not table.later[-1].clipping:
         return none
@@ -197,15 +210,17 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(block_sides(mosaic.cfa)):
-        # Of the blocks on either side of a pixel, counted from the margin.
+        # Indices of the block before each pixel, in the padded map; the block after it follows.
         low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
     return replaced
 
 
 def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col), the outermost first:
-    top, bottom, left, right."""
+    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col), the outermost first.
+
+    The sides are top, bottom, left and right.
+    """
     turned = planes.swapaxes(-1, -2)
     return [each[..., :EDGE, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
 
@@ -213,8 +228,11 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return `scale` (…) times the standard deviation (…), as a share of full scale, of raw values as bright as outputs
-    (output, …), those of transforms times `scale`, by the terms of their noise, mean over the channels."""
+    """Return the standard deviation (…) of raw values that are as bright as outputs (output, …), times `scale` (…).
+
+    It is a fraction of full scale, from the noise terms averaged over the channels. The outputs are transforms times
+    `scale`.
+    """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
     signal = np.maximum(_brightness(table, outputs), 0)
@@ -230,7 +248,7 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
-    """Return the terms (channel) of the noise of a frame at the table's levels."""
+    """Return the noise terms (channel) of a frame at the table's levels."""
     assert table.camera is not None
     every = np.arange(len(table.channels))
     camera: CameraModel = replace(table.camera, noise_left=frame.noise_share)
@@ -243,15 +261,14 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Return the gains of the scene that a frame's outputs (output, row, col) show; `scale`, of one or (row, col), is of its
-    transforms."""
+    """Return the gains for the scene that a frame's outputs (output, row, col) show. `scale` multiplies the transforms."""
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Pieces begin with whole periods and blocks, and the last ends with the frame: borders are those of the frame.
+    # Pieces begin at whole periods and blocks. The last piece ends with the frame, so that the borders are the frame's.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
-    if min(frame.values.shape) < (least := max(LEAST, *units)):
-        raise RecipeError(f"the frame is smaller than {least}×{least} pixels; too few to tell what noise does")
+    if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
+        raise RecipeError(f"the frame is smaller than {least}×{least} pixels, too small to estimate its uncertainty")
     rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
     shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)
     levelled = at_table_levels(frame, table)
@@ -274,7 +291,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
-    # Without the bias of a root of few squares.
+    # Expected sample standard deviation of so few draws, relative to the true one.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
@@ -290,11 +307,14 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the factors (side, distance, output) by which `measured` standard deviations (output, row, col) are larger than
-    `expected` at the sides of a frame, away from corners and seams."""
+    """Return the factors (side, distance, output) from the `expected` to the `measured` standard deviation at the frame's
+    sides.
+
+    Corners and seams between pieces are left out.
+    """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
-    ratios = [_along(seen, along) / np.maximum(_along(wanted, along), LITTLE) for along, seen, wanted in pairs]
+    ratios = [_along(seen, along) / np.maximum(_along(wanted, along), TINY) for along, seen, wanted in pairs]
     return np.moveaxis(np.array(ratios), 1, 2)
 
 
@@ -303,14 +323,17 @@ def _along(planes: Array, along: Labels) -> Array:
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
-    """Return rows and columns of planes (…, row, col)."""
+    """Return some rows and columns of planes (…, row, col)."""
     return planes.take(rows, -2).take(cols, -1)
 
 
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
-    """Return the signals (channel, output), in DN, that outputs (output, row, col) stand for, by robust least squares over
-    blocks of the `sampled` rows and columns of a frame at the table's levels, relative to their brightness; and mean DN over
-    mean brightness."""
+    """Return a matrix (channel, output) from outputs to signals in DN, and the ratio of mean DN to mean brightness.
+
+    The matrix is found by robust least squares over blocks of the `sampled` rows and columns of a frame at the table's
+    levels.
+    Errors are taken relative to the brightness of a block, because fine patterns may not be resolved.
+    """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
 
@@ -334,8 +357,10 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return indices along a side of a frame: all, or those of a few pieces spread evenly, which begin with whole units. The
-    first begins and the last ends where the frame does."""
+    """Return indices along a side of a frame: all of them, or those of a few evenly spaced pieces that begin at whole units.
+
+    The first piece begins and the last ends with the frame.
+    """
     piece = max(PIECE // unit, 1) * unit
     if length <= piece * PIECES:
         return np.arange(length)
@@ -345,15 +370,20 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of `_sampled` indices lie away from seams of pieces and from the ends, where neighbours are mirrored."""
+    """Return which of the `_sampled` indices lie away from the seams between pieces and from the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM)
 
 
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
-    """Return gains (class of the last layer, output) and factors (class of the first, output) by which, over the pixels of
-    each level, class within its site and class of the last layer, and of each kind of the first, the mean over the draws of
-    what classes (draw, pixel) and `spread` (draw, pixel) predict is what was `measured` (output, row, col)."""
+    """Return gains (class of the last layer, output) and factors (class of the first, output), by iterative proportional
+    fitting.
+
+    They are chosen such that the mean prediction over the draws equals the `measured` standard deviation (output, row,
+    col): over
+    each level, each class within its site and each class of the last layer, and over each kind of the first layer. The
+    prediction for a pixel comes from its classes (draw, pixel) and its `spread` (draw, pixel).
+    """
     from scipy.sparse import coo_array
 
     layer, rule, every = table.layers[-1], table.first.rule, np.arange(len(table.layers[-1].weights))
@@ -362,7 +392,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     size, cell = int(kind.max()) + 1 if table.later else 1, last.astype(np.intp)
     if table.later:
         cell = cell * size + kind[first]
-    used = np.flatnonzero(np.bincount(cell.ravel()))  # classes and kinds that are together in a pixel
+    used = np.flatnonzero(np.bincount(cell.ravel()))  # combinations of class and kind that occur
     number = np.zeros(used[-1] + 1, np.intp)
     number[used] = np.arange(used.size)
     cell = number[cell]
@@ -374,32 +404,32 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # Of the mean over draws: the draw itself, and another, which stands for all others.
+    # Parts of the mean over draws: the draw itself, and one other draw, which represents all the others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
         for factor, part, of in zip(factors, parts, seen, strict=True):
             by_cell = math.prod(each[at] for each, at in zip(factors, parts, strict=True))
             predicted = _summed(part, alone * by_cell + by_others @ by_cell, len(factor))
-            factor *= (of + prior) / np.maximum(predicted + prior, LITTLE)
+            factor *= (of + prior) / np.maximum(predicted + prior, TINY)
     gains = math.prod(factor[axis] for factor, axis in zip(factors[:3], axes, strict=False))
     return np.asarray(gains), factors[3][kind] if table.later else np.ones((1, len(measured)))
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Return the sums (part, output) of values (cell, output) by the parts (cell) of an axis of a size."""
+    """Return the sums (part, output) of values (cell, output) over the cells of each part."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Return how the means of tiles vary (tile, output), from deviations (output, draw, row, col)."""
+    """Return the relative variance of the means over tiles (tile, output), from deviations (output, draw, row, col)."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:
             rows, cols = (length // 2 * 2 for length in means.shape[2:])
             means = (means[..., :rows:2, :cols] + means[..., 1:rows:2, :cols]) / 2
             means = (means[..., ::2] + means[..., 1::2]) / 2
-        if means[0, 0].size < FEWEST:
+        if means[0, 0].size < MIN_TILES:
             break
         areas.append(side**2 * np.square(means).mean(axis=(1, 2, 3)))
-    return np.array(areas) / np.maximum(areas[0], LITTLE)
+    return np.array(areas) / np.maximum(areas[0], TINY)

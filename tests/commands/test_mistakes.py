@@ -264,7 +264,7 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
     (torn,) = warnings("a.raw", "--size", exchanged, *timed)
     assert torn.endswith(f"give --size {right}: rows first, then columns")
     (swapped,) = warnings("b.raw", "--size", right, *timed)
-    assert swapped.endswith("neighbours of one channel are unrelated; with --byte-order big they are not")
+    assert swapped.endswith("neighbours of one channel are unrelated; read it with --byte-order big")
     (long,) = warnings("a.raw", "--size", right, "--exposure-time", 20)
     assert long.startswith("warning: --exposure-time 20 is 20 seconds, 1000 times that of the training (0.02 s)")
     assert long.endswith("give seconds, not milliseconds")

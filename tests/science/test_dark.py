@@ -207,7 +207,7 @@ def test_exposure_time_or_dark_frame_or_training_states_what_is_subtracted(leaky
     assert by_time == by_frame
     assumed, words = picture(leaky, l3)
     assert words.startswith(
-        f"{leaky / 'frame.npy'}: exposure time unknown; dark current of the training's 0.1 s is taken off"
+        f"{leaky / 'frame.npy'}: exposure time unknown; subtracting the dark current of the training's 0.1 s"
     )
     assert "(10 DN)" in words
     assert assumed != by_time

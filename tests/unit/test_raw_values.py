@@ -72,8 +72,10 @@ def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
     assert "clips there, as 8 bits do, and its white level is 4095" in words(picture(1.5, 4, 255), table)
     assert "clips there, as 10 bits do" in words(picture(1.5, 60, 1023), table)
-    assert "black has been taken off it, or its values are of another depth" in words(picture(0.5, 4, 255), table)
-    assert "black has been taken off it" in words(picture(1.0, 0.0), table)
+    assert "the black level has been subtracted already, or the values have another bit depth" in words(
+        picture(0.5, 4, 255), table
+    )
+    assert "the black level has been subtracted already" in words(picture(1.0, 0.0), table)
 
 
 def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:

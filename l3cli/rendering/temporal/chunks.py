@@ -1,8 +1,9 @@
-"""The filters of a sequence, and the places at which they start anew, the same whoever renders it.
+"""The temporal filters of a sequence, and the frames at which they start, which do not depend on who renders the sequence.
 
-A sequence is cut into chunks of CHUNK frames, counted from its first one. A chunk's filter starts LEAD frames before the
-chunk, so that little noise is left where it takes over. A frame depends on at most LEAD + CHUNK − 1 others; a run that goes
-on where another stopped takes these again, and makes the same.
+A sequence is divided into chunks of CHUNK frames, counted from the first frame. The filter of a chunk starts LEAD frames
+before the chunk, so that little noise is left when the chunk begins. A frame therefore depends on at most LEAD + CHUNK −
+1
+other frames. A run that resumes another reads these frames again and gives the same result.
 """
 
 import importlib
@@ -21,32 +22,36 @@ class Filter(Protocol):
     """A recursive filter of one backend."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, with what it shares with those before it."""
+        """Return the next frame, blended with the frames before it."""
 
 
 class Chunks:
-    """The filters of a sequence, one a chunk, two where the next one leads in."""
+    """The filters of a sequence: one per chunk, and two where the next chunk leads in."""
 
     def __init__(self, make: Callable[[], Filter]) -> None:
         self._make = make
         self._filters: dict[int, Filter] = {}  # by chunk
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the frame at a place of the sequence, from 0; places increase, and may leave out what nothing needs."""
+        """Return the frame at a place of the sequence, from 0. Places increase; frames that are not `needed` may be left
+        out.
+        """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
-        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the next one leads in
+        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the next chunk's filter only leads in
         return made[0]
 
 
 def chunks_of(place: int) -> range:
-    """Return the chunks whose filters take the frame at a place: its own and, where that leads in, the next."""
+    """Return the chunks whose filters read the frame at a place: its own and, during its lead-in, the next."""
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield whether the filter must take each frame, given as its place and whether it is wanted itself: whether it, or a
-    later one that depends on it, is wanted. Looks up to LEAD + CHUNK frames ahead."""
+    """Yield whether the filter must read each frame, because the frame itself or a later one that depends on it is wanted.
+
+    Each frame is given as its place and whether it is wanted. Up to LEAD + CHUNK frames are read ahead.
+    """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
     while True:
@@ -60,26 +65,35 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 
 
 class AnyOrder:
-    """The filters of a sequence whose frames are asked for in any order, as by programs that edit films.
+    """The filters of a sequence whose frames are requested in any order, as video editors do.
 
-    Each frame is what it is in order: one that does not follow the one before it is made as by a run that goes on there.
-    Threads may share it; one at a time is at work. `read` gives the raw frame at a place, from 0, and what it raises is
-    raised; `most`: number of the last frames that are held, since threads come in any order.
+    Each frame is the same as in a sequential run. A frame that does not follow the previous request is computed from the
+    start
+    of its chunk's lead-in. Threads may share an instance, but only one works at a time.
+
+    Parameters
+    ----------
+    make : callable
+        Makes a filter.
+    read : callable
+        Returns the raw frame at a place, from 0. Its exceptions are passed on.
+    most : int
+        Number of recent frames that are kept, since threads request them in any order.
     """
 
     def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], most: int) -> None:
         self._make, self._read, self._most = make, read, most
         self._alone = ThreadLock()
         self._made: dict[int, RawFrame] = {}  # by place
-        self._next, self._complete = 0, 0  # places: of the frame that the filters take next; from which on they are right
+        self._next, self._complete = 0, 0  # place of the next frame; first place at which the result is complete
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the frame at a place, with what it shares with those before it."""
+        """Return the frame at a place, blended with the frames before it."""
         with self._alone:
             if place in self._made:
                 return self._made[place]
-            first = max(0, place // CHUNK * CHUNK - LEAD)  # that it depends on
+            first = max(0, place // CHUNK * CHUNK - LEAD)  # earliest frame that the result depends on
             if not first <= self._next <= place:
                 self._begin(first)
             for at in range(self._next, place + 1):
@@ -96,9 +110,9 @@ class AnyOrder:
             return self._made[place]
 
     def _begin(self, place: int) -> None:
-        """Start anew with the frame at a place that begins a chunk's lead-in."""
+        """Start again at a place where a chunk's lead-in begins."""
         self._chunks, self._next = Chunks(self._make), place
-        self._complete = place + LEAD if place else 0  # before it frames are of a chunk that begins earlier
+        self._complete = place + LEAD if place else 0  # frames of the lead-in belong to an earlier chunk
         self._made = {}
 
 
@@ -109,8 +123,14 @@ FILTERS = {
 
 
 def filters(backend: str, table: TransformTable, **options: str | None) -> Callable[[], Filter]:
-    """Return a function that makes filters of a backend for a table's frames; `options` as for renderer.make_renderer.
+    """Return a function that makes filters of a backend for a table's frames. `options` are those of `make_renderer`.
 
-    RecipeError if the table does not know its camera's noise, DeviceError if there is no device."""
+    Raises
+    ------
+    RecipeError
+        If the table does not hold its camera's noise.
+    DeviceError
+        If no device is found.
+    """
     module, _, name = FILTERS[backend].partition(":")
     return getattr(importlib.import_module(module), name)(table.cfa.shape, require_noise(table.camera), **options)

@@ -1,9 +1,10 @@
-"""Vectors: where each block of a frame was in the one before (docs/method.md#temporal), in whole numbers.
+"""Motion vectors: where each block of a frame was in the previous frame (docs/method.md#temporal), in integers.
 
-Both are averaged over a period of the array, so that they show no mosaic, and these planes halved until a unit is about
-a block. Blocks are searched from the coarsest plane to the finest, in whole periods, so that sites keep their channel. Where
-nothing moves, or the coarser plane's vector fits, most blocks differ by less than noise would make of it: these are not
-searched further.
+Both frames are averaged over periods of the array, which removes the mosaic. These planes are halved repeatedly, until a
+sample is about as large as a block. The search goes from the coarsest plane to the finest, in whole periods, so that
+sites keep
+their channel. Most blocks do not move, or the vector of the coarser plane fits: their difference is no larger than noise,
+and they are not searched further.
 """
 
 import itertools
@@ -17,15 +18,17 @@ from l3cli.rendering.temporal.noise import DEEP, Grid, NoiseTerms
 Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns
 
-FARTHEST = 2  # units of the coarsest plane that a block is searched for in each direction
-CLIPPED = (1 << 12) - 1  # u, of a difference of means: the sums of a window's columns then fit a kernel's 16 bits
-SETTLED = 5  # eighths of the noise of a difference: a block that differs by no more on average is not searched
-RELUCTANCE = 2  # deviations of the noise by which another vector must fit better than where the search began
-NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose vectors of the coarser plane are tried, too
+FARTHEST = 2  # samples of the coarsest plane, largest displacement in each direction
+CLIPPED = (1 << 12) - 1  # u, clamp of differences, so that the sums of a window's columns fit 16 bits in kernels
+SETTLED = 5  # eighths of the noise of a difference; blocks that differ by no more on average are not searched
+RELUCTANCE = 2  # standard deviations of the noise by which a vector must fit better than the starting vector
+NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose coarser vectors are tried in addition
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
-    """Return means of a mosaic of whole blocks over a period, then over two by two of these, and so on."""
+    """Return the means of a mosaic over periods, then over 2 × 2 of these, and so on. The mosaic consists of whole
+    blocks.
+    """
     down, across = grid.period
     sums = values.reshape(grid.shape[0] // down, down, grid.shape[1] // across, across).sum(axis=(1, 3), dtype=np.int64)
     planes = [((sums + down * across // 2) // (down * across)).astype(np.int32)]
@@ -37,7 +40,9 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
 
 
 def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
-    """Return the vector of every block in pixels: what is at a pixel now was at pixel + vector in the frame before."""
+    """Return the vector of every block in pixels: content that is now at a pixel was at pixel + vector in the previous
+    frame.
+    """
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
         coarsest = level == grid.planes - 1
@@ -53,7 +58,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Differences between the windows of all blocks at one level."""
+    """Differences between the windows of all blocks at one level of the planes."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level
@@ -63,9 +68,9 @@ class _Search:
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
         spread = noise.spread[mean >> (DEEP - 8)]
-        # The sum over n units of a difference's absolute value spreads by 0.6 √n deviations of one; ≈ 5/8.
+        # The sum of n absolute differences has a standard deviation of 0.6 √n, or about 5/8 √n, times that of a difference.
         self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
-        # Its mean is 0.8 n deviations of two whole frames' noise, 0.58 n of one frame's and of what the filter leaves.
+        # Its mean is 0.8 n standard deviations for two unfiltered frames, and 0.58 n if one of them is filtered.
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:
@@ -75,7 +80,7 @@ class _Search:
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """Return (block row, block col, row, col) of a plane, moved; beyond it its edge."""
+        """Return the windows (block row, block col, row, col) of a plane, displaced by vectors and extended at its edges."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]
@@ -85,11 +90,11 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return whether blocks that lie within the frame differ by no more than noise."""
+        """Return whether the difference of each block is no larger than noise."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best of several; all but the first cost reluctance."""
+        """Return the best vector per block. All candidates except the first have to overcome the reluctance."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:
@@ -100,7 +105,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Return vectors that keep their block, at the finest plane, within the frame."""
+        """Return vectors limited such that the displaced blocks stay within the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -112,12 +117,12 @@ class _Search:
 
 
 def root_of(window: tuple[int, int]) -> int:
-    """Return 16 times the root of the number of units in a window."""
+    """Return 16 times the square root of the number of samples in a window."""
     return int(np.sqrt(window[0] * window[1]) * 16 + 0.5)
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
-    """Yield those of the blocks beside each block; at the edge its own."""
+    """Yield the vectors of the blocks beside each block; at the edge, its own."""
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:
         yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

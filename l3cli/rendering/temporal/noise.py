@@ -1,7 +1,8 @@
-"""Cells and blocks that the filter cuts a frame into, and a camera's noise in its whole numbers.
+"""The cells and blocks into which the filter divides a frame, and the camera's noise in the filter's integers.
 
-Values are in units u = DN / 2^spare, `spare` being the bits that a frame's values leave of 16: the recursion keeps fractions
-of a DN, and the full range of any camera is 16 bits.
+Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion so keeps
+fractions of
+a DN, and every camera uses the full range of 16 bits.
 """
 
 from dataclasses import dataclass
@@ -13,60 +14,62 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
-LEAST_CELL, LEAST_BLOCK = 4, 16  # pixels, at least, of the sides of a cell and of a block
-LANES = 8  # pixels that kernels take side by side: columns of a block are a multiple
+MIN_CELL, MIN_BLOCK = 4, 16  # pixels, shortest side of a cell and of a block
+LANES = 8  # pixels that kernels process side by side; the columns of a block are a multiple
 DEEP = 16  # bits of a value
-LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # bits behind the point of the linear and the quadratic term
-SHARES = (1.0, 0.5, 0.25)  # of a camera's noise, that classes are decided against
-MOST_UNEVEN, MOST_FIXED = 1 << 20, 1 << 28  # of the terms of what pixels differ by: a quarter of a signal, of a range
-EVERY = 8  # periods of rows, one of which a frame's mean level is taken of
-LEVELS = 256  # of a period's mean, for which the noise of a difference is listed
+LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # fractional bits of the linear and the quadratic term
+SHARES = (1.0, 0.5, 0.25)  # fractions of a camera's noise for which there are class edges
+MAX_UNEVEN, MAX_FIXED = 1 << 20, 1 << 28  # clamps of the fixed-pattern terms: a quarter of the signal, and of the range
+EVERY = 8  # periods of rows, one of which is read for the mean level of a frame
+LEVELS = 256  # levels at which the noise of a difference is tabulated
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A frame's sides in pixels: (rows, columns) each."""
+    """How a frame is divided. Sizes are in pixels, as (rows, columns)."""
 
     period: tuple[int, int]
-    cell: tuple[int, int]  # whole periods: the blend is decided a cell
-    block: tuple[int, int]  # whole cells: a vector each
-    blocks: tuple[int, int]  # number of them
-    planes: int  # number of planes of means, each half as fine as the one before
+    cell: tuple[int, int]  # whole periods; each cell has its own blending weight
+    block: tuple[int, int]  # whole cells; each block has its own motion vector
+    blocks: tuple[int, int]  # number of blocks
+    planes: int  # number of planes of means, each with half the resolution of the one before
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """Return the grid of frames of a shape and an array."""
+        """Return the grid for frames of a shape and an array with a period."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1
-        while max(period) << planes <= LEAST_BLOCK:
+        while max(period) << planes <= MIN_BLOCK:
             planes += 1
         return Grid((down[0], across[0]), (down[1], across[1]), (down[2], across[2]), blocks, planes)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return the rows and columns of whole blocks."""
+        """Rows and columns of the frame, extended to whole blocks."""
         return self.blocks[0] * self.block[0], self.blocks[1] * self.block[1]
 
     @property
     def cells(self) -> tuple[int, int]:
-        """Return the number of cells."""
+        """Number of cells (rows, columns)."""
         return self.shape[0] // self.cell[0], self.shape[1] // self.cell[1]
 
     @property
     def sites(self) -> int:
-        """Return the number of pixels of a cell."""
+        """Number of pixels in a cell."""
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return rows and columns of the window of a plane that a block is searched by: the block and, if it is small, two
-        units on each side."""
+        """Return the rows and columns of the window by which a block is searched in a plane.
+
+        It is the block and, if that is small, two samples on each side.
+        """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
         return rows, cols
 
     def padded(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col), repeated by whole periods up to whole blocks."""
+        """Return values (row, col) extended to whole blocks by repeating whole periods."""
         if values.shape == self.shape:
             return np.ascontiguousarray(values)
         (rows, cols), made = values.shape, np.empty(self.shape, np.uint16)
@@ -77,14 +80,14 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Return sides of a period, a cell and a block, whose length is a multiple of `lanes`."""
-    cell = period * -(-LEAST_CELL // period)
-    block = next(side for side in range(cell, 8 * LEAST_BLOCK, cell) if side >= LEAST_BLOCK and side % lanes == 0)
+    """Return the sides of a period, a cell and a block; the block's is a multiple of `lanes`."""
+    cell = period * -(-MIN_CELL // period)
+    block = next(side for side in range(cell, 8 * MIN_BLOCK, cell) if side >= MIN_BLOCK and side % lanes == 0)
     return period, cell, block
 
 
 def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
-    """Return the index of each of `wanted` samples: itself, or beyond the end that of equal phase in the last period."""
+    """Return the index of each of `wanted` samples; beyond the end, the sample with the same phase in the last period."""
     index = np.arange(wanted)
     beyond = index - there
     last = index - (beyond // period + 1) * period if there >= period else np.full(wanted, there - 1)
@@ -93,11 +96,13 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerms:
-    """Variance of a pixel over time, in u², of a signal of S u above black: (linear · S >> LINEAR_FRACTION) + constant. What
-    pixels differ by, the same in every frame, is fixed + (uneven · S² >> UNEVEN_FRACTION): it counts where a vector brings
-    one pixel to another."""
+    """Noise of a pixel with signal S above black, in units u.
 
-    protect: int  # bits of a DN
+    The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is
+    fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters where a vector compares different pixels.
+    """
+
+    protect: int  # bits by which a DN is shifted left to give u
     black: int  # u
     white: int  # u
     linear: int
@@ -108,8 +113,9 @@ class NoiseTerms:
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
-    """Return the noise of frames with these levels, dark current included, taken by a camera whose array has a period of
-    `sites`."""
+    """Return the noise of a camera's frames at these levels, including dark current. `sites` is the number of pixels in a
+    period.
+    """
     protect = DEEP - int(white_level).bit_length()
     unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
     constant, linear, uneven = camera.noise_terms()
@@ -123,15 +129,19 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
         white=min(round(white_level * 2**protect), (1 << DEEP) - 1),
         linear=max(1, round(linear * unit * 2**LINEAR_FRACTION)),
         constant=max(1, round((constant - fixed) * unit**2)),
-        fixed=min(round(fixed * unit**2), MOST_FIXED),
-        uneven=min(round(uneven * 2**UNEVEN_FRACTION), MOST_UNEVEN),
+        fixed=min(round(fixed * unit**2), MAX_FIXED),
+        uneven=min(round(uneven * 2**UNEVEN_FRACTION), MAX_UNEVEN),
         spread=np.maximum(np.rint(np.sqrt(2 * variance / sites)), 1).astype(np.int32),
     )
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """Return the share of a camera's noise variance at a frame's mean level, what pixels always differ by included, if a
-    share `left` remains of what varies in time: the least of SHARES that is not below it."""
+    """Return the fraction of a camera's noise variance that a filter has left at a frame's mean level.
+
+    `left` is the fraction of the temporal variance. The fixed pattern is not reduced. The result is the least of SHARES
+    that is not
+    below the fraction.
+    """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
     constant, linear, quadratic = camera.noise_terms()
@@ -142,14 +152,14 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return about the mean of values (row, col): every so many periods of rows are taken."""
+    """Return the approximate mean of values (row, col), from one of every EVERY periods of rows."""
     whole = values[: len(values) // (period * EVERY) * period * EVERY]
     sampled = whole.reshape(-1, period * EVERY, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Return DN as u; beyond what 16 bits hold, all of it above the white level, the most of them."""
+    """Return DN as u. Values too large for 16 bits, which all lie above the white level, become the largest value."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
@@ -166,18 +176,18 @@ def kind_of(frame: RawFrame) -> tuple[object, ...]:
 
 
 def settings_of(frame: RawFrame) -> tuple[float, float | None]:
-    """Return the analog gain and exposure time (s; None: not known) of a frame."""
+    """Return the analog gain and the exposure time of a frame, in s (None if unknown)."""
     return frame.gain, frame.exposure
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the times by which signals of these settings are larger than those of others before, under one light."""
+    """Return the ratio of signals with the settings `now` to those with the settings `before`, under the same light."""
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return the camera whose noise the filter goes by; RecipeError if an older table does not have it."""
+    """Return the camera whose noise the filter uses; RecipeError if an older table does not hold it."""
     if camera is None:
         raise RecipeError(
             "‹temporal› needs the camera's noise, which tables of older versions do not hold; train the table again"

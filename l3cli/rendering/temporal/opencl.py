@@ -1,4 +1,4 @@
-"""The filter on an OpenCL device: opencl/temporal*.cl, kernel by kernel as reference.py does it."""
+"""The temporal filter on an OpenCL device. Each kernel of opencl/common/temporal*.cl matches a step of reference.py."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,9 +26,9 @@ from l3cli.rendering.temporal.noise import (
     times_brighter,
 )
 
-STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods of a work-item
-MARGIN, PADDING = 4, 8  # rows and columns about a plane, and columns after it
-TILE_ROWS = 4  # that windows are read by
+STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods per work-item
+MARGIN, PADDING = 4, 8  # rows and columns around a plane; columns after it
+TILE_ROWS = 4  # rows of a window that are read at a time
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
@@ -52,7 +52,9 @@ class Device:
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
-        """Enqueue a kernel over rows and columns, STRIP columns an item; whole numbers become 32 bits."""
+        """Enqueue a kernel over rows and columns, with STRIP columns per work-item. Integer arguments are passed as 32
+        bits.
+        """
         kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
         if name not in self._typed:  # once, as in work.Track
             kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
@@ -60,17 +62,17 @@ class Device:
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
 
     def buffer(self, size: int) -> Any:
-        """Make room for so many bytes."""
+        """Return a device buffer of `size` bytes."""
         return pyopencl().Buffer(self.context, pyopencl().mem_flags.READ_WRITE, size)
 
     def cleared(self, size: int) -> Any:
-        """Make room, of nought."""
+        """Return a zero-filled device buffer of `size` bytes."""
         flags = pyopencl().mem_flags
         return pyopencl().Buffer(self.context, flags.READ_WRITE | flags.COPY_HOST_PTR, hostbuf=np.zeros(size, np.uint8))
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """Return the macros that the kernels' loops depend on."""
+    """Return the macros that the kernels are compiled with."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
@@ -170,7 +172,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the state after the frames so far, u (row, col)."""
+        """Return the filtered state after the frames so far, u (row, col)."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
@@ -180,7 +182,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Make the state that of frames of this one's gain and exposure time: they change so seldom that it is done here."""
+        """Rescale the state to the gain and exposure time of this frame, on the host, because they rarely change."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING:-PADDING]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -192,20 +194,20 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Make all planes of values, and of others of which the finest is there those that are coarser."""
+        """Compute all planes of `values`, and the coarser planes of `before`, whose finest plane is given."""
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return the buffers that hold a frame and become the one that is made of it."""
+        """Return the buffers of the input frame and of the filtered frame."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
         return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
-        """Return the buffer of the vectors, in periods."""
+        """Return the buffer of the motion vectors, in periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
         self._planes(raw, buffers.now, buffers.before, self._noise.protect)
         for level in reversed(range(grid.planes)):
@@ -218,7 +220,7 @@ class OpenCLFilter:
         return buffers.vectors[0]
 
     def _weigh(self, raw: Any, vectors: Any) -> None:
-        """Weigh each cell."""
+        """Compute the blending weight of each cell."""
         device, buffers, grid, noise = self._device, self._buffers, self._grid, self._noise
         constant = min(grid.sites * noise.constant, reference.MOST_VARIANCE)
         terms = (noise.protect, noise.black, noise.linear, constant, noise.fixed, noise.uneven)
@@ -230,8 +232,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the number of values of all planes one behind the other, and of some rows that the last window may read
-    beyond them."""
+    """Return the size of all planes together, including the rows that the last window may read beyond them."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + PADDING) for down, across in planes)
@@ -240,10 +241,12 @@ def _units(grid: Grid) -> int:
 def opencl_filters(
     period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
 ) -> Callable[[], OpenCLFilter]:
-    """Return a function that makes filters on a device, as OpenCLRenderer chooses it; they share its kernels, and a
-    thread."""
+    """Return a function that makes filters on a device, which is chosen as in OpenCLRenderer.
+
+    The filters share kernels and have to run in one thread.
+    """
     shared = Device(period, device, variant)
-    # PoCL compiles kernels when they run: now, since a renderer in another thread may compile when the first frame comes.
+    # PoCL compiles a kernel when it first runs. Run all now, before a renderer in another thread compiles its kernels.
     first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))

@@ -1,4 +1,4 @@
-"""The filter by numpy: the truth that the kernels of opencl/temporal*.cl agree with, value by value."""
+"""The temporal filter in numpy, with which the kernels of opencl/common/temporal*.cl agree exactly."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,37 +24,41 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-ONE = 1 << 10  # of shares: of noise that is left, and weights
-POWER_FACTOR, POWER_FREE = 4, 5  # beyond noise: 4 times what the residuals' power over 3 × 3 cells is above 5/4
-MEAN_FREE, WIDE_FREE = 2, 6  # relative to noise: what the power of cells' sums, and of the sum of all, is above
-CUT = 8  # residuals' power, relative to noise, from which on a cell is of another scene
-CLIPPED = (1 << 14) - 1  # u, of a residual that is weighed: sums of squares then fit a kernel's 32 bits
-MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², of a cell: a kernel holds no more
-MOST_BEYOND = 1 << 42  # u²: a double, in which all these are whole, stays below 2^53
-FEW = 2  # a frame of which one cell in so many is of another scene restarts the filter
+ONE = 1 << 10  # the value of 1 for weights and for fractions of noise
+POWER_FACTOR, POWER_FREE = 4, 5  # the residual power of 3 × 3 cells counts as motion above 5/4 of the noise, 4-fold
+MEAN_FREE, WIDE_FREE = 2, 6  # multiples of the noise above which cell sums, and the sum of 3 × 3 cells, count as motion
+CUT = 8  # residual power, relative to noise, from which a cell shows another scene
+CLIPPED = (1 << 14) - 1  # u, clamp of residuals, so that sums of squares fit 32 bits in kernels
+MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², clamps of a cell, which fit 32 bits in kernels
+MOST_BEYOND = 1 << 42  # u², clamp, so that all sums stay exact in a double (below 2^53)
+FEW = 2  # the filter restarts if more than one in so many cells shows another scene
 
 
 Cells = NDArray[np.int64]
 
-LEAST_WEIGHT = ONE // 12  # of a new frame
+LEAST_WEIGHT = ONE // 12  # lowest weight of the new frame
 
 
 @dataclass(frozen=True)
 class Blend:
-    """State of a frame that is carried to the next."""
+    """The state that is carried from frame to frame."""
 
-    values: NDArray[np.uint16]  # (row, col) u, of whole blocks
-    left: Cells  # (cell row, cell col) share of a frame's noise variance that is left, of ONE
+    values: NDArray[np.uint16]  # (row, col) u, extended to whole blocks
+    left: Cells  # (cell row, cell col) remaining fraction of a frame's noise variance, in units of 1/ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state of the first frame of a scene, values (row, col) u of whole blocks."""
+    """Return the state after the first frame of a scene, from values (row, col) u of whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
 def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
-    """Return a state as that of frames whose signals are `times` as large, and whose noise is the second of two: what is
-    left of the first is another share of it, at most all (docs/method.md#temporal)."""
+    """Return the state for frames with another gain or exposure time (docs/method.md#temporal).
+
+    Signals become `times` as large. `noises` are the noise before and now; the remaining noise becomes another fraction
+    of the
+    new noise, at most all of it.
+    """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
     values = np.clip(scale, 0, now.white).astype(np.uint16)[before.values]
@@ -68,7 +72,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """Return a frame, values (row, col) u of whole blocks, with what was kept before it, moved by `vectors`."""
+    """Blend a frame, values (row, col) u of whole blocks, with the previous state displaced by `vectors`."""
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
     history = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
@@ -88,7 +92,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return the noise that is left in each cell, at the place where its middle was before."""
+    """Return the remaining noise of each cell, read at the place where its centre was before."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -97,7 +101,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """Return (cell row, cell col) of values (block row, block col)."""
+    """Return values per cell (cell row, cell col) from values per block (block row, block col)."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -105,8 +109,10 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return, over three by three cells about each, the power of the residuals, of each cell's sum, of the sum of all,
-    and the share of noise in any of them."""
+    """Return the evidence for motion, and the noise expected of it, each over 3 × 3 cells around a cell.
+
+    It consists of the power of the residuals, the power of each cell's sum, and the squared sum of all cells.
+    """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
     level = signal // grid.sites
@@ -120,30 +126,30 @@ def _evidence(
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:
-    """Return sums of values (row, col) over cells."""
+    """Return the sums of values (row, col) over cells."""
     (down, across), (tall, wide) = grid.cells, grid.cell
     return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
 
 
 def _nearby(cells: Cells) -> Cells:
-    """Return sums over three by three cells, as far as there are any."""
+    """Return the sums over 3 × 3 cells; there is nothing beyond the border."""
     padded = np.pad(cells, 1)
     tall = padded[:-2] + padded[1:-1] + padded[2:]
     return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]
 
 
 class ReferenceFilter:
-    """Filter of frames of an array with a `period` of rows and columns."""
+    """Temporal filter for frames of an array with a `period` of rows and columns."""
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
         self._kind: tuple[object, ...] | None = None
-        self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the frame before
+        self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the last frame
         self.history: Blend | None = None
-        self.vectors: Vectors | None = None  # of the last frame, if it was not a first one
+        self.vectors: Vectors | None = None  # motion of the last frame, unless it was the first
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with those before it, if they are of its size and levels."""
+        """Return the next frame, blended with the frames before it if size and levels are the same."""
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(
