@@ -290,7 +290,7 @@ def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tm
     err = l3(*render, tmp_path / "a.png", "--white", "0.4476,0.4074")[2]
     assert err.startswith("warning: --white 0.4476,0.4074 is far from the mean light of the training, x,y = 0.3127,0.3290")
     assert err.endswith(
-        ": taken for that of a black body or daylight; name a fluorescent or LED lamp, or give a grey's ROW,COL\n"
+        ": assuming a black body or daylight; for a fluorescent or LED lamp give its name, or the ROW,COL of a grey\n"
     )
     assert l3(*render, tmp_path / "modelled.png", "--white", "A")[2] == ""  # the table's camera says what it sees of it
     assert l3(*render, tmp_path / "d.png", "--white", "D60")[2] == ""

@@ -142,7 +142,7 @@ def test_squares_that_are_no_grey(table: TransformTable) -> None:
     for square, why in (
         (Square(50, 50, 16), "clipped in 100%"),
         (Square(20, 85, 16), "too dark"),
-        (Square(52, 85, 16), r"is not plain: channel r varies by \d+%"),
+        (Square(52, 85, 16), r"is not uniform: channel r varies by \d+%"),
         (Square(4, 20, 16), "inside"),
     ):
         with pytest.raises(InputFileError, match=why):

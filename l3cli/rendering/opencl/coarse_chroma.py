@@ -1,5 +1,4 @@
-"""Coarse chroma and clipping on an OpenCL device: what a last layer reads of quads (l3cli/classes/coarse_chroma.py and
-clipping.py are the truth)."""
+"""Coarse chroma and clipping on an OpenCL device. l3cli/classes/coarse_chroma.py and clipping.py are the reference."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,28 +11,33 @@ from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.opencl.devices import pyopencl
-from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, FAR, clipping_macros, paired_source
+from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BEYOND = 16  # behind the last of a row, which vectors may read
+BEYOND = 16  # elements after the last one, which vectors may read
 
 
 class DeviceCoarseChroma:
-    """Kernels and buffers of a table whose last layer takes chroma from far around, made when the first frame comes."""
+    """Kernels and buffers for a table with coarse chroma, which are built when the first frame comes."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """Build the kernels. `kernel` makes a kernel of source, macros and name, `run` enqueues one on a track, over rows
-        and columns, `constant` puts an array on the device."""
+        """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it on a track,
+        over rows
+        and columns; `constant` puts an array on the device.
+        """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # average, soften
-        self._scales: dict[float, list[Any]] = {}  # by share of the noise, each step's
+        self._scales: dict[float, list[Any]] = {}  # scale of each step, by noise fraction
 
     def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
-        """Enqueue what makes coarse chroma of the planes that a band's last layer reads: the events, and the buffers of
-        blocks before and after, which the layer reads beside. `share`: of the camera's noise."""
+        """Enqueue the smoothing of the blocks that a band's last layer reads.
+
+        The result is the events, and the buffers of blocks before and after smoothing. `share` is the fraction of the
+        camera's noise.
+        """
         if not self._kernels:
             source = paired_source(self._variant, "coarse_chroma.cl")
             macros = {**COARSE_MACROS, "LUMINANCE": LUMINANCE}
@@ -51,33 +55,35 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the buffers of a track for planes of a shape; blocks lie within margins that are FAR from all."""
+        """Return the track's buffers for planes of a shape. The margins around the blocks are UNLIKE_ANY."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
             size = 4 * (3 * (rows + 2 * COARSE_MARGIN) * (columns + 2 * COARSE_MARGIN + BEYOND) + BEYOND)
             buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(3)]
             for buffer in buffers:
-                cl.enqueue_fill_buffer(track.queue, buffer, np.float32(FAR), 0, size)
+                cl.enqueue_fill_buffer(track.queue, buffer, np.float32(UNLIKE_ANY), 0, size)
             track.coarse = shape, buffers
         return track.coarse[1]
 
 
 class DeviceClipping:
-    """Kernels and buffers of a table that replaces plain clipped areas, made when the first frame comes."""
+    """Kernels and buffers for a table that replaces uniform clipped areas, which are built when the first frame comes."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
         variant: str,
     ) -> None:  # fmt: skip
-        """Take arguments as DeviceCoarseChroma does."""
+        """Prepare without building. Parameters as in DeviceCoarseChroma."""
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
         self._kernels: list[Any] = []  # measure_blocks, map_blocks, read_maps
         self._constants: list[Any] = []  # channels of the array, response
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the maps of a band of a frame at the table's levels: the events, and the buffer of the maps of the quads
-        of the planes that the last layer reads."""
+        """Enqueue the maps of a band, and return the events and the buffer of the quads' maps.
+
+        The frame must be at the table's levels. The quads are those of the planes that the last layer reads.
+        """
         table = self._table
         clipping = table.later[-1].clipping
         assert clipping is not None

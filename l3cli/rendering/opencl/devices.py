@@ -1,8 +1,9 @@
-"""Finding OpenCL devices, and saying why there are none; the folder in which PoCL caches compiled kernels.
+"""Finding OpenCL devices, explaining why there are none, and choosing the folder in which PoCL caches compiled kernels.
 
-PoCL believes whatever it finds there, and ends the process where it cannot write: so the folder is this user's alone and on
-a disk with room, or else a temporary one. What a damaged file in it does: docs/limits.md. Other drivers keep their kernels
-themselves; pyopencl's cache, which unpickles what it finds and leaves PoCL alone, is not used.
+PoCL trusts whatever it finds in its cache, and ends the process if it cannot write there. The folder therefore belongs to
+this
+user alone and is on a disk with enough space; otherwise it is a temporary folder. docs/limits.md describes what a damaged
+file in it does. Other drivers cache kernels themselves. pyopencl's own cache is not used, because it unpickles its files.
 """
 
 import atexit
@@ -22,12 +23,12 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-ROOM = 16 << 20  # bytes, several times what the kernels of a table need while they are compiled
-LEFT = 86400  # seconds after which an empty file is nobody's: each process that uses PoCL 3.0 leaves one
+ROOM = 16 << 20  # bytes that must be free, several times the need of a table's kernels while they are compiled
+LEFT = 86400  # seconds after which empty files are removed; each process that uses PoCL 3.0 leaves one
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
-LINKER = "ld"  # by which PoCL finishes each kernel, with a C compiler's libraries; without them it ends the whole process
-REFUSES_PROCESSOR = "unknown target CPU"  # words of PoCL's compiler
-DAMAGED = "INVALID_KERNEL_NAME"  # of PoCL, for each kernel of a program that it read from a damaged file
+LINKER = "ld"  # PoCL links each kernel with it and a C compiler's libraries; without them it ends the process
+REFUSES_PROCESSOR = "unknown target CPU"  # message of PoCL's compiler
+DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program from a damaged cache file
 FORKED = (
     "this process was forked from one that uses OpenCL, which would hang here; start processes by "
     '"spawn", multiprocessing.get_context("spawn"), and make renderers within them'
@@ -36,8 +37,18 @@ FORKED = (
 
 @functools.cache
 def prepare_cache() -> str:
-    """Choose PoCL's folder, before the first device is asked for: return why it is a temporary one, empty if it is not.
-    DeviceError if no disk has room."""
+    """Choose the folder of PoCL's cache, before the first device is requested.
+
+    Returns
+    -------
+    str
+        The reason why it is a temporary folder, or "" if it is not.
+
+    Raises
+    ------
+    DeviceError
+        If no disk has enough space.
+    """
     os.environ["PYOPENCL_NO_CACHE"] = "1"
     folder = _user_folder()
     if folder is None:
@@ -60,17 +71,17 @@ def prepare_cache() -> str:
 
 
 def cache_warning() -> str:
-    """Return a warning of kernels that could not be cached; empty if they could, or if none were needed."""
+    """Return a warning if compiled kernels could not be cached, otherwise ""."""
     if not prepare_cache.cache_info().currsize or not (reason := prepare_cache()):
         return ""
     return (
-        f"compiled kernels cannot be cached ({reason}), so each run compiles them anew, which takes seconds; "
-        "set XDG_CACHE_HOME to a folder with room that can be written to"
+        f"compiled kernels cannot be cached ({reason}), so each run takes seconds to compile them; "
+        "set XDG_CACHE_HOME to a writable folder on a disk with space"
     )
 
 
 def _user_folder() -> Path | None:
-    """Return POCL_CACHE_DIR, else a folder below XDG_CACHE_HOME or the home folder; None without any."""
+    """Return POCL_CACHE_DIR if set, otherwise a folder below XDG_CACHE_HOME or the home folder; None if there is neither."""
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
         return chosen
@@ -81,7 +92,7 @@ def _user_folder() -> Path | None:
 
 
 def _require_room(folder: Path) -> None:
-    """Raise OSError unless compiled kernels can be written to a folder, and loaded from it as programs are."""
+    """Raise OSError unless compiled kernels can be written to a folder and loaded from it."""
     if os.statvfs(folder).f_flag & os.ST_NOEXEC:
         raise PermissionError(errno.EACCES, "programs cannot be run from it")
     with tempfile.TemporaryFile(dir=folder) as room:
@@ -97,7 +108,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _temporary_folder() -> str:
-    """Return a new folder that is removed when this process ends. DeviceError if no disk has room."""
+    """Return a new folder that is removed when this process ends; DeviceError if no disk has enough space."""
     places = [place for place in (os.environ.get("TMPDIR"), "/tmp", "/var/tmp", "/dev/shm") if place]
     for place in places:
         with contextlib.suppress(OSError):
@@ -115,15 +126,22 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # that of the wheels, which is 3.0, among them
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that run the linker; the wheels contain 3.0
 
 
-_owner: int | None = None  # number of the process that has begun to use OpenCL
+_owner: int | None = None  # number of the process that first used OpenCL
 
 
 def pyopencl() -> Any:
-    """Return pyopencl, imported when first needed; DeviceError if there is no OpenCL at all, or if this process was forked
-    from one that uses it: drivers have threads, which a fork does not copy, and the first call would wait for ever."""
+    """Return the module pyopencl, imported when first needed.
+
+    Raises
+    ------
+    DeviceError
+        If OpenCL is not installed, or if this process was forked from one that uses OpenCL. Drivers have threads, which a
+        fork
+        does not copy, so the first call would wait for ever.
+    """
     global _owner
     if _owner not in (None, os.getpid()):
         raise DeviceError(FORKED)
@@ -137,13 +155,15 @@ def pyopencl() -> Any:
 
 
 def devices() -> list[Any]:
-    """Return every OpenCL device there is, in the order that --device and L3_DEVICE count."""
+    """Return all OpenCL devices, in the order in which --device and L3_DEVICE number them."""
     return [device for _, shown, _ in _platforms() for device in shown]
 
 
 def survey() -> list[str]:
-    """Return one line for each device, with its number; and one for each platform without any, and for none at all, with
-    what is missing and how to install it."""
+    """Return one line per device, with its number, and one line per platform without devices.
+
+    If there are no devices, the lines say what is missing and how to install it.
+    """
     lines, number = [], 0
     platforms = _platforms()
     for name, shown, why in platforms:
@@ -161,7 +181,7 @@ def survey() -> list[str]:
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return name, devices and, where there are none, the reason, of every platform."""
+    """Return the name and the devices of every platform and, if it has none, the reason."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
@@ -180,9 +200,17 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
 
 
 def choose_device(wanted: str) -> Any:
-    """Return the device that `wanted` names by index or part of its name; else the first GPU, else the first of any kind.
+    """Return an OpenCL device.
 
-    DeviceError if there is none.
+    Parameters
+    ----------
+    wanted : str
+        Number of the device, or a part of its name. If empty, the first GPU is chosen, or otherwise the first device.
+
+    Raises
+    ------
+    DeviceError
+        If there is no such device.
     """
     available = devices()
     if not available:
@@ -201,7 +229,7 @@ def choose_device(wanted: str) -> Any:
 
 @contextlib.contextmanager
 def refusals(device: Any) -> Iterator[None]:
-    """Raise a DeviceError of one line for what OpenCL refuses on a device."""
+    """Within the block, raise a DeviceError with a single line for any error of OpenCL."""
     cl = pyopencl()
     try:
         yield

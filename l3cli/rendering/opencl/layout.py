@@ -1,4 +1,4 @@
-"""A table as the kernels see it: macros for shapes, arrays for values, sources in their order (opencl/*.cl)."""
+"""A table in the form that the kernels (opencl/**/*.cl) need: macros for sizes, arrays for values, sources in order."""
 
 import functools
 import math
@@ -23,16 +23,18 @@ from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
-PERIODS = 31  # columns by which a row of the CFA is repeated, so that two vectors of 16 can be read from any phase on
-SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # of floats that are arranged so; at most so many taps (folding.cl)
-FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # of opencl/, by variant
+PERIODS = 31  # columns by which a row of the CFA is extended, so that two vectors of 16 fit from any phase on
+SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # outputs and largest number of taps of side_by_side.cl, for floats
+FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # below opencl/, by variant
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
 
 
 @functools.cache
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
-    """Return a curve's macros, its power part a polynomial in the fourth root (encoding.cl), fitted at Chebyshev's nodes."""
+    """Return the macros of a transfer curve. Its power part is a polynomial of the fourth root (encoding.cl), fitted at
+    Chebyshev's nodes.
+    """
     lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
     terms = np.polynomial.polynomial.polyfit(root, curve.encoded(root**4), degree)
@@ -47,8 +49,12 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 
 @functools.cache
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
-    """Return a curve's codes up to `top`, and half a code, as 32 parabolas in u = 2^-8 + CURVE_SHARE · x within 3e-5 of
-    `top`: four an octave, fitted at Chebyshev's nodes, in the order in which the upper bits of u number them."""
+    """Return the macros of a transfer curve as 32 parabolas, which give codes up to `top`, plus one half for rounding.
+
+    The variable is u = 2^-8 + CURVE_SHARE · x. There are four parabolas per octave of u, fitted at Chebyshev's nodes,
+    with errors
+    within 3e-5 of `top`. They are stored in the order in which the upper bits of u number them.
+    """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
     half = start * 2.0**octave / 8
@@ -64,7 +70,7 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
 
 @functools.cache
 def gamut_macros(space: Space) -> dict[str, int | str]:
-    """Return the macros of the gamut of a space (encoding.cl)."""
+    """Return the macros of the gamut mapping into a space (encoding.cl)."""
     gamut = gamut_of(space)
     arrays = {"CONES": gamut.cones, "LINEAR": gamut.linear, "LUMINANCE": gamut.luminance, "LIGHTNESS": LIGHTNESS}
     return {
@@ -77,7 +83,7 @@ def gamut_macros(space: Space) -> dict[str, int | str]:
 
 
 def _literal(value: float) -> str:
-    """Return a number as OpenCL C writes one in single precision: whole numbers, too, with an exponent."""
+    """Return a number as a single-precision literal of OpenCL C. The exponent marks integers as floating point, too."""
     return f"{value:.8e}f"
 
 
@@ -86,12 +92,12 @@ Macros = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Cut:
-    """Division of a band: each work-group renders a tile of `tile` columns and `band` rows."""
+    """How a band is divided: each work-group renders a tile of `tile` columns and `band` rows."""
 
     tile: int  # columns
     band: int  # rows
-    group: tuple[int, int]  # work-items
-    lanes: int  # pixels, or taps, that a work-item takes side by side; 0: the device's compiler says (lanes.cl)
+    group: tuple[int, int]  # work-items of a group
+    lanes: int  # pixels, or taps, that a work-item processes side by side; 0: the device's compiler decides (lanes.cl)
 
     @property
     def macros(self) -> Macros:
@@ -99,15 +105,17 @@ class Cut:
 
 
 def source_folder() -> Path:
-    """Return the folder of the .cl files: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the .cl files: inside the installed package, or beside it in a source checkout."""
     package = Path(__file__).parents[2]
     inside = package / "opencl"
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """Return the .cl files of a variant for the layer that reads the mosaic, with the features of its rule, joined; #line
-    keeps file and line in the compiler's messages."""
+    """Return the joined .cl files for the layer that reads the mosaic, with the features of its rule.
+
+    #line directives keep file names and lines in the compiler's messages.
+    """
     features = [
         joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
         f'#line 1 "joined features"\n{plane_kernel.joined(rule)}',
@@ -116,7 +124,7 @@ def first_source(variant: str, rule: ClassRule) -> str:
 
 
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
-    """Return the .cl files of a variant for a layer that reads planes, with the formula of its rule."""
+    """Return the joined .cl files for a refinement layer, with the formula of its rule."""
     formula, kernels = plane_kernel.rule_snippets(layer.rule)
     chroma = ("common/coarse_chroma.cl", "common/quads.cl") if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
@@ -124,23 +132,25 @@ def refinement_source(variant: str, layer: PlaneLayer) -> str:
 
 
 def encoder_source(variant: str) -> str:
-    """Return the .cl files of a variant for pictures of outputs."""
+    """Return the joined .cl files that encode outputs as pictures."""
     return joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *VARIANTS[variant].encoder_sources)
 
 
 def joined_files(*names: str) -> str:
-    """Return the files of opencl/, joined."""
+    """Return files below opencl/, joined."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
 def paired_source(variant: str, name: str, *shared: str) -> str:
-    """Return the .cl files of a kernel of which a part is common and a part the variant's own, joined behind `shared`."""
+    """Return the joined .cl files of a kernel that has a common part and a part for the variant, after the files
+    `shared`.
+    """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
-    """Return as macros all of a table that a kernel's loops and formulas depend on; `sets`: number of sets of transforms."""
+    """Return the macros for a table's first layer. `sets` is the number of sets of transforms."""
     rule = table.first.rule
     further = sum(len(axis.constants) for axis in rule.axes)
     return {
@@ -162,35 +172,35 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 def white_macros(table: TransformTable) -> Macros:
-    """Macros of the kernels that write outputs, if these are limited to a clipped white."""
+    """Return the macros that limit outputs to the clipped white, if there is one."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
 
 
 def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:
-    """The numbers (12) that kernels which write outputs read from one buffer.
+    """Return the numbers (12) that kernels with outputs read from one buffer.
 
     Parameters
     ----------
     table : TransformTable
     matrix : ndarray, (3, 3), or None
-        Linear values of the display from X, Y, Z. None: outputs are written as they are.
+        From X, Y, Z to linear values of the display. None if outputs are written unchanged.
 
     Returns
     -------
-    ndarray, (12)
-        The matrix, row by row, then the XYZ of the clipped white, in output units. What does not apply is zero.
+    ndarray, (12,)
+        The matrix, row by row, then the XYZ of the clipped white in output units. Parts that do not apply are zero.
     """
     white = table.clipped_white
     return np.concatenate([np.zeros(9) if matrix is None else matrix.ravel(), np.zeros(3) if white is None else white])
 
 
-COARSE_MARGIN = max(SPACINGS)  # blocks about those of a band that are FAR from all
-FAR = 1e12  # steps of a plane
+COARSE_MARGIN = max(SPACINGS)  # blocks around a band, with values that are similar to no block
+UNLIKE_ANY = 1e12  # steps of a plane, value of the blocks in the margin
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
 def clipping_macros(table: TransformTable) -> Macros:
-    """Return everything about a table that the kernels of plain clipped areas depend on."""
+    """Return the macros of the kernels for uniform clipped areas."""
     rows, columns = clipping.block_sides(table.cfa)
     steps = {
         "BEGINS": clipping.BEGINS,
@@ -212,7 +222,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     }
 
 
-# What a layer writes for the next to read.
+# Macros of a layer that another layer follows.
 TO_PLANES: Macros = {
     "OUTPUTS": PLANES,
     "FIXED_POINT": 1,
@@ -224,7 +234,7 @@ TO_PLANES: Macros = {
 
 
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
-    """Return as macros everything about a layer after the first that a kernel's loops and formulas depend on."""
+    """Return the macros for a refinement layer."""
     return {
         "PATCH": layer.side,
         "RADIUS": layer.radius,
@@ -243,23 +253,23 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
 
 
 OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: one number a pixel is written
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: writes one number per pixel
 
 
 def display_macros(display: Display) -> Macros:
-    """Return the macros of the codes that the last stage writes."""
+    """Return the macros for the codes of a display."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top, **gamut_macros(display.space)}
     if display.tone is not None:
         terms = {**vars(display.tone), "limit": TONE_LIMIT}
         macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
-    # Within 8e-5, which moves one value of 8 bits in 200 by one; within 1.2e-6, which is what float32 gives.
+    # For 8 bits within 8e-5, which changes one code in 200 by one; otherwise within 1.2e-6, the accuracy of float32.
     if display.bits == 8:
         return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
     return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """Return the kernel `classes`' constants in the order of its arguments, for a table and `others`, further sets of it."""
+    """Return the constants of the kernel `classes` in the order of its arguments. `others` are further sets of the table."""
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
@@ -282,41 +292,41 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
 
 @dataclass(frozen=True)
 class Weights:
-    """A layer's transforms as kernels read them."""
+    """A layer's transforms in floating point, in the order in which kernels read them."""
 
-    taps: NDArray[Any]  # (class, output, tap), taps column by column, in each row by row, plane by plane
+    taps: NDArray[Any]  # (class, output, tap); taps are ordered by column, then row, then plane
     intercept: NDArray[Any]  # (class, output)
-    ratio_taps: int = 0  # the last of the taps, which are of no window
+    ratio_taps: int = 0  # number of taps at the end that belong to no window
 
 
 @dataclass(frozen=True)
 class WholeWeights:
-    """The same of a layer in fixed point, to three planes."""
+    """A layer's transforms in fixed point, which make three planes."""
 
     taps: NDArray[np.int16]  # (class, plane, tap) in the same order
     intercept: NDArray[np.int32]  # (class, plane)
-    fraction: NDArray[np.int32]  # (class)
+    fraction: NDArray[np.int32]  # (class) number of fractional bits
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the weights of the first layer, `first`, of a table to its outputs, per DN above black."""
+    """Return the weights of a table's first layer if it writes outputs, per DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
-    """Return the weights of the first layer if another follows it; raw values lose `raw_middle`."""
+    """Return the weights of the first layer if another layer follows. Raw values are read with `raw_middle` subtracted."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
-    """Return the weights of a layer that reads planes if another follows it."""
+    """Return the weights of a refinement layer that another layer follows."""
     return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_weights(layer: PlaneLayer) -> Weights:
-    """Return the weights of the last layer, if it reads planes, per step of a plane."""
+    """Return the weights of the last layer if it is a refinement layer, per step of a plane."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
@@ -324,18 +334,20 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Buffers of the step to the planes and classes of a layer that reads planes."""
+    """Buffers for the planes and classes that a refinement layer reads."""
 
-    weights: Any  # of the layer before
+    weights: Any  # of the previous layer
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # where other transforms have a display's matrix
+    nothing: Any  # unused argument in the place of a display's matrix
 
 
 def table_buffers(
     sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
 ) -> tuple[list[Any], Any, list[PlaneStep]]:
-    """Return the buffers of the first layer's class rule, the last layer's transforms, and the step to each refinement
-    layer. `constant` makes buffers of arrays."""
+    """Return the buffers of the first layer's class rule, of the last layer's transforms, and of each refinement layer.
+
+    `constant` puts an array on the device.
+    """
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
         if number:
@@ -351,7 +363,7 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """Return weights (class, output, tap) in order of planes, rows and columns as of columns, rows and planes."""
+    """Return weights (class, output, tap) with the taps reordered from plane, row, column to column, row, plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -359,9 +371,13 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 
 
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
-    """Return weights (class, …) for side_by_side.cl; or, for floating_point.cl, (class, group, …): vectors (vector, output,
-    lane) of all taps of a window but the last, the last taps of four outputs, their four intercepts, the taps behind the
-    window one by one, and zeros up to a multiple of 16."""
+    """Pack weights (class, …) for side_by_side.cl, or (class, group, …) for floating_point.cl.
+
+    The latter consist of, for each group of outputs: vectors (vector, output, lane) of all taps of a window but the last;
+    the
+    last taps of four outputs; their four intercepts; the taps after the window one by one; and zeros up to a multiple of
+    16.
+    """
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
     if outputs in SIDE_BY_SIDE_OUTPUTS and taps <= SIDE_BY_SIDE_TAPS and not ratios:
@@ -387,14 +403,20 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """Return weights (class, …) for side_by_side.cl, the fraction being the intercept of a fourth plane."""
+    """Pack fixed-point weights (class, …) for side_by_side.cl. The fraction takes the place of a fourth plane's
+    intercept.
+    """
     intercept = np.column_stack([layer.intercept, layer.fraction])
     return _side_by_side(layer.taps, intercept, 8)
 
 
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
-    """Return weights (class, …) of taps (class, output, tap) and intercepts (class, output): four of these, each before
-    three zeros; then, `once` taps at a time, those of four outputs; zeros where there is none."""
+    """Pack the weights for side_by_side.cl.
+
+    Per class there is a header with the four intercepts at a stride of 4, then blocks of `once` taps for outputs 0 to 3
+    in turn.
+    Missing outputs and taps are zero.
+    """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
     first[:, : intercept.shape[1], 0] = intercept
@@ -405,7 +427,7 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
-    """Return weights (class, 1 + tap, output) for graphics.cl: the intercept first, outputs filled up to fours."""
+    """Pack weights (class, 1 + tap, output) for gpu/frame.cl: the intercept first, outputs padded to a multiple of four."""
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
     packed[:, 0, :outputs] = layer.intercept
@@ -414,7 +436,7 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
-    """Return weights (class, 1 + tap, 4) for graphics.cl: three intercepts and the fraction, then the taps."""
+    """Pack weights (class, 1 + tap, 4) for gpu/frame.cl: three intercepts and the fraction, then the taps."""
     classes, planes, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, 4), np.int32)
     packed[:, 0] = np.column_stack([layer.intercept, layer.fraction])
@@ -431,19 +453,19 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 class Variant:
     """The same computation, arranged for one kind of device."""
 
-    # Files of opencl/ for the layer that reads the mosaic, joined in this order behind the features'
+    # Files below opencl/ for the first layer, which follow those of the features in this order.
     sources: tuple[str, ...]
-    refinement_sources: tuple[str, ...]  # the same for one that reads planes
-    encoder_sources: tuple[str, ...]  # for pictures of outputs
+    refinement_sources: tuple[str, ...]  # the same for a refinement layer
+    encoder_sources: tuple[str, ...]  # for encoding outputs as pictures
     encoder_cut: Cut
     joins: bool  # whether classes and transforms of the first layer may be one kernel
-    cut: Callable[[TransformTable, int], Cut]  # for a number of lanes that suits the device
-    pack: Callable[[Weights, int], NDArray]  # weights as its kernels read them, for Cut.lanes
+    cut: Callable[[TransformTable, int], Cut]  # division of a band, from the number of lanes that suits the device
+    pack: Callable[[Weights, int], NDArray]  # packs weights for its kernels, for a number of lanes
     pack_whole: Callable[[WholeWeights, int], NDArray]
 
 
 VARIANTS = {
-    # Few and long work-items, each vectorised within: over pixels for the classes, over taps for the transforms.
+    # A few long work-items, each vectorised: over pixels for the classes, over taps for the transforms.
     "processor": Variant(
         (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
@@ -454,7 +476,7 @@ VARIANTS = {
         pack_in_vectors,
         pack_whole_in_vectors,
     ),
-    # A work-item a pixel; the device lays them side by side itself.
+    # One work-item per pixel, which the device itself runs side by side.
     "graphics": Variant(
         (*SHARED, "gpu/frame.cl"),
         ("gpu/frame.cl",),

@@ -1,4 +1,4 @@
-"""The programs of a table on an OpenCL device, each built when a frame first needs it."""
+"""The OpenCL programs of a table, each of which is built when a frame first needs it."""
 
 import functools
 import os
@@ -16,41 +16,44 @@ from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl.processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
-TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # without the kernel of the classes, which another program has
-# Of the variant that joins them, programs of one kernel each: what a frame does not run need not be compiled.
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # leaves out the kernel for classes, which another program contains
+# Where classes and transforms may be joined, programs have one kernel each, so that unused kernels are not compiled.
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
-JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer in one kernel
 Key = tuple[Any, ...]
 
 
 class Compiler:
-    """Builder of programs for a device, which reuses those of this process."""
+    """Builds programs for a device, and reuses those that this process has built."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device
-        self._built: dict[tuple[str, ...], Any] = {}  # by source and options
+        self._built: dict[tuple[str, ...], Any] = {}  # program by source and options
 
     def build(self, source: str, macros: layout.Macros) -> Any:
         """Build a program."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        if name := compiled_for(self._device):  # by its own name PoCL would take kernels of another processor
+        if name := compiled_for(self._device):  # keeps PoCL's cache from reusing kernels for another processor
             options.append(f"-DCOMPILED_FOR={name}")
         key = (source, *options)
         if key not in self._built:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # pyopencl warns of every word a compiler says
+                warnings.simplefilter("ignore")  # pyopencl warns whenever the compiler prints something
                 self._built[key] = pyopencl().Program(self.context, source).build(options)
         return self._built[key]
 
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """Return the one of a device in this process: what a renderer has built is there for the next."""
+    """Return the compiler of a device in this process, so that renderers share their programs."""
     return Compiler(pyopencl().Context([device]), device)
 
 
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
-    """Return device and variant of a renderer asked for them (OpenCLRenderer); DeviceError, RecipeError if none is."""
+    """Return the device and the variant for a renderer (see OpenCLRenderer).
+
+    DeviceError if there is no such device, RecipeError if the variant is unknown.
+    """
     found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
     name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
     if name not in layout.VARIANTS:
@@ -59,15 +62,17 @@ def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
 
 
 def make_ready(device: str | None = None, variant: str | None = None) -> None:
-    """Build what a renderer needs for any table. Errors as of `chosen`."""
+    """Build what a renderer needs for any table. Errors as in `chosen`."""
     found, name = chosen(device, variant)
     with refusals(found):
         usual_encoder(compiler_of(found), name)
 
 
 def usual_encoder(compiler: Compiler, variant: str) -> int:
-    """Build what makes usual pictures of outputs, which is soon needed: the number of lanes that its kernel's name tells. It
-    runs once on a pixel, so that PoCL compiles it."""
+    """Build the encoder for 8-bit sRGB pictures, and return the number of lanes, which its kernel's name states.
+
+    The kernel runs once on a single pixel, so that PoCL compiles it now.
+    """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
     macros = layout.display_macros(Display(np.eye(3), 8)) | cut.macros
@@ -80,15 +85,24 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 
 
 class Programs:
-    """The kernels of a table's layers, counted from 0, and what makes pictures of outputs.
+    """The kernels of a table's layers, counted from 0, and of the encoder.
 
-    `ending`: what the transforms write (layout.py). `lanes`: length of the processor variant's vectors; None: what the
-    device's compiler has registers for. `sets`: of transforms that pixels choose from.
+    `ending` are the macros of what the transforms write (layout.py).
+
+    Parameters
+    ----------
+    compiler : Compiler
+    table : TransformTable
+    variant : str
+    lanes : int or None
+        Length of the processor variant's vectors. None: as the device's registers allow.
+    sets : int
+        Number of sets of transforms that pixels choose from.
     """
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # by layer, -1: an encoder, or "joined"; and ending
+        self._programs: dict[Key, Any] = {}  # by layer (-1: encoder) and ending
         self._kernels: dict[Key, Any] = {}  # by program and name
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
@@ -97,15 +111,19 @@ class Programs:
         self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
-        """Return the kernel of the last layer's transforms, which if it is the only one may find its classes, too."""
+        """Return the kernel of the last layer's transforms. If it is the only layer, the kernel may also decide the
+        classes.
+        """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that makes outputs of the first layer, which the last one corrects."""
+        """Return the kernel that renders the outputs of the first layer, if the last layer corrects them."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """Return the kernel that makes what layer `layer` + 1 reads, which for the first may find its classes, too."""
+        """Return the kernel that renders the planes for layer `layer` + 1. For the first layer it may also decide the
+        classes.
+        """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
     def _transforms(self, layer: int, ending: layout.Macros, joined: bool) -> Any:
@@ -114,7 +132,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that finds a layer's classes, out of whichever program of it there is."""
+        """Return the kernel that decides a layer's classes, from any of its programs."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
@@ -122,7 +140,7 @@ class Programs:
         return self._kernel(key, "structures" if layer else "classes")
 
     def encoder(self, ending: layout.Macros) -> Any:
-        """Return the kernel that makes pictures of outputs."""
+        """Return the kernel that encodes outputs as pictures."""
         key = self._built(-1, ending)
         return self._kernel(key, self._programs[key].kernel_names)
 
@@ -132,14 +150,14 @@ class Programs:
         return self._kernels[*key, name]
 
     def _built(self, layer: int, ending: layout.Macros) -> Key:
-        """Return the key of a program, which is built now if it has not been before."""
+        """Return the key of a program, which is built if necessary."""
         key = (layer, *ending.items())
         if key not in self._programs:
             self._programs[key] = self._compiler.build(*self._program(layer, ending))
         return key
 
     def _program(self, layer: int, ending: layout.Macros) -> tuple[str, layout.Macros]:
-        """Return source and macros."""
+        """Return the source and the macros of a program."""
         if layer < 0:
             return layout.encoder_source(self._variant), {**ending, **self.encoder_cut.macros}
         if layer == 0:

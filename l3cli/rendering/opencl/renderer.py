@@ -38,16 +38,20 @@ from l3cli.rendering.opencl.work import (
 )
 from l3cli.rendering.reference import SPECTRA_DARKEST
 
-LONG_RUN = 1 << 14  # pixels of a work-item with vectors
-GROUP = 64  # work-items of one pixel each
+LONG_RUN = 1 << 14  # pixels per work-item, in the variant with vectors
+GROUP = 64  # work-items per group, if each has one pixel
 
 
 class DeviceShading:
-    """Kernel and buffers, made when the first frame with a shading comes; buffers are kept while frames share theirs."""
+    """Kernel and buffers for shading, built when the first frame with shading comes. Buffers are kept while frames share a
+    shading.
+    """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """Begin with no kernel. `kernel` makes one of source, macros and name, `constant` puts an array on the device;
-        `lanes`: of its vectors."""
+        """Prepare without building. `kernel` builds a kernel from source, macros and name; `constant` puts an array on the
+        device;
+        `lanes` is the length of its vectors.
+        """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
         self._shading: Shading | None = None
@@ -55,21 +59,20 @@ class DeviceShading:
 
     @staticmethod
     def macros(shading: Shading | None) -> Macros:
-        """Return the macros with which a kernel of the last layer is built."""
+        """Return the macros for a kernel of the last layer."""
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": STEP}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return the buffer of a band's gains, which kernels take that are built so."""
+        """Return the buffer of a band's gains, which is an argument of kernels for frames with shading."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether a frame's channels are shaded unlike, so that its values on the device must be writable."""
+        """Return whether the channels of a frame differ in shading, so that its values on the device must be writable."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the colour shading correction of a band's raw values, those of a frame at the table's levels which this
-        `corrects`."""
+        """Enqueue the correction of colour shading in a band's raw values. The frame must be at the table's levels."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(
@@ -93,26 +96,30 @@ class DeviceShading:
 
 
 class DeviceSpectra:
-    """The kernel of a table that smooths spectra, made when the first frame comes."""
+    """The kernel for smoothing spectra, built when the first frame comes."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """Begin with no kernel; `kernel` makes one of source, macros and name, `run` enqueues it over rows and columns of a
-        track."""
+        """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it over rows and
+        columns of
+        a track.
+        """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
         self._outputs, self._smoothing = len(table.outputs), table.spectra
         self._kernel: Any = None
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer of the track for what the last layer makes of a band."""
+        """Return the track's buffer for the outputs of a band before smoothing."""
         size = 4 * self._outputs * (band.made.stop - band.made.start) * band.columns
         track.made = scratch(track.queue.context, track.made, size)
         return track.made
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue it for a band whose outputs lie in the track's `room`; its own rows go to the buffer `result`."""
+        """Enqueue the smoothing of a band whose outputs are in the buffer of `room`. Its own rows are written to
+        `result`.
+        """
         if self._kernel is None:
             macros: Macros = {
                 "OUTPUTS": self._outputs,
@@ -130,32 +137,49 @@ class DeviceSpectra:
 
 @dataclass(frozen=True)
 class Unread:
-    """Outputs of a frame that are still on the device, as a track's result."""
+    """Outputs of a frame that are still on the device."""
 
     frame: RawFrame
-    values: NDArray[np.uint16]  # a copy: a frame's own may be written to
+    values: NDArray[np.uint16]  # a copy, because the caller may change the frame's values
     track: Track
     result: Any  # the buffer
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the buffers are those of a frame."""
+        """Return whether the outputs belong to this frame."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
 TRACKS = 2
-Labels = Mapping[int, NDArray]  # arrays (row, col) for the classes of layers
+Labels = Mapping[int, NDArray]  # layer → array (row, col) that receives its classes
 NO_LABELS: Labels = {}
-BEYOND = 16  # bytes behind the last pixel, which a vector may read
+BEYOND = 16  # bytes after the last pixel, which vectors may read
 
 
 class OpenCLRenderer:
-    """Renderer on the OpenCL device that `device`, or else the environment variable L3_DEVICE, names by a part of its name
-    or its number; without either on the first GPU or the first of any kind.
+    """Renderer on an OpenCL device.
 
-    `variant` is a key of layout.VARIANTS, by default the one made for the device's type; `lanes` the length of the processor
-    variant's vectors, by default what the device's compiler has registers for; `by_noise`: as make_renderer has it. Device,
-    program, kernels and the table's buffers are made once, a band's buffers once for each frame size. One thread may use a
-    renderer at a time; others run on while it waits. DeviceError if there is no device or it refuses.
+    Programs, kernels and the table's buffers are created once, the buffers of bands once per frame size. Only one thread
+    at a
+    time may use a renderer; other threads run while it waits.
+
+    Parameters
+    ----------
+    table : TransformTable
+    device : str, optional
+        Number of the device, or a part of its name. By default the environment variable L3_DEVICE, the first GPU, or the
+        first
+        device.
+    variant : str, optional
+        A key of layout.VARIANTS. By default the variant for the device's type.
+    lanes : int, optional
+        Length of the processor variant's vectors. By default as the device's registers allow.
+    by_noise : bool
+        See `make_renderer`.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device, or it fails.
     """
 
     def __init__(
@@ -165,7 +189,7 @@ class OpenCLRenderer:
         require_known_layers(table)
         self.table, self.stages, self._sets = table, stages_of(table), NoiseSets(table, by_noise)
         self.device, self.variant = chosen(device, variant)
-        self._corrects = bool(table.later and table.components)  # whether the last layer adds to what the first one makes
+        self._corrects = bool(table.later and table.components)  # whether the last layer adds to the first layer's outputs
         with refusals(self.device):
             self._compiler = compiler_of(self.device)
             self._context = self._compiler.context
@@ -193,7 +217,7 @@ class OpenCLRenderer:
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Return the class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
-        if self._layers and self._unread is not None and self._unread.are_of(frame):  # what rendered it is still there
+        if self._layers and self._unread is not None and self._unread.are_of(frame):  # its classes are still on the device
             work, track = Work(self.device, self.stages), self._unread.track
             work.fetch(track.queue, track.refined_labels[layer - 1] if layer else track.labels, [labels])
         else:
@@ -202,10 +226,11 @@ class OpenCLRenderer:
         return labels
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
-        """Return the outputs, and the classes (row, col) of the first layer and, if there are more, of the last, in one
-        pass."""
+        """Return the outputs, and the classes (row, col) of the first layer and, if there are several, of the last, in one
+        pass.
+        """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
-        joined, self._joined = self._joined, self._joined and bool(self._layers)  # one kernel for a layer alone leaves none
+        joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined single layer stores no classes
         try:
             planes, work = self._start_outputs(frame, labels)
         finally:
@@ -227,13 +252,15 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as displayed (row, col, 3), encoded on the device; RecipeError unless outputs are X, Y, Z."""
+        """Return the frame as a picture (row, col, 3), encoded on the device; RecipeError unless outputs are X, Y, Z or
+        GREY.
+        """
         picture, work = self._start_picture(frame, display)
         work.end()
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Return the picture of each frame, in order. While the caller uses one the next is computed."""
+        """Yield the picture of each frame, in order. The next picture is computed while the caller uses one."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display, borrow=False))
@@ -246,12 +273,14 @@ class OpenCLRenderer:
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Return the milliseconds that the device spent in each of `stages` for one picture, or without a display for the
-        outputs.
+        """Return the time in ms that the device spent in each of `stages`, for a picture, or for outputs if `display` is
+        None.
 
-        Classes and transforms of the first layer, which may be one kernel, are timed as two. "transforms" is the time of
-        their kernel built without the encoding, which writes one number a pixel instead; "encode" what the whole kernel
-        takes beyond that. Call it twice: the first run warms up.
+        Classes and transforms of the first layer are timed separately, even if they are otherwise one kernel.
+        "transforms" is the
+        time of the kernel built without encoding, which writes one number per pixel instead. "encode" is the additional
+        time of the
+        whole kernel. The first call warms up, so use the second.
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -283,9 +312,14 @@ class OpenCLRenderer:
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
         labels: Labels = NO_LABELS, borrow: bool = True,
     ) -> Work:  # fmt: skip
-        """Start to fill `results`, one or several arrays (row, …) that follow one another on the device, with what the
-        kernel `transform` with this ending writes, and `labels` (row, col), by layer, with classes. `borrow`: the frame's
-        values may be read until all is done; not where the caller may fill them anew meanwhile."""
+        """Start to render a frame.
+
+        `results` are one or several arrays (row, …), which follow one another on the device. The kernel `transform` with
+        the given
+        ending fills them. `labels` (row, col), by layer, receive the classes. With `borrow` the frame's values may be
+        read until
+        all is done; otherwise they are copied, because the caller may change them.
+        """
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)
         if not borrow and np.may_share_memory(values, frame.values):
@@ -303,7 +337,7 @@ class OpenCLRenderer:
                 if not self._joined or (kernel is None and not any(labels)):
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
-                if encoding is None:  # not before the device is busy
+                if encoding is None:  # prepared after the first kernel is enqueued, while the device works
                     encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
@@ -319,7 +353,7 @@ class OpenCLRenderer:
         return work
 
     def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
-        """Start to fill a picture with outputs that the device still holds."""
+        """Start to encode outputs that are still on the device."""
         work, track = Work(self.device, self.stages), unread.track
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
@@ -333,7 +367,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload a band, with the rows beside it that a refinement layer reads."""
+        """Upload a band, with the adjacent rows that refinement layers read."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -357,15 +391,15 @@ class OpenCLRenderer:
         return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
-        """Return the buffers from which the first layer's classes are decided, and where they are written."""
+        """Return the buffers from which the first layer's classes are decided, and the buffer of the classes."""
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
-        """Return the row and column of the CFA where a band begins."""
+        """Return the row and column in the CFA at which a band begins."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Queue the planes that refinement layer `number` reads of a band, and the classes that they give."""
+        """Enqueue the planes that refinement layer `number` reads for a band, and its classes."""
         step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)
@@ -377,8 +411,11 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the buffers that the transforms of a layer read, 0 being the first: source, the places of its padded
-        rows and columns, classes or the buffers from which they are decided; and their numbers."""
+        """Return the buffers that the transforms of a layer read, and the numbers that follow them as arguments.
+
+        The buffers are the source, the positions of its padded rows and columns, and the classes or what they are decided
+        from.
+        """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
         if not number:
@@ -389,8 +426,9 @@ class OpenCLRenderer:
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Enqueue a band's last transforms, with the classes if the layer is alone, and encoding or smoothing into
-        `result`."""
+        """Enqueue a band's last transforms, with encoding or smoothing into `result`. A single layer also decides its
+        classes.
+        """
         number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
         made = (into, *self._shading.gain(frame.shading, band.made))
@@ -410,7 +448,7 @@ class OpenCLRenderer:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Return the buffer of what the first layer makes of a band, which its last transforms correct, and enqueue that."""
+        """Enqueue the outputs of the first layer, which a band's last transforms correct, and return their buffer."""
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
         track.first = self._scratch(track.first, size + 4 * BEYOND)
@@ -420,26 +458,29 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer whose content becomes arrays one after the other: the array itself, if there is one and the
-        device shares the host's memory, else the track's."""
+        """Return the buffer that becomes the result.
+
+        If there is one array and the device shares the host's memory, it is the array itself, otherwise the track's
+        buffer.
+        """
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
         track.result = self._scratch(track.result, sum(part.nbytes for part in parts))
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel over rows and columns, which are the last arguments of each."""
+        """Enqueue a kernel over rows and columns, which are its last arguments."""
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
-        """Return a kernel of a program of its own."""
+        """Return a kernel of a separate program."""
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands of frames of a shape (row, col), kept until a frame of another shape comes."""
+        """Return the bands of frames of a shape (row, col), which are kept until a frame has another shape."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

@@ -1,5 +1,7 @@
-"""Work queued on an OpenCL device: queues with their buffers, events, and the bands of a frame: which rows every layer reads
-for them, and which row and column each padded one is."""
+"""Work on an OpenCL device: queues with their buffers, events, and the bands of a frame.
+
+A band states which rows every layer reads for it, and which row and column each padded one repeats.
+"""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -18,16 +20,16 @@ from l3cli.rendering.opencl.devices import pyopencl, refusals
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
-COARSE_CHROMA = "coarse chroma"  # between structures and transforms, where the last layer reads it
-SPECTRA = "spectra"  # between transforms and encoding, where spectra are smoothed
-BAND_PIXELS = 1 << 22  # of a band, margins aside
+COARSE_CHROMA = "coarse chroma"  # a stage between structures and transforms, if the last layer has coarse chroma
+SPECTRA = "spectra"  # a stage between transforms and encoding, if spectra are smoothed
+BAND_PIXELS = 1 << 22  # pixels of a band, without margins
 
 
 Source = Any  # a buffer of indices
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
-    """Return the stages by which the time of a frame is counted."""
+    """Return the stages into which the time of a frame is divided."""
     stages = REFINEMENT_STAGES if table.later else STAGES
     if table.later and table.later[-1].coarse_chroma:
         stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
@@ -35,45 +37,49 @@ def stages_of(table: TransformTable) -> tuple[str, ...]:
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
-    """Return a buffer that holds an array."""
+    """Return a device buffer that holds an array."""
     flags = pyopencl().mem_flags
     array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
     return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
 
 
 def scratch(context: Any, buffer: Any, size: int) -> Any:
-    """Return the buffer if it has room for `size` bytes, else one that has."""
+    """Return the buffer if it has at least `size` bytes, otherwise a new one."""
     if buffer is None or buffer.size < size:
         buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
     return buffer
 
 
 class Track:
-    """A queue and the buffers of one band; buffers grow to what is asked of them."""
+    """A queue and the buffers of one band. The buffers grow when needed."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """Begin with no buffers, for a table of so many refinement layers."""
+        """Create a track without buffers, for a table with so many refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None  # buffer that is read
-        self.uploaded: Any = None  # buffer for a copy of the host's array; `raw`, unless the device reads that
+        self.raw: Any = None  # raw values that kernels read
+        self.uploaded: Any = None  # copy of the host's raw values, unless the device reads the host's memory
         self.labels: Any = None
-        self.sets: Any = None  # buffer for a copy of the number of the set that renders each pixel
-        self.chosen: tuple[Any, ...] = ()  # `sets`, or the host's array of them; empty where there is one set
-        self.planes: list[Any] = [None] * layers  # that each refinement layer reads
+        self.sets: Any = None  # copy of the number of the set that renders each pixel
+        self.chosen: tuple[Any, ...] = ()  # `sets`, or the host's array; empty if there is one set
+        self.planes: list[Any] = [None] * layers  # planes that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
-        self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers, of coarse chroma
-        self.means: Any = None  # of blocks of the mosaic, where a table replaces plain clipped areas
-        self.maps: Any = None  # of blocks, made of these
-        self.quads: Any = None  # maps of quads, read of those
-        self.first: Any = None  # outputs of the first layer, where the last one corrects them
-        self.made: Any = None  # outputs whose spectra are still to be smoothed
+        self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
+        self.means: Any = None  # block means of the mosaic, if uniform clipped areas are replaced
+        self.maps: Any = None  # maps of blocks, computed from the means
+        self.quads: Any = None  # maps of quads, interpolated from the maps of blocks
+        self.first: Any = None  # outputs of the first layer, if the last layer corrects them
+        self.made: Any = None  # outputs before smoothing of spectra
         self.result: Any = None
         self._typed: set[Any] = set()  # kernels
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
-        """Enqueue a kernel. Its types are stated once: pyopencl would find them out anew each time, which takes longer than
-        all else before a frame's first kernel."""
+        """Enqueue a kernel.
+
+        The types of its arguments are stated once. Otherwise pyopencl would determine them on every call, which takes
+        longer than
+        everything else before a frame's first kernel.
+        """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
             self._typed.add(kernel)
@@ -81,30 +87,34 @@ class Track:
 
 
 def shares_memory(device: Any) -> bool:
-    """Return whether a device computes in the host's memory, so that nothing need be copied."""
+    """Return whether a device computes in the host's memory, so that nothing needs to be copied."""
     return bool(device.type & pyopencl().device_type.CPU)
 
 
 class Work:
-    """Work started for one frame: its events by stage, and the arrays that the device may still use, which are held until
-    it is done, also where an interrupt leaves the work."""
+    """The work started for one frame: its events by stage, and the arrays that the device still uses.
+
+    The arrays are kept until the work is done, even after an interrupt.
+    """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
         self._device = device
         self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
         self.arrays: list[NDArray] = []
         self._queues: list[Any] = []
-        self._in_place: list[Any] = []  # buffers that are arrays
-        self._mapped: list[tuple[Any, Any]] = []  # queue, what is mapped
+        self._in_place: list[Any] = []  # buffers in the memory of host arrays
+        self._mapped: list[tuple[Any, Any]] = []  # queue, mapping
         self._owner = os.getpid()
 
     def __del__(self) -> None:
-        if self._owner == os.getpid():  # in a forked child nothing would ever end
+        if self._owner == os.getpid():  # in a forked process the queue would never finish
             for queue in self._queues:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """Return a buffer that is a contiguous array, to be read or `written` by a device that shares the host's memory."""
+        """Return a buffer in the memory of a contiguous array, which a device that shares the host's memory reads or
+        writes.
+        """
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -113,14 +123,16 @@ class Work:
         return self._in_place[-1]
 
     def upload(self, queue: Any, array: NDArray, buffer: Any) -> Any:
-        """Start to copy a contiguous array into a buffer; return the buffer."""
+        """Start to copy a contiguous array into a buffer, and return the buffer."""
         self.arrays.append(array)
         self.add("upload", pyopencl().enqueue_copy(queue, buffer, array, is_blocking=False))
         return buffer
 
     def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
-        """Start to bring a buffer, from byte `offset` on, into contiguous arrays one after the other, unless it is the only
-        one in place: then the host is to see what is written into that."""
+        """Start to copy a buffer, from byte `offset` on, into contiguous arrays one after the other.
+
+        Buffers that share host memory are mapped instead of copied.
+        """
         cl = pyopencl()
         for array in arrays:
             if any(each is buffer for each in self._in_place):
@@ -134,13 +146,13 @@ class Work:
             self.add("download", event)
 
     def end(self) -> "Work":
-        """Return the work once it is done; other threads run on meanwhile. DeviceError if the device refuses."""
+        """Wait until the work is done, and return it. Other threads run meanwhile. DeviceError if the device fails."""
         with refusals(self._device):
             for event in self.events["download"]:
                 event.wait()
             while self._mapped:
                 queue, mapping = self._mapped.pop()
-                mapping.release(queue).wait()  # the array is the caller's from now on
+                mapping.release(queue).wait()  # from now on the array belongs to the caller
         self._queues.clear()
         return self
 
@@ -148,7 +160,7 @@ class Work:
         self.events[stage].append(event)
 
     def milliseconds(self) -> dict[str, float]:
-        """Return the milliseconds that the device spent in each stage, once all is done."""
+        """Return the time in ms that the device spent in each stage, after the work is done."""
         return {
             stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
             for stage, events in self.events.items()
@@ -157,7 +169,7 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """For a layer that reads planes, which of their rows and columns each padded one repeats."""
+    """For a refinement layer: the rows and columns of planes that each padded row and column repeats."""
 
     classes: tuple[Source, Source, Source]  # (padded row) of the planes and of the first layer's classes, (padded col)
     transforms: tuple[Source, Source]  # (padded row), (padded col)
@@ -165,11 +177,11 @@ class PlaneSource:
 
 @dataclass(frozen=True)
 class Band:
-    """Rows of a frame, and what every layer reads for them."""
+    """Rows of a frame, and the rows that every layer reads for them."""
 
-    # rows of planes that each refinement layer reads, of outputs if their spectra are smoothed, and the band's own
+    # rows of the planes that each refinement layer reads; rows of outputs, if spectra are smoothed; the band's own rows
     reads: tuple[slice, ...]
-    raw_rows: slice  # that the patches of the first of them touch
+    raw_rows: slice  # raw rows that the patches of `reads[0]` touch
     columns: int
     mosaic_source: tuple[Source, Source]  # (padded row) of the raw rows, (padded col)
     later: tuple[PlaneSource, ...]
@@ -180,21 +192,21 @@ class Band:
 
     @property
     def made(self) -> slice:
-        """Return the rows that the last layer makes."""
+        """Rows that the last layer renders."""
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Return the rows and columns of `reads`."""
+        """Return the rows and columns of `reads[number]`."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Return the bands of frames of a shape (row, col); `constant` puts indices (int32) on the device."""
+    """Yield the bands of frames of a shape (row, col). `constant` puts indices (int32) on the device."""
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
     coarse = bool(table.later and table.later[-1].coarse_chroma)
-    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # the more, the less margins add
+    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # higher bands have relatively smaller margins
 
     sides = {REACH, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
@@ -211,7 +223,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BLOCK  # blocks are of the frame's rows, whatever the band
+                above -= above % BLOCK  # blocks are aligned to the frame, not to the band
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

@@ -1,1 +1,1 @@
-"""White of the scene: where it is taken from, and how frames are balanced for it."""
+"""White of the scene: where it comes from, and how frames are balanced for it."""

@@ -1,5 +1,7 @@
-"""The white of a scene, and how frames are balanced for it: gains of the channels before a table renders them, adaptation of
-its outputs after (docs/method.md#scene-white)."""
+"""The white of a scene, and how frames are balanced for it (docs/method.md#scene-white).
+
+Before a table renders a frame, gains are applied to the channels. Afterwards the outputs are adapted.
+"""
 
 import functools
 import math
@@ -20,15 +22,15 @@ from l3cli.physics.display import adaptation_matrix, display_white, fit_through
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
-MOST_CLIPPED = 0.01  # share of a square's pixels that may be clipped
-FLAT = 0.5  # share of the pixels of two channels that have the frame's highest value, all of them, where the sensor clips
-DARK = 0.01  # of full scale: a mean below which noise may hide it, above which its spread is that of what is seen
-LEAST_CERTAINTY = 50.0  # mean signal of a channel in a square over the standard deviation of that mean
+MAX_CLIPPED = 0.01  # fraction of a square's pixels that may be clipped
+FLAT = 0.5  # fraction of a channel's pixels with the frame's highest value, from which it counts as clipped
+DARK = 0.01  # of full scale; below it a low certainty is attributed to noise, above it to a pattern
+MIN_CERTAINTY = 50.0  # mean signal of a channel in a square, divided by the standard deviation of that mean
 
 
 @dataclass(frozen=True)
 class Grey:
-    """A part of a frame that shows something grey."""
+    """A part of a frame that shows a grey object."""
 
     name: str  # for messages
     where: tuple[slice, slice]  # rows and columns on the sensor
@@ -36,14 +38,14 @@ class Grey:
 
 @dataclass(frozen=True)
 class Square:
-    """A square of the upright picture."""
+    """A square in the upright picture."""
 
     row: int  # of its centre
     col: int  # of its centre
     size: int  # pixels
 
     def within(self, frame: RawFrame) -> Grey:
-        """Return the grey at this place of a frame; InputFileError if it is not inside the sensor."""
+        """Return this part of a frame; InputFileError if it is not inside the sensor."""
         rows, cols = frame.values.shape
         turned = bool(frame.orientation & 4)
         height, width = (cols, rows) if turned else (rows, cols)
@@ -51,7 +53,7 @@ class Square:
         if min(top, left) < 0 or top + self.size > height or left + self.size > width:
             raise InputFileError(
                 f"{frame.name}: a square of {self.size} pixels about row {self.row}, column {self.col} is not inside its "
-                f"{height}×{width} pixels; give a grey in the picture"
+                f"{height}×{width} pixels; give a grey inside the picture"
             )
         top, left = (left, top) if turned else (top, left)
         top = rows - top - self.size if frame.orientation & 2 else top
@@ -61,7 +63,7 @@ class Square:
 
 
 class GreyRenderer:
-    """Renderer of plain areas on the processor, in float64, so that all devices agree about white."""
+    """Renders uniform areas on the processor in float64, so that all devices agree about white."""
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
@@ -69,7 +71,7 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(REACH, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Return outputs (area, output) of plain areas with signals `shares` (area, channel) of full scale."""
+        """Return the outputs (area, output) of uniform areas with signals (area, channel) as fractions of full scale."""
         table, (rows, cols) = self.table, self.table.cfa.shape
         down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # periods of an area
         tile = np.tile(table.cfa, (down, across))
@@ -80,19 +82,24 @@ class GreyRenderer:
         return np.asarray(areas.mean(axis=(1, 3)).T, np.float64)
 
     def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
-        """Return mean signal (channel), in DN above black and dark current, of a grey in a frame; InputFileError if it is
-        clipped, too dark or not plain, or holds too little of a channel."""
+        """Return the mean signal (channel) of a grey in a frame, in DN above black and dark current.
+
+        Raises
+        ------
+        InputFileError
+            If the grey is clipped, too dark or not uniform, or contains too few pixels of a channel.
+        """
         means, why = _measured(frame, self.table, grey.where)
         if why:
             raise InputFileError(f"{grey.name} {why}")
         return means
 
     def usable(self, frame: RawFrame, grey: Grey) -> bool:
-        """Return whether the signals of a grey can be taken."""
+        """Return whether the signals of a grey can be measured."""
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Return mean outputs of rows and columns of a frame as the sensor lies."""
+        """Return the mean outputs over some rows and columns of a frame, in the orientation of the sensor."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -104,31 +111,34 @@ class GreyRenderer:
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
-    """Return a part of a frame, its phase still that of the whole, without what channels differ by in their shading; what
-    all of them lose is about the same there, and stays."""
+    """Return a part of a frame without colour shading. Shading common to all channels stays, since it is about uniform
+    there.
+
+    The phase is still that of the whole frame.
+    """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
     return replace(replace(frame, values=frame.values[where], shading=cut).shading_corrected(), shading=None)
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return mean signal (channel) in DN above black and dark current of a part of a frame, and why it is no grey, or ""."""
+    """Return the mean signal (channel) of a part of a frame in DN, and the reason why it cannot be used as a grey, or ""."""
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
-    if clipped > MOST_CLIPPED:
+    if clipped > MAX_CLIPPED:
         return means, f"is clipped in {clipped:.0%} of its pixels; give a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     channel = tiled(cfa, values.shape)
-    top, reached = int(frame.values.max()), 0  # of how many channels the part has the frame's highest value
+    top, reached = int(frame.values.max()), 0  # the frame's highest value; number of channels that mostly have it
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
             return means, f"has too few pixels of channel {letter}; give a larger size"
         means[index] = seen.mean()
-        if not means[index] > LEAST_CERTAINTY * seen.std() / np.sqrt(seen.size):
+        if not means[index] > MIN_CERTAINTY * seen.std() / np.sqrt(seen.size):
             if means[index] > DARK * (frame.white_level - frame.black_level):
                 varies = seen.std() / means[index]
-                return means, f"is not plain: channel {letter} varies by {varies:.0%}; give something of one colour"
+                return means, f"is not uniform: channel {letter} varies by {varies:.0%}; give an area of one colour"
             return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey"
         reached += bool((values[channel == index] == top).mean() > FLAT)
     if reached > 1:
@@ -136,30 +146,30 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
     return means, ""
 
 
-TIME_CONSTANT = 1.0  # s, in which log exposure and white go 63 % of the difference to those of a light that has changed
+TIME_CONSTANT = 1.0  # s, in which exposure and white follow 63 % of a change of light
 
 
 @dataclass(frozen=True)
 class WhiteBalance:
     """Gains and adaptation that make the white of a scene neutral."""
 
-    gains: NDArray[np.float64]  # (channel) of the signals, none below 1: what clips does so at the white level still
-    adaptation: NDArray[np.float64]  # (3, 3) XYZ under D65 of a table's X, Y, Z, with the Y of white unchanged
-    luminance: float  # Y of a grey without the gains / with them
+    gains: NDArray[np.float64]  # (channel) none below 1, so that clipped pixels stay at the white level
+    adaptation: NDArray[np.float64]  # (3, 3) from a table's X, Y, Z to XYZ under D65; keeps the Y of white
+    luminance: float  # Y of a grey without the gains, divided by its Y with them
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
-    """Return Bradford adaptation (3, 3) of outputs from a white (3)."""
+    """Return the Bradford adaptation (3, 3) from a white (3) to D65."""
     return np.asarray(adaptation_matrix(white, display_white()), np.float64)
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Return the adaptation from a white (3) alone."""
+    """Return a balance without gains that adapts from a white (3)."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
 def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
-    """Return a frame whose channels have been multiplied by their gains, up to the white level."""
+    """Return a frame whose channels are multiplied by gains, up to the white level."""
     if (gains == 1).all():
         return frame
     curves = _curves(frame.black_level + frame.dark, frame.white_level, tuple(gains.tolist()))
@@ -172,7 +182,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """Return, as `balanced`, patches (patch, tap) whose taps are of the channels `channel` (tap)."""
+    """Return patches (patch, tap) multiplied by gains, as in `balanced`; `channel` (tap) is the channel of each tap."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))
@@ -181,17 +191,17 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return the value that each of all 16-bit values becomes in each channel (channel, value); from the white level on
-    they stay."""
+    """Return the balanced value of every 16-bit value in each channel (channel, value). Clipped values stay unchanged."""
     every = np.arange(1 << 16)
     raised = np.rint((every - zero) * np.array(gains)[:, None] + zero)
     return np.where(every < white_level, np.clip(raised, 0, np.ceil(white_level)), every).astype(np.uint16)
 
 
 class SteadyWhite:
-    """White balance of each frame of a sequence in its order.
+    """White balance of each frame of a sequence, in order.
 
-    The first frame's is its own, later ones follow exponentially, as the exposure does. Only past frames count.
+    The first frame has its own balance. Later frames approach theirs exponentially, as the exposure does. Only past
+    frames count.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -199,14 +209,16 @@ class SteadyWhite:
         self._now: WhiteBalance | None = None
 
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
-        """Return the balance of the next frame; one that asks for none leaves it where it was (None at the beginning)."""
+        """Return the balance of the next frame. A frame without a measured white keeps the last balance (None at the
+        beginning).
+        """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
         return self._now
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the share of a difference that is followed from one frame to the next."""
+    """Return the fraction of a change that is followed from one frame to the next."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -216,29 +228,29 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
     return WhiteBalance(gains, matrix, now.luminance * (wanted.luminance / now.luminance) ** share)
 
 
-GREY_LEVEL = 0.4  # of full scale, in the brightest channel: where tables have learned most
-LARGEST_GAIN = 8.0  # of a channel: beyond, it is noise
-SURFACES = 64  # measured reflectances that a table's colours under a light are corrected by
-UNSURE = 1e-3  # of a surface: error of what a table shows of it, which a correction is not to amplify
-DARKEST = 0.05  # of white: below, errors of surfaces count no more than there
-MOST_GREEN = 0.03  # distance from the black bodies in CIE 1960 uv that no lamp for people has
-SAME_WHITE = 5e-4  # distance in CIE 1960 uv of whites that are the same, as written with four digits
-MOST_MISFIT = 0.12  # of the logarithms of channels; fluorescent and LED lamps reach half of it
-NEAR_WHITE = 0.02  # distance of chromaticities u′v′ from which on two whites are different lights
-COOLEST, WARMEST = 24_000.0, 1_700.0  # K: what a search ends with lies beyond them
+GREY_LEVEL = 0.4  # of full scale in the brightest channel, where tables have most training patches
+MAX_GAIN = 8.0  # of a channel; with more it would mostly be noise
+SURFACES = 64  # measured reflectances from which the colour correction under a light is fitted
+UNSURE = 1e-3  # error of a rendered surface, which the correction must not amplify
+DARKEST = 0.05  # of white; errors of darker surfaces are weighted as at this luminance
+MAX_DUV = 0.03  # distance from the black bodies in CIE 1960 uv, beyond which no lamp for lighting lies
+SAME_WHITE = 5e-4  # distance in CIE 1960 uv up to which whites are the same when written with four digits
+MAX_MISFIT = 0.12  # RMS misfit of the logarithms of the channels; fluorescent and LED lamps reach half of it
+NEAR_WHITE = 0.02  # distance in CIE 1976 u′v′ from which two whites belong to different lights
+COOLEST, WARMEST = 24_000.0, 1_700.0  # K; searches that find nothing end beyond them
 
 
 @dataclass(frozen=True)
 class SceneWhite:
-    """A white, how frames are balanced for it, and the light that has it, as far as it is known."""
+    """The white of a scene, the balance for it, and the light that has this white, as far as it is known."""
 
     balance: WhiteBalance
     light: CorrelatedLight
-    modelled: bool  # whether the responsivities of the table's camera took part
+    modelled: bool  # whether it was computed with the responsivities of the table's camera
 
     @property
     def plausible(self) -> bool:
-        """Return whether lamps, daylight or shade may give this white."""
+        """Whether a lamp, daylight or shade can have this white."""
         return _is_plausible(self.light)
 
     def __str__(self) -> str:
@@ -249,11 +261,13 @@ class SceneWhite:
 
 
 class Whites:
-    """Whites of scenes, by what a table makes of a grey under their light.
+    """Finds the whites of scenes for a table.
 
-    Where the table knows its camera and the light it was trained under, the channels of a frame are first brought to the
-    ratios that they have under that light: only then are the edges of grey things grey, and highlights that clip white.
-    What the colours of surfaces still differ by is corrected by a matrix.
+    If the table knows its camera and its training light, the channels of a frame are first brought to the ratios they
+    have
+    under the training light. Only then are the edges of grey objects grey and clipped highlights white. A matrix corrects
+    the
+    remaining colour errors of surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -265,17 +279,19 @@ class Whites:
 
     @functools.cached_property
     def trained(self) -> NDArray[np.float64] | None:
-        """Return the signals (channel) of a grey under the light of training; None of a table that does not say."""
+        """Signals (channel) of a grey under the training light; None if the table does not hold its camera and light."""
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
             return None
         return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
-        """Return the white of which the channels have the signals `neutral` (channel), of any scale; InputFileError if the
-        table makes no white of them."""
+        """Return the white under which a neutral object has the signals `neutral` (channel), on any scale.
+
+        InputFileError if the table cannot render these signals as a white.
+        """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
-            raise InputFileError("a white without light is none; give another ‹white›")
+            raise InputFileError("all channels of the white are zero, or one is not finite; give another ‹white›")
         camera = self.table.camera
         if camera is None:
             return self.of_xyz(self._shown(neutral))
@@ -283,7 +299,7 @@ class Whites:
         return SceneWhite(self._balance(neutral, light), light, True)
 
     def of_light(self, name: str) -> SceneWhite:
-        """Return the white of a named illuminant; RecipeError if it is unknown."""
+        """Return the white of a named illuminant; RecipeError if the name is unknown."""
         white, camera = spectra.white_point(name), self.table.camera
         if camera is None:
             return self.of_xyz(white)
@@ -292,8 +308,12 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_chromaticity(self, white: Array) -> SceneWhite:
-        """Return the white of a scene of which no more is known than its XYZ (3): of the light of training if that has it,
-        else of the black body or daylight, more or less green, that has it; where none has, pictures are adapted from it."""
+        """Return the scene white for a known XYZ (3).
+
+        If it matches the training white, pictures are adapted from it. Otherwise the light is assumed to be the nearest
+        black body
+        or daylight, shifted between green and magenta. If no such light is plausible, pictures are adapted only.
+        """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
             return self.of_xyz(white)
@@ -304,22 +324,24 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return the white of XYZ (3) as the table shows it."""
+        """Return the white with this XYZ (3), for which pictures are only adapted."""
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
     def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
-        """Return the white of greys in a frame: that by which they have the least chroma, in squares of C*ab, all in all.
-        InputFileError if one of them is clipped, too dark or not plain."""
+        """Return the white that makes several greys in a frame as neutral as possible, by the sum of C*ab squared.
+
+        InputFileError if a grey is clipped, too dark or not uniform.
+        """
         signals = np.array([self.grey.signals(frame, grey) for grey in greys])
         share = signals.mean(axis=1) / signals.mean(axis=1).max()
-        weights = share ** (2 / 3) / share  # of what each says of the ratios: C*ab grows with the cube root of light
+        weights = share ** (2 / 3) / share  # weight of each grey, because C*ab grows with the cube root of light
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright ones
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright greys
         if not whole:
             return made
         shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
-        left = made.balance.adaptation @ _white(shown)  # of the white: what the table makes of these greys and of others
+        left = made.balance.adaptation @ _white(shown)  # remaining cast of the rendered greys
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
     def _balance(self, neutral: Array, light: CorrelatedLight) -> WhiteBalance:
@@ -332,20 +354,22 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return factors (channel), none below 1, that bring a neutral to that of training as far as they may."""
+        """Return gains (channel), none below 1, that bring a neutral close to the training light's neutral."""
         if self.trained is None:
             return np.ones(len(neutral))
-        seen = (neutral > 0) & (self.trained > 0)  # a channel of infrared may see nothing of a lamp
+        seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may get no light from a lamp
         ratio = np.where(seen, self.trained / np.where(seen, neutral, 1.0), 0.0)
-        return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, LARGEST_GAIN)
+        return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, MAX_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
-        """Return the output (3) of the table for a grey."""
+        """Return the table's output (3) for a grey with these signals."""
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
-        """Return M (3, 3): XYZ under D65 from what the table, balanced and adapted, makes of measured surfaces under a light
-        whose radiance (wavelength) is given on the camera's grid, by least squares in which white stays what it is."""
+        """Return the matrix (3, 3) that corrects the balanced and adapted outputs of measured surfaces, by least squares.
+
+        White stays unchanged. `radiance` (wavelength) is the light's, on the camera's wavelength grid.
+        """
         camera = self.table.camera
         assert camera is not None
         surfaces = _surfaces(tuple(camera.wavelength))
@@ -354,26 +378,26 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are seen relative to lightness
+        weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are visible relative to the luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
 
 def _is_plausible(light: CorrelatedLight) -> bool:
-    return abs(light.duv) <= MOST_GREEN and light.misfit <= MOST_MISFIT and WARMEST < light.kelvin < COOLEST
+    return abs(light.duv) <= MAX_DUV and light.misfit <= MAX_MISFIT and WARMEST < light.kelvin < COOLEST
 
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Return measured reflectances (surface, wavelength), evenly taken from the library."""
+    """Return measured reflectances (surface, wavelength), evenly sampled from the library."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 
 
 def _white(outputs: Array) -> NDArray[np.float64]:
-    """Return outputs (3) that can be those of a white; InputFileError unless all are above zero."""
+    """Return the outputs (3) of a white; InputFileError unless all are above zero."""
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
-        raise InputFileError("the table makes no white of this grey; is it the table of this camera?")
+        raise InputFileError("the table does not render this grey as a white; give the table of this camera")
     return np.asarray(outputs, np.float64)
 
 
@@ -381,37 +405,37 @@ def _white(outputs: Array) -> NDArray[np.float64]:
 
 
 def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
-    """Return a warning if the table was probably not trained under a light that is `asked` for and not named, or nothing."""
+    """Return a warning if the requested white is probably far from the lights of the training, otherwise ""."""
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
-    how = "colours are adapted from it alone; name the light, or train with it among the illuminants of SCENES.toml"
+    how = "colours are only adapted; name the light, or add it to the illuminants of SCENES.toml and train again"
     if white.modelled:
-        how = "taken for that of a black body or daylight; name a fluorescent or LED lamp, or give a grey's ROW,COL"
+        how = "assuming a black body or daylight; for a fluorescent or LED lamp give its name, or the ROW,COL of a grey"
     return f"‹white› {asked} is far from the mean light of the training, x,y = {x:.4f},{y:.4f}: {how}"
 
 
 def implausible(what: str, white: SceneWhite) -> str:
-    """Return a warning of a white that no likely light gives, or nothing."""
+    """Return a warning if no likely light has this white, otherwise ""."""
     if white.plausible:
         return ""
     return (
-        f"{what} is what no daylight, lamp or black body gives the table's camera ({white}); greys are made neutral by "
-        "it, and no colour is corrected further; is it the table of this camera? give ‹white› otherwise"
+        f"{what} fits no daylight, lamp or black body for the table's camera ({white}); greys become neutral, other colours "
+        "are not corrected; check that the table is for this camera, or give another ‹white›"
     )
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if a file states quite another white than what is grey in its frame has, or nothing."""
+    """Return a warning if the white that the file states differs much from the chart's in its frame, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (
         f"{name}: its file states another white ({stated.light.kelvin:.0f} K) than its chart shows "
-        f"({white.light.kelvin:.0f} K); the chart's is taken, and ‹white› camera would leave a cast"
+        f"({white.light.kelvin:.0f} K); using the chart's, because ‹white› camera would leave a cast"
     )
 
 
 def _alike(one: Array, other: Array) -> bool:
-    """Return whether two whites (XYZ) may be of one light."""
+    """Return whether two whites (XYZ) may belong to the same light."""
     difference = (uv(one) - uv(other)) * (1.0, 1.5)  # CIE 1976 u′v′
     return float(np.linalg.norm(difference)) <= NEAR_WHITE

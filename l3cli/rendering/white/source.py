@@ -22,17 +22,19 @@ from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
 EDGE_NORM = 6  # of Minkowski, over the edges: the strongest count most
-PATCH_PERCENTILE = 99  # of each cone response: what counts as the white patch
-FEWEST = 24  # samples that are neither clipped nor black, below which nothing can be said
+PATCH_PERCENTILE = 99  # of each cone response, which is assumed to belong to a white patch
+MIN_SAMPLES = 24  # that are neither clipped nor black, for an estimate
 MIREDS = np.arange(80.0, 521.0, 20.0)  # 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # as correlated_lights.GREENS
-FINE = (111, 31)  # places along MIREDS and GREENS among which a white is looked for
-LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # of the logarithm of a cone response; of a light's green
+FINE = (111, 31)  # points along MIREDS and GREENS in the search for a white
+LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # standard deviations: of log cone responses, and of the green of lights
 
 
 class AutoWhite:
-    """Estimator of whites of frames on some 1500 pixels of one CFA site, on the processor, as LightMeter: a pure
-    function of the frame, whatever the device. `balanced_by`: whose balances they have, None: those of the same table."""
+    """Estimates the white of frames, from about 1500 pixels of one CFA site that are rendered on the processor.
+
+    The result depends only on the frame, not on the device. Frames are balanced by `balanced_by`, or by `whites` itself.
+    """
 
     about, held = "estimated on the frame", False
 
@@ -44,7 +46,7 @@ class AutoWhite:
         self._made: dict[tuple[int, int], SceneWhite] = {}
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame; None where all is clipped or dark."""
+        """Return the white of a frame, or None if all samples are clipped or dark."""
         estimate = estimated(*self._samples(frame))
         if estimate is None:
             return None
@@ -55,14 +57,14 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the place of the likeliest light for an estimate."""
+        """Return the indices of the most likely light for an estimate."""
         green = np.linspace(GREENS[0], GREENS[-1], FINE[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Return signals (channel) of a grey under the light of a place."""
+        """Return the signals (channel) of a grey under the light with these indices."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], FINE, strict=True)
@@ -70,7 +72,7 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return cone responses (row, col, 3) of a grid of pixels, and which (row, col) are neither clipped nor dark."""
+        """Return the cone responses (row, col, 3) of a grid of pixels, and which (row, col) are neither clipped nor dark."""
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
@@ -81,7 +83,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Return the log ratios of whites, as the table shows them, over a fine grid of lights."""
+        """Return the log ratios of rendered whites over a fine grid of lights."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -91,12 +93,21 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Return logarithms (2) of the outer cone responses over the middle one of white in samples (row, col, 3); None of few.
+    """Return the logarithms (2) of the outer cone responses relative to the middle one, of white, or None with too few
+    samples.
 
-    The mean of what two methods find: that the steps between neighbours are grey where they are large (van de Weijer, Gevers
-    and Gijsenij, 2007), and that the largest response of each cone is that to white (Land, 1977).
+    The result is the mean of two estimates. The grey-edge method assumes that large steps between neighbours are grey
+    (van de
+    Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each cone belongs to
+    white
+    (Land, 1977).
+
+    Parameters
+    ----------
+    cones : ndarray, (row, col, 3)
+    usable : ndarray of bool, (row, col)
     """
-    if int(usable.sum()) < FEWEST:
+    if int(usable.sum()) < MIN_SAMPLES:
         return None
     down, across = usable[1:] & usable[:-1], usable[:, 1:] & usable[:, :-1]
     steps = np.concatenate([np.diff(cones, axis=0)[down], np.diff(cones, axis=1)[across]])
@@ -109,8 +120,10 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Return signals (mired, green, channel) of a grey under lights near daylight and black bodies; of a table without its
-    camera XYZ, which it is taken to show."""
+    """Return the signals (mired, green, channel) of a grey under lights near daylight and black bodies.
+
+    For a table without its camera these are XYZ, which the table is assumed to render correctly.
+    """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
     weights = camera.signal_weights if camera else spectra.xyz_weights(grid)
@@ -120,12 +133,12 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return logarithms (…, 2) of the outer cone responses over the middle one, of (…, 3)."""
+    """Return the logarithms (…, 2) of the outer cone responses relative to the middle one, from (…, 3)."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
 def _between(values: Array, rows: Array, cols: Array) -> Array:
-    """Return values (row, col, …) at fractional places `rows` and `cols`, linearly (row, col, …)."""
+    """Return values (row, col, …) at fractional indices `rows` and `cols`, by linear interpolation."""
     low_row = np.clip(rows.astype(int), 0, values.shape[0] - 2)
     low_col = np.clip(cols.astype(int), 0, values.shape[1] - 2)
     down, across = (rows - low_row)[:, None, None], (cols - low_col)[None, :, None]
@@ -135,25 +148,25 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
     return np.asarray(along * (1 - across) + beyond * across)
 
 
-NEUTRALS = range(18, 24)  # patches, from white to black
-CORE = 0.25  # half the side of the square of a patch that is measured, in patches: their frames stay out
+NEUTRALS = range(18, 24)  # the neutral patches, from white to black
+CORE = 0.25  # half the side of the measured square, relative to a patch, so that the frame of the patch is left out
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
-SURE = 0.95  # R² of a chart; 48 pictures without one reach at most 0.83, two with one 0.998
+MIN_R_SQUARED = 0.95  # of a chart; 48 pictures without a chart reach at most 0.83, two with a chart 0.998
 
 
 @dataclass(frozen=True)
 class ChartSceneWhite(SceneWhite):
-    """The white of a chart."""
+    """The white that a chart shows."""
 
-    place: str  # of the chart in the upright picture
-    stated: SceneWhite | None  # what the file says
+    place: str  # position of the chart in the upright picture
+    stated: SceneWhite | None  # the white that the file states
 
     def __str__(self) -> str:
         return f"{super().__str__()}; {self.place}"
 
 
 class ChartWhite:
-    """The greys of a ColorChecker in the frame."""
+    """Takes the white from the grey patches of a ColorChecker in the frame."""
 
     about, held = "of the greys of a ColorChecker", True
 
@@ -162,14 +175,14 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """Return the white of a frame; InputFileError if there is no chart in it, or no grey of one can be measured."""
+        """Return the white of a frame; InputFileError if it contains no chart, or no grey patch can be measured."""
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
-        if located is None or located.fit < SURE:
+        if located is None or located.fit < MIN_R_SQUARED:
             raise InputFileError(
-                f"{frame.name}: no ColorChecker of {rows}×{cols} patches is found in it; give ‹white› as the ROW,COL of a "
-                "grey, or photograph the chart sharp, larger and evenly lit"
+                f"{frame.name}: no ColorChecker of {rows}×{cols} patches found; give ‹white› as the ROW,COL of a grey, or "
+                "photograph the chart sharp, larger and evenly lit"
             )
         greys = list(_greys(frame, located))
         usable = [grey for grey in greys if self._whites.grey.usable(frame, grey)]
@@ -179,7 +192,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """Yield the squares in the middle of neutral patches."""
+    """Yield a square in the middle of each neutral patch."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -191,7 +204,7 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
 
 
 def _place(frame: RawFrame, located: Located) -> str:
-    """Return rows and columns of a chart in the upright picture."""
+    """Return the rows and columns of a chart in the upright picture, in words."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))
     if frame.orientation & 4:
@@ -205,31 +218,34 @@ def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray
 
 
 TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
-USUAL_SIZE = 32  # pixels
+DEFAULT_SIZE = 32  # pixels, side of a square
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
-MULTIPLIER = Quantity(0.05, 20)  # of a channel, over the others
+MULTIPLIER = Quantity(0.05, 20)  # of a channel, relative to the others
 
 
 class WhiteSource(Protocol):
-    """Source of each frame's white."""
+    """Something that provides the white of each frame."""
 
     @property
     def about(self) -> str:
-        """Return the origin of the white, for messages."""
+        """Where the white comes from, for messages."""
         ...
 
     @property
     def held(self) -> bool:
-        """Return whether a sequence keeps the white of its first frame."""
+        """Whether a sequence keeps the white of its first frame."""
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, None where nothing shows it; InputFileError if it cannot be taken from it."""
+        """Return the white of a frame, or None if the frame does not show it; InputFileError if it cannot be measured."""
         ...
 
 
 class CameraWhite:
-    """White that the camera took, as the file states it; where it states none an error or, unless asked for, the table's."""
+    """Takes the white that the camera recorded in the file.
+
+    If a file states none, the table's white is used, or InputFileError is raised if `asked`.
+    """
 
     about, held = "as the file states it", False
 
@@ -242,8 +258,8 @@ class CameraWhite:
             if not self._asked:
                 return None
             raise InputFileError(
-                f"{frame.name} does not state what its camera took for white; give ‹white› as auto, as chart, as the "
-                "ROW,COL of a grey, or name the light"
+                f"{frame.name} does not state a white balance; give ‹white› as auto, chart, the ROW,COL of a grey, or the "
+                "name of the light"
             )
         if frame.neutral not in self._made:
             self._made[frame.neutral] = self._whites.of_neutral(np.array(frame.neutral))
@@ -251,7 +267,7 @@ class CameraWhite:
 
 
 class SquareWhite:
-    """A square of the frame that shows something grey."""
+    """Takes the white from a square of the frame that shows a grey object."""
 
     held = True
 
@@ -266,11 +282,23 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the source that "camera", "auto", "chart" or "ROW,COL[,SIZE]" asks for; None where `text` is a white by
-    itself, a name, "x,y", multipliers or "table"; None: "camera" of `photos`, where their files state it, else "table".
-    `estimated_by`: the statistics of estimates; None: the table's (docs/method.md#several-lights).
+    """Return the source of the frames' white.
 
-    Raises RecipeError if the white is to be taken from frames, and the table shows grey, which has no white."""
+    Parameters
+    ----------
+    text : str or None
+        "camera", "auto", "chart" or "ROW,COL[,SIZE]". Other texts are whites by themselves, for which the result is None.
+    table : TransformTable
+    photos : bool
+        Whether None means "camera" if the files state a white. Otherwise None means the table's white.
+    estimated_by : TransformTable, optional
+        Table that renders the samples for "auto"; by default `table` (docs/method.md#several-lights).
+
+    Raises
+    ------
+    RecipeError
+        If the white is to be taken from frames, but the table shows grey, which has no white.
+    """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
             raise RecipeError(f"pictures by this table are grey, and ‹white› {text} changes nothing; leave it out")
@@ -288,35 +316,41 @@ def white_source(
 
 
 def _square(text: str | None) -> Square | None:
-    """Return the square that "ROW,COL[,SIZE]" means; None if `text` has another form. RecipeError if it is no place."""
+    """Return the square that "ROW,COL[,SIZE]" describes, or None if `text` has another form.
+
+    RecipeError if the numbers are out of range.
+    """
     text = text or ""
     parts = text.split(",")
     if not _is_place(parts):
         return None
     try:
         row, col = (int(PLACE.read(part)) for part in parts[:2])
-        size = int(SIZE.read(parts[2])) if len(parts) == 3 else USUAL_SIZE
+        size = int(SIZE.read(parts[2])) if len(parts) == 3 else DEFAULT_SIZE
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" is not a place of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
+            f'white "{shortened(text)}" is no position of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
         ) from None
     return Square(row, col, size)
 
 
 def _is_place(parts: list[str]) -> bool:
-    """Return whether the parts of a white are ROW,COL or ROW,COL,SIZE, in whole numbers. A square of one pixel is none, so
-    1,1,1 are multipliers."""
+    """Return whether the parts of a white are ROW,COL or ROW,COL,SIZE in whole numbers.
+
+    A square of one pixel is not allowed, so 1,1,1 is read as multipliers.
+    """
     return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Return the white that is given by itself.
+    """Return the white that a text states without a frame.
 
     Parameters
     ----------
     text : str or None
-        The name of an illuminant, "x,y", or a multiplier for each channel such as "2.1,1,1.4"; "table" or None for the
-        table's white.
+        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" or None for the
+        table's
+        white.
     table : TransformTable
         The table that renders.
 
@@ -338,11 +372,11 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
 
 
 def _multipliers(text: str, channels: Sequence[str]) -> Array:
-    """Return the multipliers (channel) of a white; RecipeError if they are not one for each channel, or out of range."""
+    """Return one multiplier per channel; RecipeError if their number is wrong, or one is out of range."""
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
         raise RecipeError(
-            f'white "{shortened(text)}" has {len(parts)} multipliers, and the channels are {names}; give one for each'
+            f'white "{shortened(text)}" has {len(parts)} multipliers, but the channels are {names}; give one for each'
         )
     try:
         return np.array([MULTIPLIER.read(part) for part in parts])
@@ -354,5 +388,5 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
 
 
 def usual_balance(table: TransformTable) -> WhiteBalance:
-    """Return the balance of scenes under the light of training."""
+    """Return the balance for scenes under the training light."""
     return plain_balance(table.white_point, len(table.channels))
