@@ -1,8 +1,10 @@
-"""A colour chart in a mosaic: located, and its patches measured (docs/method.md#charts-in-photographs).
+"""A colour chart in a mosaic: finding it, and measuring its patches (docs/method.md#charts-in-photographs).
 
-A chart is located by plain regions that lie on a grid and follow the reflectances of its patches. Nothing is assumed of the
-channels: the values of each are compared with all that the reflectances allow, whatever its responsivity, which orders the
-patches at the same time."""
+A chart is a set of uniform regions that lie on a grid and follow the reflectances of its patches. The channels'
+responsivities
+need not be known. The values of each channel are compared with all values that the reflectances allow, which also
+determines the order of the patches.
+"""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -14,20 +16,29 @@ from numpy.typing import NDArray
 
 from l3cli.frames.frame import tiled
 
-CORE = 0.25  # half the side of a patch's core, in cells: frames of patches, and blurred edges, stay out
-FAR = 5.0  # robust standard deviations: dust, scratches, hot pixels
-DUSTY = 0.2  # share of a patch's pixels that may be left out
-CLIPPED = 1e-3  # share of saturated pixels from which a value is no mean of the light
-LEAST_PIXELS = 12  # of a channel in a patch
-PRECISION = 0.002  # of a value: what texture and gloss leave of it however many pixels there are
-LEAST_POINTS = 6  # patches and channels for a line of variance over signal
-MAD = 1.4826  # standard deviations of a Gaussian in its median absolute deviation
+CORE = 0.25  # half the side of a patch's core, in cells, which excludes frames of patches and blurred edges
+OUTLIER = 5.0  # robust standard deviations from which a pixel is dust, a scratch or hot
+DUSTY = 0.2  # fraction of a patch's pixels that may be outliers
+CLIPPED = 1e-3  # fraction of saturated pixels from which a patch is not used
+MIN_PIXELS = 12  # of a channel in a patch
+PRECISION = 0.002  # relative error due to texture and gloss, which more pixels do not reduce
+MIN_POINTS = 6  # patches and channels for a photon-transfer line
+MAD = 1.4826  # standard deviation of a Gaussian / its median absolute deviation
 Array = NDArray[np.floating]
 
 
 def homography(cells: Array, pixels: Array) -> Array:
-    """Return (3, 3) from chart cells (point, 2) x, y to pixels (point, 2) col, row, four points or more, by least squares;
-    applied to (x, y, 1) it gives col, row times a scale. LinAlgError if four points lie on a line."""
+    """Return the homography (3, 3) from chart cells to pixels, by least squares.
+
+    Applied to (x, y, 1) it gives col and row times a scale. LinAlgError if four points lie on a line.
+
+    Parameters
+    ----------
+    cells : ndarray, (point, 2)
+        x, y of four or more points.
+    pixels : ndarray, (point, 2)
+        col, row of the same points.
+    """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
     system, right = _equations(cells, right), right.ravel()
@@ -38,7 +49,9 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def _equations(cells: Array, pixels: Array) -> Array:
-    """Return (…, 2 · point, 8): times a homography, but for its last number, which is 1, the pixels' numbers in a row."""
+    """Return the matrix (…, 2 · point, 8) that, times a homography without its last element 1, gives the pixels'
+    coordinates.
+    """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
     system = np.concatenate([np.stack(along, axis=-2), -pixels[..., None] * cells[..., None, :]], axis=-1)
@@ -46,21 +59,31 @@ def _equations(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """Return (4, 2) x, y of the outer corners of a grid of patches, clockwise from the first patch."""
+    """Return x, y (4, 2) of the outer corners of a grid of patches, clockwise from the first patch."""
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Return the points (…, 2) through a homography, or (grid, point, 2) through several; infinite where it has none."""
+    """Return points (…, 2) transformed by a homography, or (grid, point, 2) by several; infinite if there is no image."""
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
         return np.asarray(moved[..., :2] / moved[..., 2:])
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Return the index (row, col) of the patch whose core a pixel lies in, rows · cols of the grid elsewhere.
+    """Return the index (row, col) of the patch whose core contains each pixel, and rows · cols of the grid elsewhere.
 
-    `to_pixels`: homography of a grid (rows, cols) of cells; `core`: half the side of a core in cells."""
+    Parameters
+    ----------
+    to_pixels : ndarray, (3, 3)
+        Homography from cells to pixels.
+    grid : tuple of int
+        Rows and columns of patches.
+    shape : tuple of int
+        Shape of the map.
+    core : float
+        Half the side of a core, in cells.
+    """
     rows, cols = grid
     col, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     cells = through(np.linalg.inv(to_pixels), np.stack([col, row], axis=-1))
@@ -74,22 +97,36 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
 
 @dataclass(frozen=True)
 class PatchValues:
-    """Values of each patch in a mosaic."""
+    """Values of the patches of a chart in a mosaic."""
 
     mean: Array  # (patch, channel) DN above black
     deviation: Array  # (patch, channel) DN, standard deviation of the mean
-    variance: Array  # (patch, channel) DN² of a pixel, by its neighbours of the same site: no texture, no uneven light
+    variance: Array  # (patch, channel) DN² of a pixel's noise, from neighbours of the same site, without texture and slopes
     used: NDArray[np.bool_]  # (patch, channel)
-    left_out: tuple[tuple[int, int, str], ...]  # patch, channel, why
+    left_out: tuple[tuple[int, int, str], ...]  # patch, channel, reason
 
 
 def patch_values(
     frames: Sequence[Array], cfa: NDArray[np.uint8], to_pixels: Array, grid: tuple[int, int], saturation: float
 ) -> PatchValues:
-    """Return the values of frames (row, col) of one scene, DN above black, whose first pixel is the CFA's.
+    """Measure the patches of a chart.
 
-    `to_pixels`: homography of the grid (rows, cols); `saturation`: DN above black from which a pixel is clipped.
-    ValueError if a patch holds too few pixels of a channel.
+    Parameters
+    ----------
+    frames : sequence of ndarray, (row, col)
+        Frames of one scene in DN above black, whose first pixel is the CFA's.
+    cfa : ndarray, (cfa_row, cfa_col)
+    to_pixels : ndarray, (3, 3)
+        Homography from cells to pixels.
+    grid : tuple of int
+        Rows and columns of patches.
+    saturation : float
+        DN above black from which a pixel is clipped.
+
+    Raises
+    ------
+    ValueError
+        If a patch contains too few pixels of a channel.
     """
     mean_frame = np.mean(frames, axis=0, dtype=np.float64)
     shape, channels, patches = mean_frame.shape, int(cfa.max()) + 1, grid[0] * grid[1]
@@ -99,7 +136,7 @@ def patch_values(
     mean, deviation, variance = (np.zeros((patches, channels)) for _ in range(3))
     used, left_out = np.ones((patches, channels), dtype=bool), []
     for (index, channel), part in _pixels(patch, patches, cfa):
-        if part.size < LEAST_PIXELS:
+        if part.size < MIN_PIXELS:
             raise ValueError(f"patch {index + 1} holds {part.size} pixels of channel {channel}")
         values = mean_frame.ravel()[part]
         clean = _typical(values, 0.5)
@@ -117,7 +154,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield ((patch, channel), flat indices of its pixels) of a map (row, col) of patches."""
+    """Yield (patch, channel) and the flat indices of its pixels, from a map (row, col) of patches."""
     channels = int(cfa.max()) + 1
     label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
@@ -128,14 +165,20 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 
 
 def _typical(values: Array, least: float) -> NDArray[np.bool_]:
-    """Return which values are no dust, scratch or hot pixel; the rest has a standard deviation of `least` or more."""
+    """Return which values are no outliers, such as dust or hot pixels. Their standard deviation is assumed to be at least
+    `least`.
+    """
     off = np.abs(values - np.median(values))
-    return np.asarray(off <= FAR * max(MAD * float(np.median(off)), least))
+    return np.asarray(off <= OUTLIER * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return (row, col) differences whose variance is a pixel's noise: of two frames or, in a single one, of neighbours of
-    one site in a row and below, so that neither slopes nor patches that differ enter; NaN at the edge."""
+    """Return differences (row, col) whose variance is a pixel's noise variance; NaN at the edge.
+
+    They are differences of two frames. For a single frame they are mixed second differences between neighbours of the
+    same
+    site, which cancel slopes and the differences between patches.
+    """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
     rows, cols = cfa.shape
@@ -148,22 +191,26 @@ def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
 
 def _robust_variance(values: Array) -> float:
     values = values[np.isfinite(values)]
-    if values.size < LEAST_PIXELS:
+    if values.size < MIN_PIXELS:
         return 0.0
     return float(values[_typical(values, 1e-3)].var())
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
-    """Return conversion gain (DN/e-) and dark noise (DN) of the line of variance over signal, patches and channels of all
-    shots; None if there is no such line: of processed files, or with next to no noise."""
+    """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon-transfer line, or None if there is none.
+
+    The line is fitted through the patches and channels of all shots. Processed files and files with almost no noise have
+    no
+    such line.
+    """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
     real = (variance > 0) & (mean > 0)
-    if real.sum() < LEAST_POINTS:
+    if real.sum() < MIN_POINTS:
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # a variance is known in proportion to itself
+    for _ in range(3):  # reweighted, because the error of a variance is proportional to the variance
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -171,32 +218,32 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
     return float(slope), float(np.sqrt(max(constant - 1.0 / 12.0, 0.0)))
 
 
-LONGEST = 480  # pixels of the picture that is searched
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # relative, from pixel to pixel: plain is what changes less
-DARK = 0.02  # of the brightest: below, slopes are noise
-LEAST_AREA, MOST_SHARE = 9, 0.03  # pixels; of the picture: what a patch may cover
-LONG, FILLED = 2.2, (0.75, 1.25)  # of a patch: its long side over its short one; its area over a parallelogram's
-NEIGHBOURS, SEEDS = 8, 160  # regions that a region's grid steps are taken from; regions
+SEARCHED = 480  # pixels, longest side of the reduced picture in which charts are searched
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # relative change from pixel to pixel, below which an area is uniform
+DARK = 0.02  # of the brightest value; slopes of darker pixels are noise
+MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: at least in pixels, at most as a fraction of the picture
+LONG, FILLED = 2.2, (0.75, 1.25)  # of a patch: largest aspect ratio; range of its area / that of a parallelogram
+NEIGHBOURS, SEEDS = 8, 160  # neighbours of a region from which grid steps are taken; regions that start a grid
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # of two steps: cosine of their angle, ratio of their lengths
-OFF = 0.22  # of a step: how far from its place on the grid a region may lie
-REFINED = (0.25, 0.15, 0.1, 0.1)  # of a cell: how far a region may lie from its patch, step by step
-LEAST_SHARE, LEAST_ON = 0.4, 5  # of the patches that must be regions; regions at least
-GROWN, TRIED = 200, 20  # grids that are followed beyond their first steps; grids whose reflectances are compared
-COMPONENTS = 6  # of the reflectances: with them every channel's values are explained but for a few percent
-LEAST_FIT = 0.9  # R² of the values by those
+ASKEW, UNEQUAL = 0.5, 1.8  # of two grid steps: largest cosine of their angle, largest ratio of their lengths
+OFF = 0.22  # of a step, largest distance of a region from its grid point
+REFINED = (0.25, 0.15, 0.1, 0.1)  # of a cell, largest distance of a region from its patch, in each refinement
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # fraction of the patches that must be found as regions; fewest regions
+GROWN, TRIED = 200, 20  # number of grids that are extended; number whose reflectances are compared
+COMPONENTS = 6  # principal components of the reflectances, which explain the values of every channel to a few percent
+MIN_FIT = 0.9  # R² of the values explained by the components
 
 
 @dataclass(frozen=True)
 class Located:
-    """Place of a chart in a picture."""
+    """Position of a chart in a picture."""
 
     to_pixels: Array  # (3, 3) homography from cells x, y to pixels col, row of the mosaic
-    fit: float  # R² of its values by its reflectances, mean over channels
+    fit: float  # R² of its values explained by its reflectances, mean over channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return (row, col, channel) means over whole super-pixels of a mosaic whose first pixel is the CFA's."""
+    """Return the channel means (row, col, channel) over whole super-pixels of a mosaic whose first pixel is the CFA's."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -206,14 +253,29 @@ def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
 
 
 def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tuple[int, int]) -> Located | None:
-    """Return the chart of a grid (rows, cols) of patches with reflectances (patch, wavelength), row by row, in a mosaic
-    (row, col) of DN above black; None if none is there."""
+    """Find a chart in a mosaic.
+
+    Parameters
+    ----------
+    mosaic : ndarray, (row, col)
+        DN above black, whose first pixel is the CFA's.
+    cfa : ndarray, (cfa_row, cfa_col)
+    reflectance : ndarray, (patch, wavelength)
+        Reflectances of the patches, row by row.
+    grid : tuple of int
+        Rows and columns of patches.
+
+    Returns
+    -------
+    Located or None
+        None if no chart is found.
+    """
     from scipy import ndimage
 
     picture = superpixels(mosaic, cfa)
     if min(picture.shape[:2]) < min(grid):
         return None
-    step = max(1, -(-max(picture.shape[:2]) // LONGEST))
+    step = max(1, -(-max(picture.shape[:2]) // SEARCHED))
     height, width = (length // step for length in picture.shape[:2])
     small = picture[: height * step, : width * step].reshape(height, step, width, step, -1).mean(axis=(1, 3))
     basis = components(reflectance)
@@ -221,16 +283,16 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     regions = [_plain_regions(steepest, slope) for slope in SLOPES]
     placements = [_placed(matrix, smooth, basis, grid) for region in regions for matrix in _grids(*region, grid)]
     best = max(filter(None, placements), key=lambda each: each.fit, default=None)
-    if best is None or best.fit < LEAST_FIT:
+    if best is None or best.fit < MIN_FIT:
         return None
     best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
     scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
-    shift = (scale - 1) / 2  # of a small pixel's centre
+    shift = (scale - 1) / 2  # centre of a reduced pixel
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 
 def components(reflectance: Array) -> Array:
-    """Return (patch, component) orthonormal: what the values of any channel are made of, a constant for glare included."""
+    """Return an orthonormal basis (patch, component) for the values of any channel, including a constant for glare."""
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
     return np.asarray(basis)
@@ -240,20 +302,20 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative slope (row, col) of a picture, of its channels the largest."""
+    """Return the relative slope (row, col) of a picture, of the channel with the largest."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # of a black frame, too
+        floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # above zero even for a black frame
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     return steepest
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2) col, row and areas (region) of regions of little slope that may be patches."""
+    """Return the centres (region, 2) col, row and the areas (region) of uniform regions that may be patches."""
     from scipy import ndimage
 
     label, count = ndimage.label(steepest < slope)
@@ -270,7 +332,7 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
     spread, tilt = (yy + xx) / 2 + 1 / 12, np.hypot((yy - xx) / 2, xy)
     long, short = spread + tilt, np.maximum(spread - tilt, 1e-9)
     filled = area / (12 * np.sqrt(long * short))
-    fits = (area >= LEAST_AREA) & (area <= MOST_SHARE * label.size) & (long < LONG**2 * short)
+    fits = (area >= MIN_AREA) & (area <= MAX_SHARE * label.size) & (long < LONG**2 * short)
     fits &= (filled > FILLED[0]) & (filled < FILLED[1])
     return np.stack([x, y], axis=1)[fits], area[fits]
 
@@ -279,8 +341,10 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Return homographies (3, 3) from grid places, the seed's (0, 0), to pixels, of the grids on which most regions lie."""
-    least = max(LEAST_ON, round(LEAST_SHARE * grid[0] * grid[1]))
+    """Return homographies from grid points to pixels, for the grids on which most regions lie. (0, 0) is the first
+    region.
+    """
+    least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
         return []
     reach, found = max(grid), []
@@ -293,7 +357,7 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
         count = (_on_grid(offsets @ np.linalg.inv(steps), reach) >= 0).sum(axis=(1, 2))
         first = np.tile(np.eye(3), (len(steps), 1, 1))
         first[:, :2] = np.concatenate([steps.swapaxes(1, 2), np.tile(centres[seed][:, None], (len(steps), 1, 1))], axis=2)
-        found += [each for each in zip(count, first, strict=True) if each[0] >= LEAST_ON]
+        found += [each for each in zip(count, first, strict=True) if each[0] >= MIN_REGIONS]
     found.sort(key=lambda each: -each[0])
     if not found:
         return []
@@ -303,17 +367,21 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return which pairs (pair, 2, 2) of offsets may be one patch along a row and one down a column, seen from the front."""
+    """Return which pairs (pair, 2, 2) of offsets may be the steps along a row and down a column of a chart seen from the
+    front.
+    """
     one, other = np.hypot(*steps.T)
-    turn = np.linalg.det(steps)  # above zero: rows run downwards where columns run to the right
+    turn = np.linalg.det(steps)  # positive unless the chart is mirrored
     aslant = np.abs((steps[:, 0] * steps[:, 1]).sum(axis=1))
     equal = np.maximum(one, other) <= UNEQUAL * np.minimum(one, other)
     return np.asarray(equal & (turn > 0) & (aslant < ASKEW * one * other))
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return the regions (grid, y, x) that lie on the places of grids from -reach to reach, the nearest each, -1: none, by
-    their coordinates (grid, region, 2) x, y."""
+    """Return the region nearest to each grid point (grid, y, x) from -reach to reach, or -1 if none is near.
+
+    `coordinates` (grid, region, 2) are x, y of the regions on each grid.
+    """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
     close = (off < OFF) & (np.abs(places).max(axis=-1) <= reach)
@@ -321,12 +389,12 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # the last, which is the nearest, stays
+    on[grids, y, x] = regions  # sorted such that the nearest region is assigned last
     return on
 
 
 def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the number of regions that lie on each grid, and its homography, fitted to ever farther regions."""
+    """Return the number of regions on each grid, and its homography, fitted to regions at increasing distances."""
     counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
         growing = growing[np.linalg.det(matrices[growing]) != 0]
@@ -334,14 +402,14 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
         on = _on_grid(np.where(np.isfinite(coordinates), coordinates, 1e6), radius)
         taken = on >= 0
         count, cols, rows = taken.sum(axis=(1, 2)), taken.any(axis=1).sum(axis=1), taken.any(axis=2).sum(axis=1)
-        enough = (count >= LEAST_ON) & (cols > 1) & (rows > 1)
+        enough = (count >= MIN_REGIONS) & (cols > 1) & (rows > 1)
         growing, on = growing[enough], on[enough]
         counts[growing], matrices[growing] = count[enough], _fitted(centres, on)
     return counts, matrices
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Return the homographies (grid, 3, 3) from grid places to the centres of the regions (grid, y, x) `on` them."""
+    """Return the homographies (grid, 3, 3) from grid points to the centres of the regions (grid, y, x) on them."""
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
     shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
@@ -360,7 +428,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Return the placement fitted to the regions that lie on its patches alone, of all slopes that made them plain."""
+    """Return the position fitted only to the regions on its patches, with those found at any slope."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -368,7 +436,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
         close = (
             (np.abs(cells - places) < tolerance).all(axis=1) & (places > 0).all(axis=1) & (places < grid[::-1]).all(axis=1)
         )
-        if len(np.unique(places[close], axis=0)) < LEAST_ON:
+        if len(np.unique(places[close], axis=0)) < MIN_REGIONS:
             break
         matrix = homography(places[close], centres[close])
     return Located(matrix, located.fit)
@@ -378,7 +446,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Return the placement of the chart on a grid, shifted and turned, under which its reflectances fit best."""
+    """Return the position of the chart on a grid, of all shifts and turns, that fits its reflectances best."""
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
     index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
@@ -407,7 +475,7 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Return R² (…) of values (…, patch, channel) by the reflectances' `components`, mean over channels."""
+    """Return the R² (…) of values (…, patch, channel) explained by the reflectances' `components`, mean over channels."""
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

@@ -1,5 +1,7 @@
-"""Corrections of raw frames: bad and hot pixels, shading, and dark frames taken off (docs/method.md#corrections); and those
-of a camera model's file, checked against the table."""
+"""Corrections of raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
+
+They also read the corrections that the file of a camera model holds, and check them against the table.
+"""
 
 import functools
 import hashlib
@@ -21,27 +23,27 @@ from l3cli.system.files import require_same
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
-NEIGHBOURS = 4  # that a value is made of: the mean of the two in the middle
-FARTHEST = 16  # rows and columns to each side in which they are searched
-MOST_BAD = 0.1  # share of the pixels from which on a map is none of defects
-LEAST = 8.0  # standard deviations by which a hot pixel is above the brightest of its neighbours
-RANGE = 2.0  # times the range of its neighbours by which it is above the brightest
-NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # how much brighter the pixels next to it may be: noise, share of its excess
+NEIGHBOURS = 4  # that replace a bad pixel, by the mean of the middle two
+FARTHEST = 16  # rows and columns to each side in which neighbours are searched
+MAX_BAD = 0.1  # fraction of the pixels; a map with more does not show defects
+MIN_EXCESS = 8.0  # standard deviations by which a hot pixel exceeds the brightest of its neighbours
+RANGE = 2.0  # by which multiple of its neighbours' range it exceeds the brightest of them
+NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # largest excess of the adjacent pixels: in standard deviations, as fraction of its own
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-HOT = 5.0  # standard deviations from which a pixel is no usual one
-MAD = 1.4826  # of normal deviates: standard deviation / median absolute deviation
+HOT = 5.0  # standard deviations from which a pixel of a dark frame is left out of its mean
+MAD = 1.4826  # standard deviation of a normal distribution / its median absolute deviation
 
 
 @dataclass(frozen=True, eq=False)
 class BadPixelCorrection:
-    """Which pixels are replaced, and by which."""
+    """The pixels that are replaced, and the pixels that replace them."""
 
-    target: NDArray[np.int64]  # (defect) place in a frame, row by row
-    source: NDArray[np.int64]  # (defect, NEIGHBOURS) places of sound pixels
+    target: NDArray[np.int64]  # (defect) flat index in a frame
+    source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) with every defect replaced by the mean of the middle two neighbours, rounded up."""
+        """Return values (row, col) with every defect replaced by the mean of its middle two neighbours, rounded up."""
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
         result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
@@ -49,9 +51,19 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Return the correction of the pixels `bad` (row, col) of a sensor: by the nearest sound pixels of their channel,
-    however far a cluster or line makes them. InputFileError if a pixel has none within FARTHEST, or too many are bad."""
-    if bad.mean() > MOST_BAD:
+    """Return the correction of a sensor's bad pixels by the nearest good pixels of the same channel.
+
+    Parameters
+    ----------
+    bad : ndarray of bool, (row, col)
+    cfa : ndarray, (cfa_row, cfa_col)
+
+    Raises
+    ------
+    InputFileError
+        If a pixel has no good neighbour within FARTHEST, or too many pixels are bad.
+    """
+    if bad.mean() > MAX_BAD:
         raise InputFileError(f"{bad.mean():.0%} of the pixels are marked defective, too many to correct; map fewer")
     shape, period = bad.shape, cfa.shape
     targets, sources = [], []
@@ -76,7 +88,7 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
         if not count.all():
             row, col = defects[int(count.argmin())]
             raise InputFileError(f"pixel ({row}, {col}) has no sound neighbour within {FARTHEST} pixels; map fewer defects")
-        again = np.arange(NEIGHBOURS) % count[:, None]  # those that there are, in turn
+        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats neighbours if there are fewer
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
     if not targets:
@@ -85,8 +97,10 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 
 
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return (offset, 2) rows and columns to the pixels of the channel of a CFA site, the nearest first; of equally near
-    ones those opposite one another come one after the other."""
+    """Return the offsets (offset, 2) to the pixels with the channel of a CFA site, the nearest first.
+
+    Of equally near pixels, opposite ones follow each other.
+    """
     down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
     distance = down**2 + across**2
@@ -100,7 +114,7 @@ def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int6
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The correction of one camera's frames."""
+    """The correction of a camera's frames."""
 
     camera: str  # its name
     shape: tuple[int, int]  # rows, columns of its frames
@@ -109,17 +123,16 @@ class Correction:
 
     @property
     def digest(self) -> str:
-        """Return the SHA-256 of all that it changes in a picture."""
+        """SHA-256 of everything that the correction changes in a picture."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with its bad pixels corrected and the shading that is in it, which takes the place of the file's
-        own gains.
+        """Return the frame with bad pixels replaced, and with the camera's shading instead of the file's own gains.
 
-        InputFileError if it is not of the camera's size, or begins at another site of its array.
+        InputFileError if the frame is not of the camera's size, or begins at another CFA site.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
@@ -131,7 +144,7 @@ class Correction:
 
 
 def correction_of(camera: CameraModel) -> Correction:
-    """Return the correction of a camera's frames; InputFileError if it knows of none, or cannot be carried out."""
+    """Return the correction of a camera's frames; InputFileError if it has none, or it cannot be applied."""
     if camera.defects is None and camera.flat_field is None:
         raise InputFileError(
             f"camera {camera.name} knows neither defects nor a flat field; calibrate it with darks and whites"
@@ -151,7 +164,10 @@ def _size(shape: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class HotTest:
-    """The noise of a camera: variance = constant + (linear + quadratic · signal) · signal, in DN above black."""
+    """Finds hot pixels in a frame by the noise of its camera.
+
+    The variance is constant + (linear + quadratic · signal) · signal, with the signal in DN above black.
+    """
 
     constant: float  # DN²
     linear: float  # DN
@@ -161,17 +177,18 @@ class HotTest:
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test by the noise model of a camera."""
+        """Return the test for a camera, by its noise model."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-        noisiest = float(np.max(constant)), float(np.max(linear))  # of channels of different gains
+        noisiest = float(np.max(constant)), float(np.max(linear))  # channels may differ in gain
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
-        """Return the frame with its hot pixels corrected; `cfa` is the array from its first pixel on.
+        """Return the frame with hot pixels replaced. `cfa` is the array from the frame's first pixel on.
 
-        A hot pixel is far above the eight nearest pixels of its CFA site, and its neighbours of any channel are not: a star
-        or another detail that a lens has drawn brightens those, too.
+        A hot pixel is far brighter than the eight nearest pixels of its CFA site, while its neighbours of any channel are
+        not brighter
+        than usual. A star, or another detail that a lens has imaged, brightens its neighbours, too.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
             return frame  # too few neighbours
@@ -185,15 +202,15 @@ class HotTest:
         return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
 
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of pixels above all their neighbours by more than the least noise allows."""
+        """Return the rows and columns of pixels that exceed all their neighbours by more than the least noise explains."""
         values, (down, across) = frame.values, self.period
-        brightest = np.zeros_like(values)  # the brightest to the left and right
+        brightest = np.zeros_like(values)  # maximum of the neighbours to the left and right
         np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])
         np.maximum(brightest[:, :-across], values[:, across:], out=brightest[:, :-across])
         line = np.maximum(brightest, values)
         np.maximum(brightest[down:], line[:-down], out=brightest[down:])
         np.maximum(brightest[:-down], line[down:], out=brightest[:-down])
-        least = int(LEAST * np.sqrt(self._variance(frame, np.zeros(1))[0]))
+        least = int(MIN_EXCESS * np.sqrt(self._variance(frame, np.zeros(1))[0]))
         np.minimum(brightest, np.uint16(65535 - least), out=brightest)
         brightest += np.uint16(least)
         row, col = np.divmod(np.flatnonzero(values > brightest), values.shape[1])
@@ -202,11 +219,11 @@ class HotTest:
     def _isolated(
         self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return those of the suspects that are hot."""
+        """Return the suspects that are hot pixels."""
         neighbours = self._neighbours(frame, row, col)
         brightest, darkest = neighbours.max(axis=0), neighbours.min(axis=0)
         excess = frame.values[row, col] - brightest
-        isolated = excess > np.maximum(LEAST * np.sqrt(self._variance(frame, brightest)), RANGE * (brightest - darkest))
+        isolated = excess > np.maximum(MIN_EXCESS * np.sqrt(self._variance(frame, brightest)), RANGE * (brightest - darkest))
         row, col, excess = row[isolated], col[isolated], excess[isolated]
         rows, cols = frame.values.shape
         brighter, variance = np.zeros(row.size), np.zeros(row.size)
@@ -215,13 +232,15 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2: of a median of eight
+            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 for the median of eight
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-        """Return the DN (neighbour, pixel) of the eight nearest pixels of each pixel's CFA site; past an edge those on
-        the other side."""
+        """Return the DN (neighbour, pixel) of the eight nearest pixels of each pixel's CFA site.
+
+        Beyond an edge, the pixels on the opposite side are taken.
+        """
         rows, cols = frame.values.shape
         down, across = self.period
         values = []
@@ -233,7 +252,7 @@ class HotTest:
         return np.array(values)
 
     def _variance(self, frame: RawFrame, level: Array) -> Array:
-        """Return DN² of pixels at `level` DN."""
+        """Return the noise variance in DN² of pixels at `level` DN."""
         scale = self.span / (frame.white_level - frame.black_level)
         signal = np.maximum((level - frame.black_level) * scale, 0.0)
         return np.asarray((self.constant + (self.linear + self.quadratic * signal) * signal) / scale**2)
@@ -244,25 +263,33 @@ class DarkFrame:
     """The mean of several raw frames that were exposed without light."""
 
     name: str
-    level: float  # DN, mean over all pixels but the hot ones
-    offset: NDArray[np.int32]  # (row, col) DN, what each pixel differs by from the mean
+    level: float  # DN, mean over all pixels except hot ones
+    offset: NDArray[np.int32]  # (row, col) DN, difference between each pixel and the mean
     phase: tuple[int, int]  # CFA row and column of pixel (0, 0)
     orientation: int
     exposure: float | None  # s; None: unknown
 
     @property
     def digest(self) -> str:
-        """Return the SHA-256 of all that it changes in a picture."""
+        """SHA-256 of everything that the dark frame changes in a picture."""
         return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
-    """Return the dark frame of `frames` of one size, phase, orientation and exposure time; InputFileError if they differ.
+    """Return the dark frame from frames of the same size, phase, orientation and exposure time.
 
-    A mean of n frames still has 1/√n of their noise, which must not be put into every picture: what a pixel differs by from
-    the mean, d, counts as d · max(0, 1 − σ²/d²), with σ the standard deviation of that noise (the non-negative garrote,
-    Breiman 1995). So hot pixels are taken off whole however few the frames, and the finer pattern the better the more
-    there are. σ comes from the differences of frames, of a single one from the spread of its pixels.
+    The mean of n frames still has 1/√n of their noise, which must not be added to every picture. The difference d of a
+    pixel from
+    the mean is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of that noise (the
+    non-negative
+    garrote, Breiman 1995). Hot pixels are thus removed completely, however few frames there are, and fine patterns better
+    with
+    more frames. σ is estimated from the differences of frames, or from the spread of the pixels of a single frame.
+
+    Raises
+    ------
+    InputFileError
+        If the frames differ in kind, or there is none.
     """
     kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0
@@ -295,8 +322,10 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Return the frame without what its pixels differ by in the dark; the mean of that is `RawFrame.dark`. Clipped pixels
-    stay clipped. InputFileError if the dark frame is of another size or kind."""
+    """Return the frame without its dark pattern. The mean dark signal becomes `RawFrame.dark`. Clipped pixels stay clipped.
+
+    InputFileError if the dark frame has another size, phase, orientation or exposure time.
+    """
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
             f"{dark.name} of {_size(dark.offset.shape)} is not a dark frame of {frame.name} of {_size(frame.values.shape)}; "
@@ -319,7 +348,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Return the standard deviation of the values, hot pixels aside."""
+    """Return the standard deviation of values, robust against hot pixels."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
@@ -327,12 +356,15 @@ def _spread(values: NDArray[np.float64]) -> float:
 class CameraFile:
     """The file of a camera model."""
 
-    path: Path  # absolute: workers open it
+    path: Path  # absolute, because workers open it
     digest: str  # SHA-256
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
-    """Return the correction that a camera model knows; InputFileError if it knows none, or its array is not the table's."""
+    """Return the correction that a camera model's file holds.
+
+    InputFileError if it holds none, or its array is not the table's.
+    """
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
@@ -344,13 +376,13 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """Return, in a worker, the correction of a run, made once."""
+    """Return the correction of a run in a worker, where it is made once."""
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """Return the camera model in a file, or that of a table."""
+    """Return the camera model in a file, which may be a table."""
     from l3cli.artifacts.store import load, open_artifact
     from l3cli.artifacts.table import TransformTable
 
@@ -365,7 +397,7 @@ def _camera_of(file: CameraFile) -> CameraModel:
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """Return the test by the noise of the table's camera; RecipeError if an older table does not have it."""
+    """Return the test by the noise of the table's camera; RecipeError if an older table does not hold it."""
     if table.camera is None:
         raise RecipeError(
             "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"

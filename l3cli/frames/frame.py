@@ -1,4 +1,4 @@
-"""A raw frame: one mosaic of digital numbers as a camera gives it, brought to the levels of a table."""
+"""A raw frame: one mosaic of digital numbers from a camera, and its mapping to the levels of a table."""
 
 import functools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from l3cli.frames.shading import Shading, colour_corrected
 
 @dataclass(frozen=True)
 class Shot:
-    """Settings of a shot, as its file states them; empty or 0 where it does not."""
+    """Settings of an exposure as its file states them; empty or 0 if it does not."""
 
     make: str = ""
     model: str = ""
@@ -26,42 +26,42 @@ class Shot:
 
 @dataclass(frozen=True)
 class NoiseLeft:
-    """Share of a frame's noise over time that a filter in time has left."""
+    """The fraction of a frame's temporal noise that a temporal filter has left, cell by cell."""
 
-    shares: NDArray[np.uint16]  # (cell row, cell col) of the camera's noise variance, in 1/whole
-    whole: int  # share that stands for all of it
+    shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, in units of 1/whole
+    whole: int  # value that stands for 1
     cell: tuple[int, int]  # rows and columns of a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return (row, col), for a frame of this shape, the number of the shares `limits` of which no more is left."""
+        """Return, for each pixel (row, col) of a frame of this shape, how many of the `limits` are not exceeded."""
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
 
 @dataclass(frozen=True)
 class RawFrame:
-    """A mosaic with its black and white level and the site of the super-pixel that its first pixel has."""
+    """A mosaic with its black and white level, and the CFA site of its first pixel."""
 
     name: str
     values: NDArray[np.uint16]  # (row, col) DN
     black_level: float  # DN
     white_level: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
-    orientation: int = 0  # how the camera was held: LibRaw's flip code (see `upright`)
+    orientation: int = 0  # how the camera was held, as LibRaw's flip code (see `upright`)
     exposure: float | None = None  # s; None: unknown
-    dark: float = 0.0  # DN above black, the mean signal of dark current
-    dark_measured: bool = False  # `dark` is of a dark frame, not of the exposure time
-    neutral: tuple[float, ...] | None = None  # (channel) of a grey, as the camera took it, of any scale; None: not stated
-    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, where the file has them
+    dark: float = 0.0  # DN above black, mean signal of the dark current
+    dark_measured: bool = False  # whether `dark` comes from a dark frame, not from the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey on any scale, if the file states them
+    taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, if the file states them
     shot: Shot = Shot()
-    shading: Shading | None = None  # what the lens takes, which is still in the values
-    gain: float = 1.0  # analog gain over its camera's
-    baseline_exposure: float = 0.0  # EV by which its file wants pictures brighter than its white level is
-    noise_share: float = 1.0  # of its camera's noise variance: less where a filter in time has taken some out
-    noise_left: NoiseLeft | None = None  # the same cell by cell; None: nowhere
-    notes: tuple[str, ...] = ()  # what the file wants done to it, and nobody does
-    exchangeable: bool = False  # whether its file does not say how many rows and columns it has, and both fit exchanged, too
-    misread: str = ""  # option by which the bytes of its file become a picture, where these values look like noise
+    shading: Shading | None = None  # shading of the lens that is still in the values
+    gain: float = 1.0  # analog gain, relative to the camera's
+    baseline_exposure: float = 0.0  # EV by which the file asks for brighter pictures
+    noise_share: float = 1.0  # fraction of the camera's noise variance, below 1 after a temporal filter
+    noise_left: NoiseLeft | None = None  # the same fraction cell by cell; None: all of the noise everywhere
+    notes: tuple[str, ...] = ()  # processing that the file asks for and l3 does not do
+    exchangeable: bool = False  # whether the file states no size, and rows and columns could also be exchanged
+    misread: str = ""  # if the values look like noise: the option with which the file's bytes look like a picture
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
@@ -75,16 +75,18 @@ class RawFrame:
 
     @property
     def light_share(self) -> float:
-        """Return the share of full scale that dark current leaves to light."""
+        """Fraction of full scale that dark current leaves for light."""
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the light alone on another scale: DN mapped linearly so that black level and dark current become
-        `black_level`, the white level becomes `white_level`, within `bits`. Full scale then stands for `light_share` of what
-        it stood for.
+        """Return the frame on another scale, without dark current.
 
-        Values are shifted by whole DN, so that no level is lost; what is left of the dark current, below half a DN, is in
-        the black level of the frame that is returned.
+        DN are mapped linearly, such that black level plus dark current becomes `black_level` and the white level becomes
+        `white_level`, clamped to `bits`. Full scale then stands for `light_share` of the previous full scale.
+
+        Values are shifted by whole DN, so that no level is lost. The remaining dark current, below half a DN, is added to
+        the black
+        level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -92,7 +94,7 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the same for values read within `bits` alone: they are not looked at where both scales are the same."""
+        """Return the same as `at_levels`, but without clamping values to `bits` if both scales are equal."""
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
         whole = round(self.dark)
@@ -114,7 +116,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return the value that each of all 16-bit values becomes, at most `top`; None if all up to `top` stay as they are."""
+    """Return the new value of every 16-bit value, at most `top`, or None if no value up to `top` changes."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -123,11 +125,21 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """Return values (row, col) of pixels whose black and white levels differ, shifted to one black level, and both levels.
+    """Return values of pixels with different black and white levels, shifted to a common black level, and the common levels.
 
-    `black_level` and `white_level` broadcast against the values, in DN. The common black level is the rounded mean, and the
-    white level what the pixel that saturates first above its black level can reach: no saturated pixel is then taken for a
-    bright one.
+    Parameters
+    ----------
+    values : ndarray, (row, col)
+    black_level, white_level : ndarray
+        Levels in DN, which broadcast against the values.
+
+    Returns
+    -------
+    values : ndarray, (row, col)
+    black_level, white_level : float
+        The black level is the rounded mean. The white level is that of the pixel with the smallest range, so that
+        saturated
+        pixels are never taken for bright ones.
     """
     room = float((white_level - black_level).min())
     if np.ptp(black_level) == 0:
@@ -139,8 +151,12 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Return pixels (row, col, …) turned as LibRaw's flip code says: 1 mirrors columns, 2 mirrors rows, 4 then transposes;
-    so 3 is a half turn, 5 a quarter turn to the left, 6 one to the right."""
+    """Return pixels (row, col, …) in upright orientation, by LibRaw's flip code.
+
+    Code 1 mirrors columns, 2 mirrors rows, and 4 then transposes. So 3 is a half turn, 5 a quarter turn to the left and 6
+    a
+    quarter turn to the right.
+    """
     if orientation & 1:
         pixels = pixels[:, ::-1]
     if orientation & 2:
@@ -149,9 +165,13 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Return source index of each of `length` + 2·`margin` padded samples: inside itself; outside the sample of equal CFA
-    phase nearest the mirror image, so that padding keeps the mosaic (docs/method.md#rendering). Where a mosaic is shorter
-    than the period and no sample of that phase exists, the nearest sample is taken."""
+    """Return the source index of each of `length` + 2 · `margin` padded samples.
+
+    Inside, a sample is its own source. Outside, the source is the sample with the same CFA phase that is nearest to the
+    mirror
+    image, so that padding preserves the mosaic (docs/method.md#rendering). If the mosaic is shorter than the period, the
+    nearest sample is the source.
+    """
     wanted = np.arange(-margin, length + margin)
     if length < period:
         return np.clip(wanted, 0, length - 1).astype(np.int32)
@@ -164,20 +184,20 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """Return values (row, col) with `margin` more samples on every side, by `mirrored_indices`."""
+    """Return values (row, col) padded by `margin` samples on every side, as `mirrored_indices` describes."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]
 
 
 def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return (row, col) of what repeats over a mosaic of that shape, from its first pixel on."""
+    """Return a pattern repeated to a shape (row, col), starting at the first pixel."""
     rows, cols = pattern.shape
     return pattern[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % cols]
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest array that repeats to a pattern (row, col)."""
+    """Return the smallest array whose repetition gives a pattern (row, col)."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)
@@ -186,17 +206,17 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
 
 
 def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
-    """Return the rows of an array (row, col) of channels as text, their names divided by blanks or by what is given."""
+    """Return the rows of an array (row, col) of channels as text: names, separated by `between`."""
     return [between.join(channels[site] for site in row) for row in cfa]
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the super-pixel as seen from a frame whose pixel (0, 0) has site `phase`."""
+    """Return the super-pixel as seen from a frame whose first pixel has the site `phase`."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
 def as_taken(pixels: NDArray, orientation: int) -> NDArray:
-    """Return pixels (row, col, …) turned back from `upright`."""
+    """Undo `upright` for pixels (row, col, …)."""
     if orientation & 4:
         pixels = pixels.swapaxes(0, 1)
     if orientation & 2:

@@ -1,22 +1,22 @@
-"""What files say of their stored values: which mark pixels without data, and by which gain and offset they are scaled."""
+"""What files state about their stored values: the mark of missing data, and gain and offset."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDING = 1e-5  # relative, of a mark that a text states, such as -3.40282e+38
+ROUNDING = 1e-5  # relative tolerance for marks written as text, such as -3.40282e+38
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return the pixels (row, col) that hold a mark of missing data in any good band; None if there are none.
+    """Return the pixels (row, col) that hold the mark of missing data in any good band, or None if there are none.
 
     Parameters
     ----------
-    values : (row, col, band)
+    values : ndarray, (row, col, band)
         As stored.
     mark : float
         The stored value that marks missing data. NaN marks NaN.
-    good : (band), optional
-        The bands that count; default: all.
+    good : ndarray of bool, (band,), optional
+        The bands that count; all by default.
     """
     found = np.zeros(values.shape[:2], bool)
     for band in range(values.shape[2]):
@@ -33,7 +33,7 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
 
 
 def scaled(values: NDArray, gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float) -> NDArray:
-    """Return values · gain + offset (row, col, band), of each band; the values themselves where that changes nothing."""
+    """Return values (row, col, band) times gain plus offset, per band; the values themselves if nothing changes."""
     if np.all(gain == 1) and np.all(offset == 0):
         return values
     made = np.empty(values.shape, np.float32)

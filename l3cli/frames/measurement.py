@@ -1,6 +1,6 @@
-"""Lab measurements: what calibration is given, whoever took them, a real lab or the virtual one.
+"""Lab measurements: the input of calibration, from a real lab or from the virtual one.
 
-Frames are gone through one by one, each time from their files, so that memory never grows with their number.
+Frames are read one by one, and again for each pass, so that memory does not grow with their number.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
-DIODE = {  # other names of a sweep's columns
+DIODE = {  # alternative names of a sweep's columns
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
 }
@@ -30,7 +30,7 @@ DIODE = {  # other names of a sweep's columns
 
 @dataclass(frozen=True)
 class Body:
-    """The part of a camera that is known without measuring."""
+    """What is known about a camera without measuring."""
 
     name: str
     rows: int
@@ -40,51 +40,51 @@ class Body:
     channels: tuple[str, ...]
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
-    readout: Readout | None = None  # settings of the captures, read noise not yet known; None: all channels alike
+    readout: Readout | None = None  # exposure and gain of each channel, without read noise; None: all channels alike
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Return the conversion gain (channel) over that of the camera."""
+        """Conversion gain (channel), relative to the camera's."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def channel_exposures(self) -> NDArray[np.float64]:
-        """Return the exposure time (channel) over that of the frame."""
+        """Exposure time (channel), relative to the frame's."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_exposure
 
     @property
     def photons_per_radiance(self) -> float:
-        """Return in m² sr the photons/s on a pixel's area for a radiance of 1 photon/s/sr/m² (docs/method.md#optics)."""
+        """Photons/s on a pixel's area for a radiance of 1 photon/s/sr/m², in m² sr (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """Return the light (row, col) of an even scene over that on the axis (docs/method.md#optics)."""
+        """Light (row, col) of a uniform scene, relative to the axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Frames of one scene at one exposure: dark (lens cap) or white (even light) as they stand."""
+    """Frames of one scene at one exposure: dark (lens cap) or white (uniform light)."""
 
-    name: str  # what errors call it: its first frame, as the measurement file names it
+    name: str  # for messages: its first frame, as named in the measurement file
     exposure: float  # s
-    frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; may be gone through more than once
-    monitor: float = field(default=1.0, kw_only=True)  # the lamp's light over that of its measured spectrum
+    frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; can be iterated repeatedly
+    monitor: float = field(default=1.0, kw_only=True)  # light of the lamp, relative to its measured spectrum
 
     @property
     def lit(self) -> float:
-        """Return the seconds of the measured light that the capture amounts to."""
+        """Exposure time in s under the measured light that would give the same exposure."""
         return self.exposure * self.monitor
 
 
 @dataclass(frozen=True)
 class MonoCapture(Capture):
-    """An even field lit by one step of a monochromator, with its measured spectrum, bandwidth and stray light included."""
+    """A uniform field lit by one step of a monochromator. The measured spectrum includes bandwidth and stray light."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     radiance: NDArray[np.float64]  # (wavelength) photons/s/sr/m²/nm
-    absolute: bool = field(default=True, kw_only=True)  # whether the scale of the radiance is known, too
+    absolute: bool = field(default=True, kw_only=True)  # whether the scale of the radiance is known
 
 
 @dataclass(frozen=True)
@@ -99,12 +99,12 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """A ColorChecker behind a narrow filter at one of several exposures; its radiance need only be relative."""
+    """A ColorChecker behind a narrow-band filter, at one of several exposures. Its radiance may be relative."""
 
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Means of a monochromator sweep beside a photodiode, dark readings taken at every step."""
+    """Mean values of a monochromator sweep and of a photodiode beside the camera, with dark readings at every step."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     light: NDArray[np.float64]  # (channel, wavelength) DN
@@ -116,16 +116,16 @@ class SweepTable:
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Responsivities that somebody else measured, relative, per photon."""
+    """Responsivities measured by somebody else, relative and per photon."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # on columns of the file that are left out
+    note: str | None = None  # names columns of the file that were ignored
 
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Curves of measured cameras in few numbers: per photon, each channel scaled to a peak of 1."""
+    """Statistics of the curves of measured cameras: per photon, each channel scaled to a peak of 1."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     mean: NDArray[np.float64]  # (channel, wavelength)
@@ -136,7 +136,7 @@ class CurveStatistics:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart whose reflectances are known."""
+    """A chart with known reflectances."""
 
     name: str
     grid: tuple[int, int]  # rows, columns of patches
@@ -146,22 +146,22 @@ class Chart:
 
 @dataclass(frozen=True)
 class PhotoCapture:
-    """Raw frames of a chart under one light, at one exposure."""
+    """Raw frames of a chart under one light and at one exposure."""
 
-    name: str  # what errors call it
+    name: str  # for messages
     frames: tuple[RawFrame, ...]
     chart: Chart
-    light: str | None  # its name; None: to be guessed
+    light: str | None  # name of the light; None if it has to be guessed
     wavelength: NDArray[np.float64]  # (light_wavelength) nm
-    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; unused where the light is to be guessed
-    corners: NDArray[np.float64] | None  # (4, 2) as of ChartCapture; None: to be found
+    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the light is guessed
+    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if they have to be found
     darks: tuple[RawFrame, ...] = ()  # without light, at the same exposure
-    whites: tuple[RawFrame, ...] = ()  # an even white in the chart's place, under the same light
+    whites: tuple[RawFrame, ...] = ()  # a uniform white in place of the chart, under the same light
 
 
 @dataclass(frozen=True)
 class SensorFigures:
-    """Figures of a camera model's sensor, measured or from a data sheet."""
+    """Sensor data of a camera model, measured or from a data sheet."""
 
     gain: float  # DN/e-
     black_level: float  # DN
@@ -171,7 +171,7 @@ class SensorFigures:
 
 @dataclass(frozen=True)
 class GainCaptures:
-    """Dark and white frames at another analog gain than the camera's."""
+    """Dark and white frames at another analog gain."""
 
     iso: float
     darks: tuple[Capture, ...]
@@ -180,10 +180,12 @@ class GainCaptures:
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that was measured of one camera, and how well the lights were known.
+    """All measurements of one camera, and how well the lights are known.
 
-    Responsivity comes from one of `mono`, `bands`, `curve` and `photos`; the sensor from `darks` and `whites`, or else from
-    `datasheet`, or else from the photos; with a `base`, all but defects and flat field from that.
+    The responsivity comes from one of `mono`, `bands`, `curve` and `photos`. The sensor data come from `darks` and
+    `whites`, or
+    otherwise from `datasheet`, or otherwise from the photos. With a `base`, only defects and flat field are measured, and
+    everything else comes from the base.
     """
 
     body: Body
@@ -196,33 +198,33 @@ class Measurements:
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
     photos: tuple[PhotoCapture, ...] = ()
-    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # what is known of curves before a photo is taken
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # prior knowledge of curves, for photos
     datasheet: SensorFigures | None = None
-    base: CameraModel | None = None  # all but its defects and flat field is known, for which `darks` and `whites` are
+    base: CameraModel | None = None  # a known camera, of which `darks` and `whites` only give defects and flat field
     lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
     wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale
 
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """From XYZ of a surface under a light to what the camera collects."""
+    """A matrix from the XYZ of a surface under a light to the camera's signals."""
 
-    light: str  # its name
-    assumed: bool  # whether the file does not name it
-    rows: dict[int, NDArray[np.float64]]  # colour code → (3) its row
+    light: str  # name of the light
+    assumed: bool  # whether the light is assumed, because the file does not name it
+    rows: dict[int, NDArray[np.float64]]  # colour code → row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) of these colours."""
+        """Return the rows (channel, 3) for these colours."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 
 @dataclass(frozen=True)
 class Stated:
-    """Facts that a raw file states about its camera; None and "" where it does not."""
+    """What a raw file states about its camera; None and "" for what it does not state."""
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # variance = slope · signal + constant, as shares of full scale above black
+    noise: tuple[float, float] | None  # slope and constant of variance over signal, as fractions of full scale above black
     iso: float | None
     pitch_um: float | None
     focal_length_mm: float | None
@@ -231,21 +233,21 @@ class Stated:
 
 @dataclass(frozen=True)
 class CaptureFolder:
-    """The files of a folder, each path relative to it."""
+    """The files of a folder, with paths relative to it."""
 
     folder: Path
     frames: tuple[str, ...]
     tables: tuple[str, ...]
-    notes: tuple[str, ...]  # a line for each kind of file that is left out
+    notes: tuple[str, ...]  # one line per kind of file that is ignored
 
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw frame and what its file states of it."""
+    """A raw frame and what its file states about it."""
 
     values: NDArray[np.uint16]  # (row, col) DN as stored, never developed
     seconds: float | None
-    pattern: NDArray[np.int64] | None  # codes of the array
+    pattern: NDArray[np.int64] | None  # colour codes of the array
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # frames of the file, of which this is the first
+    count: int = 1  # number of frames in the file, of which this is the first

@@ -19,12 +19,12 @@ FAMILIES = {
 
 
 class Piece(NamedTuple):
-    """Bits of a pixel that lie side by side in one byte of its group."""
+    """Adjacent bits of a pixel that are stored in one byte of its group."""
 
     byte: int
-    shift: int  # bits of the byte below them
+    shift: int  # position of the lowest bit in the byte
     bits: int
-    place: int  # bits of the pixel below them
+    place: int  # position of the lowest bit in the pixel
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class Packing:
         return self.family == "words" and self.group_bytes == 2
 
     def bytes_of(self, pixels: int) -> int:
-        """Return the bytes of so many pixels that follow one another."""
+        """Return the number of bytes of this many consecutive pixels."""
         if self.family == "mipi":
             return -(-pixels // self.group_pixels) * self.group_bytes
         return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return bytes and pieces of the smallest group of a stream of bits that fills whole bytes."""
+    """Return the bytes and pieces of a stream of bits, for the smallest group that fills whole bytes."""
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
     for first in range(0, pixels * bits, bits):
@@ -112,6 +112,6 @@ BYTE_ORDERS = ("little", "big")
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing of a name in upper or lower case, "12p" for Mono12p; None if there is none."""
+    """Return the packing with a name, in upper or lower case, or None. "12p" stands for Mono12p."""
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)

@@ -1,8 +1,9 @@
-"""Doubts about what a raw file states of its mosaic, by what its pixels show: where its array begins, where black lies.
+"""Checks of what a raw file states against its pixels: the position of the array, the array itself, the black level.
 
-Sites of one channel answer nearly alike, on the mean over a small block, wherever the array is where it is taken to be; else
-they have different filters. Where another phase merely exchanges channels of equal patterns, such as r and b of a Bayer
-array, only the signals of a grey, which many files state, tell them apart: the mean over a photo is about grey.
+In a smooth block all sites of one channel read nearly the same. If they do not, the stated CFA phase is probably wrong.
+Another
+phase may only exchange channels with equal patterns, such as r and b of a Bayer array. Then the phase follows from the
+signals of a grey, which many files state, because the mean over a photo is roughly grey.
 """
 
 import itertools
@@ -14,56 +15,63 @@ from numpy.typing import NDArray
 
 from l3cli.frames.frame import RawFrame, shifted_cfa, tiled
 
-SIDE, MOST = 8, 32  # super-pixels along a block, at most; blocks along a frame, at most
-LEAST_SIGNAL = 1e-3  # of full scale: the mean of a frame below which it is dark
-SITES_DIFFER = 0.02  # of the signal: real arrays in place leave 0.003 to 0.007, one row or column off 0.045 to 0.18
-FAR_FROM_GREY = 0.75  # of a natural logarithm: distance of two channels from a grey; coloured scenes reach 0.67
-BETTER = 0.4  # of the stated phase's figure, if another leaves no more, the array is there
-ALIKE = 1.5  # times the least figure: phases that leave about as little
-DARKEST = 0.1  # percentile of the values of a channel: about black in most pictures
-LEAST_BLACK, HIGHEST_BLACK = 1 / 64, 1 / 6  # of the white level: where black levels of real cameras lie
-ROUGH, SMOOTHER = 0.01, 3.0  # of full scale: least roughness of a misread frame; times as rough as a frame read rightly
-MOST_BANDS = 32  # of a frame, of two super-pixels' rows, that roughness is measured on
-PERIODS, PERIOD = (4, 6, 8), 24  # rows and columns of arrays that are looked for; after which all of them repeat
-TILE, TILES = 120, 8  # pixels along a tile, after which all periods begin again; tiles along a frame, at most
-ARRAYS_DIFFER = (
-    0.05  # of the signal: mean difference of sites; real Bayer frames leave 0.001 to 0.02, other arrays 0.05 to 2
-)
-MOST_SITES_DIFFER = 0.03  # of the signal: exceeded by 30 % of the sites of another array, by none but those for autofocus
-STRIPED = 0.25  # of the differences: stripes leave no more, once each row or column has its own factor
-TWO_GAINS = 2.0  # ratio of gains of sensors whose pairs of rows alternate between two
-CONTROL = 3.0  # times as much as modulo a period that no array has
-FITS = 0.01  # of the signal: sites of one channel that differ less fit an array
-SMALLEST_BLACK = 16.0  # DN: of less nothing can be said
-BELOW = 0.5  # of the black level: pixels without light lie above, since black is there for their noise to have room
-FEW = 0.05  # fraction of the pixels below which nothing is said
+SIDE, MOST = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
+MIN_SIGNAL = 1e-3  # of full scale; frames with a lower mean are too dark to judge
+SITES_DIFFER = 0.02  # of the signal; arrays at the stated phase reach 0.003 to 0.007, one row or column off 0.045 to 0.18
+FAR_FROM_GREY = 0.75  # natural logarithm of the ratio of two channels, relative to a grey; coloured scenes reach 0.67
+BETTER = 0.4  # ratio to the stated phase's difference, below which another phase is accepted
+ALIKE = 1.5  # ratio to the least difference, up to which phases fit about equally well
+DARKEST = 0.1  # percentile of a channel's values that is close to black in most pictures
+MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # of the white level; range of the black levels of real cameras
+ROUGH, SMOOTHER = 0.01, 3.0  # least roughness of a misread frame, of full scale; its ratio to that of the right reading
+MAX_BANDS = 32  # of a frame, each two super-pixels high, on which roughness is measured
+PERIODS, PERIOD = (4, 6, 8), 24  # rows and columns of the arrays that are looked for; their common multiple
+TILE, TILES = 120, 8  # pixels along a tile, a multiple of all periods; largest number of tiles along a frame
+# Mean difference of sites, of the signal. Real Bayer frames reach 0.001 to 0.02, other arrays 0.05 to 2.
+ARRAYS_DIFFER = 0.05
+MOST_SITES_DIFFER = 0.03  # of the signal, exceeded by 30 % of the sites of another array, but only by autofocus pixels here
+STRIPED = 0.25  # fraction of the differences that remains at most for stripes, with one factor per row or column
+TWO_GAINS = 2.0  # least ratio of the gains of sensors whose pairs of rows alternate between two gains
+CONTROL = 3.0  # ratio to the difference modulo a period that no array has, from which a difference is evidence
+FITS = 0.01  # of the signal; sites of one channel that differ less fit an array
+SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
+BELOW = 0.5  # of the black level; pixels without light lie above, because a black level leaves room for their noise
+FEW = 0.05  # fraction of the pixels, below which nothing is reported
 Phase = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class PhaseDoubt:
-    """Evidence that an array begins elsewhere than it is said to."""
+    """Evidence that an array does not begin where the file states."""
 
-    stated: float  # how much the sites of one channel differ, as a share of the signal
-    least: float  # the same in the best phase
-    phases: tuple[Phase, ...]  # that leave about as little, the likeliest first
-    by_grey: bool = False  # whether only the signals of a grey tell
+    stated: float  # difference between sites of one channel, as a fraction of the signal
+    least: float  # the same for the best phase
+    phases: tuple[Phase, ...]  # phases that fit about as well as the best, the most likely first
+    by_grey: bool = False  # whether the evidence is only the signals of a grey
 
 
 def phase_doubt(
     frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
 ) -> PhaseDoubt | None:
-    """Return the doubt that the array `cfa` (row, col) of channels, from its site `frame.phase` on, lies where a frame says;
-    None without. `neutral` (channel): signals of a grey; None: only sites of one channel are compared."""
+    """Return evidence that the array does not begin where the frame states, or None.
+
+    Parameters
+    ----------
+    frame : RawFrame
+        Its `phase` is the stated one.
+    cfa : ndarray, (cfa_row, cfa_col)
+    neutral : sequence of float, (channel,), optional
+        Signals of a grey. Without them only sites of one channel are compared.
+    """
     blocks = block_means(frame, cfa.shape)
-    if not blocks.size or not blocks.mean() > LEAST_SIGNAL * (frame.white_level - frame.black_level):
+    if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
-    arrays: dict[bytes, Phase] = {}  # the first phase of each array that differs from the others
+    arrays: dict[bytes, Phase] = {}  # the first phase of each distinct array
     for phase in (frame.phase, *itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))):
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # colours differ locally; noise and structure locally, too
+    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks, where colours differ; the frame, with less noise
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
         if stated >= SITES_DIFFER and least <= BETTER * stated:
@@ -78,14 +86,17 @@ def phase_doubt(
 
 @dataclass(frozen=True)
 class ArrayDoubt:
-    """Evidence that a mosaic has another array than it is said to."""
+    """Evidence that a mosaic has another array than stated."""
 
-    differ: float  # how much sites of one stated colour differ, over the signal
+    differ: float  # difference between sites of one stated colour, as a fraction of the signal
     means: NDArray[np.float64]  # (row, col) mean signals modulo PERIOD, in DN
 
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
-        """Return the names of the arrays (row, col) that fit the pixels best in some phase, fewest channels first. Large
-        arrays whose sites all have different channels, which fit any pixels, are left out."""
+        """Return the names of the arrays (row, col) that fit the pixels best in some phase, those with the fewest channels
+        first.
+
+        Large arrays whose sites all have different channels fit any pixels, and are left out.
+        """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {name: self._misfit(cfa) for name, cfa in judged.items() if not (PERIOD % np.array(cfa.shape)).any()}
         limit = max(ALIKE * min(misfits.values()), FITS)
@@ -93,24 +104,29 @@ class ArrayDoubt:
         return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
 
     def _misfit(self, cfa: NDArray[np.uint8]) -> float:
-        """Return the mean difference of a site from its channel's sites, over the signal, in the best phase."""
+        """Return the mean difference between a site and its channel's sites in the best phase, as a fraction of the
+        signal.
+        """
         phases = itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))
         whole = [tiled(shifted_cfa(cfa, phase), self.means.shape) for phase in phases]
         return min(_sites_differ(self.means[None], array) for array in whole)
 
 
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
-    """Return the doubt that a frame has an array that repeats as `cfa` (row, col) does; None without one.
+    """Return evidence that a frame has another array than `cfa` (row, col), or None.
 
-    Sites at the same place of the stated super-pixel have the same mean over a frame, whichever super-pixel they belong to,
-    unless the array is another one; and so have sites of one channel, unless another phase explains it (`phase_doubt`). Few
-    pixels that differ, as those for autofocus do, are no such evidence; nor are differences that show as well modulo a
-    period which no sensor has; nor are stripes of the scene along rows or columns, which multiply all channels alike.
+    If the array is right, sites at the same place of the super-pixel have the same mean over a frame. Sites of one
+    channel
+    do, too, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of another array: single
+    pixels,
+    such as autofocus pixels; differences that are as large modulo a period which no sensor has; and stripes of the scene
+    along
+    rows or columns, which change all channels by the same factor.
     """
     tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no array has that period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
         return None
-    if not tile.mean() > LEAST_SIGNAL * (frame.white_level - frame.black_level):
+    if not tile.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
     places = np.arange(cfa.size).reshape(cfa.shape)
     _, usual = _differences(_means(tile, control), places)
@@ -124,8 +140,10 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
 
 def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the mean signal (row, col) in DN above black of tiles evenly spread over a frame. All begin at the same site of
-    any array whose period divides a tile."""
+    """Return the mean signal (row, col) in DN above black of tiles that are evenly spaced over a frame.
+
+    All tiles begin at the same CFA site, for any array whose period divides the side of a tile.
+    """
     tops, lefts = (
         sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
         for length in frame.values.shape
@@ -142,15 +160,17 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Return whether sites differ from those a super-pixel of `period` away by one factor for each row, or for each column.
-    Pairs of rows that alternate between two factors are none: sensors that are read at two gains have them."""
+    """Return whether super-pixels of a `period` differ only by one factor per row, or one per column.
+
+    Pairs of rows that alternate between two factors do not count, because sensors with two gains have them.
+    """
     rows, cols = period
     blocks = means.reshape(means.shape[0] // rows, rows, means.shape[1] // cols, cols)
-    sites = blocks.mean(axis=(0, 2), keepdims=True)  # as if no super-pixel differed from another
+    sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
     differ = np.abs(blocks - sites).mean()
     for along in ((2, 3), (0, 1)):  # rows, and columns
         lines = blocks.mean(axis=along, keepdims=True)
-        factors = lines / np.maximum(lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True), LEAST_SIGNAL)
+        factors = lines / np.maximum(lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True), MIN_SIGNAL)
         if np.abs(blocks - sites * factors).mean() <= STRIPED * differ:
             return along == (0, 1) or not _has_two_gains(factors.ravel())
     return False
@@ -168,8 +188,11 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return how much sites differ from the median of those that have the same entry of `array`, over the signal: what 30 %
-    of them exceed, and the mean; of the entry whose sites differ most."""
+    """Return the difference of sites from the median of the sites with the same entry of `array`, as a fraction of the
+    signal.
+
+    The two numbers are what 30 % of the sites exceed, and the mean, for the entry whose sites differ most.
+    """
     entries = tiled(array, means.shape)
     off = [
         np.abs(same - _median(same))
@@ -181,14 +204,16 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """The median; np.median imports numpy.ma, a twentieth of the time that a picture takes."""
+    """Return the median. (np.median imports numpy.ma, which takes a twentieth of the time of a picture.)"""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return mean signals (block, row, col) in DN above black and dark current of each site of a super-pixel, the frame's
-    first pixel being the first, over blocks of super-pixels evenly spread."""
+    """Return the mean signal (block, row, col) of each site of a super-pixel in evenly spaced blocks, in DN above black and
+    dark
+    current. The first site is that of the frame's first pixel.
+    """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // SIDE, 1, SIDE))
     down, across = frame.values.shape[0] // (rows * side), frame.values.shape[1] // (cols * side)
@@ -201,13 +226,15 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 
 
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
-    """Return the mean difference between a site of a block and the mean of its channel's sites, over the signal."""
+    """Return the mean difference between a site and the mean of its channel's sites, within blocks, as a fraction of the
+    signal.
+    """
     of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Return whether two arrays have one channel at the same sites, be it by another name."""
+    """Return whether two arrays group the sites into channels in the same way, whatever the channels' names."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 
@@ -215,8 +242,10 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
 def _far_from_grey(
     blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
 ) -> float:
-    """Return the distance of a frame's mean from a grey: of the natural logarithms of its channels over those of the grey,
-    from the least to the most; 0 where no grey is stated."""
+    """Return the distance of a frame's mean from a grey, or 0 if no grey is stated.
+
+    It is the range, over the channels, of the natural logarithm of signal / grey.
+    """
     if neutral is None or min(neutral) <= 0:
         return 0.0
     means = np.array([blocks[:, array == channel].mean() for channel in range(len(neutral))])
@@ -224,7 +253,7 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels that lie further below a frame's black level than noise explains; 0 if they are few."""
+    """Return the fraction of pixels further below the black level than noise explains, or 0 if they are few."""
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
     share = float((frame.values < BELOW * frame.black_level).mean())
@@ -232,17 +261,18 @@ def share_below_black(frame: RawFrame) -> float:
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
-    """Return where a frame's black seems to lie (DN), if it states a black level of 0; None without a doubt.
+    """Return the probable black level of a frame that states a black level of 0, in DN, or None if there is no doubt.
 
-    The darkest values of its channels lie at one level, far from 0, and nearer to one another than the channels' medians
-    do: of light alone they would have the ratios of what the filters pass.
+    The darkest values of all channels then lie at about the same level, far above 0. Relative to their level they differ
+    less between channels than the medians do. Dark values due to light would have the ratios of the filters'
+    transmittances.
     """
     if frame.black_level > 0:
         return None
     sites = tiled(cfa, frame.values.shape)
     levels = np.array([np.percentile(frame.values[sites == each], (DARKEST, 50)) for each in np.unique(cfa)])
     darkest, usual = levels.T
-    if not LEAST_BLACK * frame.white_level <= darkest.min() <= darkest.max() <= HIGHEST_BLACK * frame.white_level:
+    if not MIN_BLACK * frame.white_level <= darkest.min() <= darkest.max() <= MAX_BLACK * frame.white_level:
         return None
     ratios = [np.ptp(each) / each.mean() for each in (darkest, usual)]
     return float(darkest.mean()) if ratios[0] <= BETTER * ratios[1] else None
@@ -252,16 +282,18 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Return the name of the reading of a frame's bytes that is far smoother than the first one; "" if none is.
+    """Return the name of a reading of a frame's bytes that is far smoother than the first one, or "" if there is none.
 
-    Low bits that are taken for high ones make neighbours of one channel differ by much of full scale. A wrong reading can
-    only add such differences, to flat, dark and noisy frames, too.
+    If low bits are taken for high ones, neighbours of one channel differ by a large part of full scale. A wrong reading
+    can only
+    add such differences, in flat, dark and noisy frames, too.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Name, pixels and bits of each way to read the same bytes, first the one that was taken. The others are looked at
-        only if that one is rough.
+        Name, pixels and bits of each way to read the same bytes, first the one in use. The others are only tried if that
+        one
+        is rough.
     cfa : ndarray of uint8, (row, col)
         Channels of the colour filter array from the first pixel on.
     """
@@ -270,7 +302,7 @@ def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cf
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # Where one byte of all 16-bit words is empty, exchanged bytes always look smoother, and tell nothing.
+    # If one byte of all 16-bit words is zero, exchanged bytes always look smoother, so they are no evidence.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
@@ -283,7 +315,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
     bands = len(values) // rows - 1
     if bands < 1 or values.shape[1] < 2 * cols:
         return 0.0
-    starts = np.unique(np.linspace(0, bands - 1, min(bands, MOST_BANDS)).astype(int)) * rows
+    starts = np.unique(np.linspace(0, bands - 1, min(bands, MAX_BANDS)).astype(int)) * rows
     taken = values[starts[:, None] + np.arange(2 * rows)].astype(np.int32)  # (band, row, col)
     differences = []
     for row, col in np.ndindex(rows, cols):

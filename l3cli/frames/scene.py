@@ -1,4 +1,4 @@
-"""A scene: a spectral picture from outside, ready to be seen by a camera."""
+"""A scene: a spectral image from a file or drawn by l3, which a camera model can see."""
 
 import functools
 from collections.abc import Mapping
@@ -8,28 +8,31 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-BRIGHTEST = 1e6  # times a perfect white: the sun beside a sheet of paper
-BRIGHTEST_UNLIT = 1e26  # of a scene without illuminant: a linear picture may hold values of any scale
-SHOWN = 390.0, 710.0  # nm: what drawn scenes hold for every camera, and what is compared of any scene
-PROJECTIONS = 8  # in a fingerprint
-ALIKE = 1e-3  # relative difference of fingerprints of one scene: rounding is far below, other scenes far above
-NO_ILLUMINANT: Final = None  # of a scene that came as reflectance: it was seen under no light that is known
+BRIGHTEST = 1e6  # times a perfect white, such as the sun beside a sheet of paper
+BRIGHTEST_UNLIT = 1e26  # limit for scenes without illuminant, since linear pictures may have any scale
+SHOWN = 390.0, 710.0  # nm, range that drawn scenes cover for every camera, and that fingerprints compare
+PROJECTIONS = 8  # numbers in a fingerprint
+ALIKE = 1e-3  # relative difference of fingerprints of one scene; rounding is far smaller, other scenes differ far more
+NO_ILLUMINANT: Final = None  # of scenes of reflectances, whose light is not known
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture of spectral reflectances with the light it was seen under, if there is one.
+    """A picture of spectral reflectances, and the light in the picture, if it is known.
 
-    `reflectance` is radiance / that of a perfect white: ≥ 0, above 1 in speculars (docs/method.md#simulation). Synthetic
-    scenes, raised RGB pictures and cubes of reflectance have NO_ILLUMINANT: every light may be laid on them. Radiance whose
-    light is not known has that of equal photons as its illuminant: it may be seen as it is, not relit.
+    `reflectance` is the radiance divided by that of a perfect white. It is ≥ 0, and above 1 in specular highlights
+    (docs/method.md#simulation). Synthetic scenes, RGB pictures raised to spectra, and cubes of reflectance have
+    NO_ILLUMINANT, and
+    can be lit by any light. Radiance under an unknown light has the equal-photon spectrum as its illuminant: it can be
+    seen as it
+    is, but not relit.
     """
 
     name: str
     wavelength: NDArray[np.float64]  # (band) nm, increasing
     reflectance: NDArray[np.float32]  # (row, col, band)
     illuminant: NDArray[np.float64] | None  # (band) photons/s/sr/m²/nm of a perfect white, or NO_ILLUMINANT
-    # (row, col) pixels whose file holds no data for them, where their neighbours' reflectance stands; None: there are none
+    # (row, col) pixels without data in the file, which are filled from their neighbours; None: there are none
     ignored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -44,11 +47,13 @@ class Scene:
             raise ValueError(f"scene {self.name}: holds values that are not finite")
         brightest = BRIGHTEST_UNLIT if self.illuminant is NO_ILLUMINANT else BRIGHTEST
         if float(np.max(self.reflectance, initial=0.0)) > brightest:
-            raise ValueError(f"scene {self.name}: holds values above {brightest:g}, more than light can be; check its white")
+            raise ValueError(
+                f"scene {self.name}: holds values above {brightest:g}, brighter than any light; check its white"
+            )
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Return projections of the reflectances within SHOWN, of all if there are none: the same for any camera."""
+        """Projections of the reflectances within SHOWN, or of all if none lie within. They are the same for every camera."""
         inside = (self.wavelength >= SHOWN[0]) & (self.wavelength <= SHOWN[1])
         return _projections(self.reflectance, inside | (not inside.any()))
 
@@ -58,7 +63,7 @@ class ChannelPicture:
     """A picture of what the channels of a camera collect, without light, lens and spectra."""
 
     name: str
-    signal: NDArray[np.float32]  # (row, col, channel) ≥ 0; 1: what a perfect white gives the brightest channel
+    signal: NDArray[np.float32]  # (row, col, channel) ≥ 0; 1 is the signal of a perfect white in the brightest channel
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.signal).all() and float(np.max(self.signal, initial=0.0)) <= BRIGHTEST):
@@ -66,13 +71,17 @@ class ChannelPicture:
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:
-        """Return the projections of the signals."""
+        """Projections of the signals."""
         return _projections(self.signal, np.ones(self.signal.shape[2], bool))
 
 
 def _projections(values: NDArray[np.float32], planes: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return sums of values (row, col, plane) of some planes under PROJECTIONS patterns of random signs, over the root
-    of their number: any other values have other sums, but for rounding, which differs between machines."""
+    """Return sums of values (row, col, plane) of the selected planes, weighted by PROJECTIONS patterns of random signs.
+
+    The sums are divided by the square root of the number of values. Different values give different sums; equal values
+    give equal
+    sums, except for rounding, which varies between machines.
+    """
 
     def signs(axis: int, length: int) -> NDArray[np.float32]:
         return np.random.default_rng([axis, length]).choice(np.array([-1, 1], np.float32), (PROJECTIONS, length))
@@ -85,7 +94,10 @@ def _projections(values: NDArray[np.float32], planes: NDArray[np.bool_]) -> NDAr
 
 
 def shown_alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two frames show one scene under one light, by "scene" (their fingerprints) and "light" of each."""
+    """Return whether two frames show the same scene under the same light.
+
+    Each mapping has the entries "scene" (the fingerprint) and "light".
+    """
     first, second = (np.asarray(each["scene"], np.float64) for each in (one, other))
     if one["light"] != other["light"] or first.shape != second.shape:
         return False
@@ -94,10 +106,10 @@ def shown_alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 @dataclass(frozen=True)
 class SpectralCube:
-    """A cube as a file stores it, before anything is known about its scale and light."""
+    """A spectral cube as a file stores it, before its scale and light are known."""
 
     values: NDArray  # (row, col, band)
     wavelength: NDArray[np.float64] | None  # (band) nm; None: the file states none
-    white: float | None = None  # stored value of a perfect white, where the file states it
-    good: NDArray[np.bool_] | None = None  # (band) those that the file does not call bad; None: all
-    ignored: NDArray[np.bool_] | None = None  # (row, col) pixels that the file marks as without data; None: there are none
+    white: float | None = None  # stored value of a perfect white, if the file states it
+    good: NDArray[np.bool_] | None = None  # (band) false for bands that the file calls bad; None: all are good
+    ignored: NDArray[np.bool_] | None = None  # (row, col) pixels that the file marks as missing; None: there are none

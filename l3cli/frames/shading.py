@@ -1,8 +1,10 @@
-"""Light that the lens loses towards the corners, restored (docs/method.md#corrections).
+"""Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
 
-All channels together lose the most of it. That share is given back to the outputs, by a gain: transforms are linear, and the
-classes are decided on the values as they were taken, whose noise is the camera's at their level. Only what single channels
-lose more or less than their mean is taken off the values themselves, and changes their noise by as little.
+The mean loss over the channels is compensated by a gain of the outputs. This is possible because transforms are linear,
+and
+it keeps the classes right: they are decided from the original values, which have the camera's noise at their level. Only
+the deviation of each channel from the mean is corrected in the values themselves, where it changes their noise only
+slightly.
 """
 
 from dataclasses import dataclass
@@ -14,18 +16,18 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:  # the process that decodes starts without it
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # share of full scale from which a pixel is left as it is, since what the light added is not known
-STEP = 16  # columns from one node of the gain to the next
+CLIPPED = 0.985  # fraction of full scale from which a pixel is not corrected, because its light is unknown
+STEP = 16  # columns between nodes of the gain
 FRACTION = 15  # fractional bits of colour shading
-LEAST_COLOUR_SHADING = 8  # of these units, 0.02 %: below, channels are shaded alike
+MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, which is 0.02 %; smaller differences between channels are ignored
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """The shading of one sensor's frames."""
+    """The shading of a sensor's frames."""
 
-    gain: NDArray[np.float32]  # (row, node) of the outputs, at every STEP-th column; linear in between
-    colour: NDArray[np.int16] | None  # (row, col) gain of the values, less 1, in 1/2^FRACTION; None: 0 everywhere
+    gain: NDArray[np.float32]  # (row, node) gain of the outputs at every STEP-th column, linear in between
+    colour: NDArray[np.int16] | None  # (row, col) gain of the values minus 1, in units of 2^-FRACTION; None: 0 everywhere
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
         """Return the gain (row, col) of the outputs."""
@@ -40,14 +42,18 @@ class Shading:
     def of_patches(
         self, taken: tuple[NDArray[np.integer], ...], rows: NDArray[np.integer], cols: NDArray[np.integer]
     ) -> "Shading":
-        """Return the shading of patches instead of rows: colour shading (patch, tap) of the pixels `taken`, one gain for
-        the middle of each, where `rows` and `cols` cross."""
+        """Return the shading of patches.
+
+        It has the colour shading (patch, tap) of the pixels `taken`, and one gain per patch, at its centre. The centres
+        lie at the
+        crossings of `rows` and `cols`.
+        """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
-    """Return the shading that a flat field takes off frames of `shape` (rows, cols), of phase (0, 0)."""
+    """Return the shading that a flat field corrects in frames of a shape (rows, cols) and phase (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = interpolation(field.grid_row, np.arange(rows))
@@ -59,11 +65,11 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
         colour[row :: cfa.shape[0], col :: cfa.shape[1]] = np.rint(
             (down[row :: cfa.shape[0]] @ own @ across[col :: cfa.shape[1]].T) * 2**FRACTION
         )
-    return Shading(nodes.astype(np.float32), colour if np.abs(colour).max() >= LEAST_COLOUR_SHADING else None)
+    return Shading(nodes.astype(np.float32), colour if np.abs(colour).max() >= MIN_COLOUR_SHADING else None)
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
-    """Return the shading that gains (row, col) of single pixels take off, for an array of `period` rows, cols."""
+    """Return the shading that gains (row, col) of single pixels correct, for an array with a `period` (rows, cols)."""
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
@@ -73,11 +79,11 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
     colour = gain / Shading(nodes, None).gain_map(cols) - 1.0
     limit = 2**FRACTION - 1
     whole = np.clip(np.rint(colour * 2**FRACTION), -limit, limit).astype(np.int16)
-    return Shading(nodes, whole if np.abs(whole).max() >= LEAST_COLOUR_SHADING else None)
+    return Shading(nodes, whole if np.abs(whole).max() >= MIN_COLOUR_SHADING else None)
 
 
 def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
-    """Return the weights (place, line) of linear interpolation; beyond the last line it goes on as before it."""
+    """Return the weights (place, line) of linear interpolation, with linear extrapolation beyond the outermost lines."""
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])
     weights = np.zeros((places.size, lines.size))
@@ -87,15 +93,18 @@ def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[
 
 
 def clipped_from(black_level: float, white_level: float) -> int:
-    """Return DN from which a pixel is taken for clipped."""
+    """Return the DN from which a pixel counts as clipped."""
     return int(np.ceil(black_level + CLIPPED * (white_level - black_level)))
 
 
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Return values of any shape with `colour` as gain about the black level, in integers as opencl/common/shading.cl.
-    Clipped pixels stay as they are, and no other becomes one."""
+    """Return values of any shape with `colour` applied as a gain about the black level.
+
+    The integers are the same as in opencl/common/shading.cl. Clipped pixels are unchanged, and no other pixel becomes
+    clipped.
+    """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)
     gained = wide + (((wide - black) * colour.astype(np.int32) + (1 << FRACTION >> 1)) >> FRACTION)
