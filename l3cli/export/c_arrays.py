@@ -1,4 +1,4 @@
-"""The constant arrays of a table's C source, and the structs that name those of refinement layers."""
+"""The constant arrays in a table's C source, and the structs that refer to the arrays of refinement layers."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
 
-TAP_GROUP = 16  # taps are filled up to a multiple by weights of zero, so that loops over them have no rest
+TAP_GROUP = 16  # the number of taps is padded to a multiple with zero weights, so that loops have no remainder
 TYPES = {
     "int8": "int8_t",
     "uint8": "uint8_t",
@@ -29,16 +29,20 @@ TYPES = {
     "float32": "float",
 }
 PER_LINE = 20  # numbers
-PER_STRING = 4000  # bytes; C99 promises strings of 4095
-# Bytes as they stand in a string: octal but for plain characters; without ?, of which two begin a trigraph.
+PER_STRING = 4000  # bytes; C99 guarantees 4095
+# Bytes in a string literal: printable characters, otherwise octal. "?" is octal, too, because two of them begin a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
 SHORT_TOP = 2**15 - 1
 
 
 @dataclass(frozen=True)
 class Array:
-    """A constant array of l3_table.c. One that is `packed`, of an entry for each class, has one axis in C and is written as
-    strings of its bytes, which compilers read fifty times sooner than numbers."""
+    """A constant array of l3_table.c.
+
+    A `packed` array, with an entry per class, has a single axis in C. It is written as string literals of its bytes,
+    which
+    compilers read fifty times as fast as numbers.
+    """
 
     name: str
     values: NDArray
@@ -47,12 +51,12 @@ class Array:
 
     @property
     def local(self) -> bool:
-        """Return whether only l3_table.c names the array."""
+        """Whether only l3_table.c uses the array."""
         return not self.name.startswith("l3_")
 
     @property
     def declaration(self) -> str:
-        """Return the declaration in the header; for a packed array without the name that it is used by."""
+        """The declaration in the header. For a packed array it declares the union with its bytes."""
         kind = TYPES[self.values.dtype.name]
         if not self.packed:
             return f"const {kind} {self.name}{''.join(f'[{length}]' for length in self.values.shape)}"
@@ -62,7 +66,7 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """Return the line that names the values of a packed array."""
+        """The line that defines the name of a packed array's values."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:
@@ -80,12 +84,15 @@ class Array:
 
 
 def filled(taps: int) -> int:
-    """Return a number of taps with those of weight zero that fill it up."""
+    """Return a number of taps rounded up to a multiple of TAP_GROUP."""
     return -(-taps // TAP_GROUP) * TAP_GROUP
 
 
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
-    """Return the arrays of l3_table.c, those of the last layer floats unless `short`, and the lines that follow them."""
+    """Return the arrays of l3_table.c, and the lines that follow them.
+
+    The last layer's weights are floats unless `short` is given.
+    """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
         Array("l3_cfa", table.cfa, "channel of each site (CFA row, CFA column)"),
@@ -141,7 +148,7 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps behind windows, if there are any."""
+    """Return the weights of the taps that follow the windows, if there are any."""
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
 
@@ -166,7 +173,7 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """Return arrays and structs of a table of several layers."""
+    """Return the arrays and structs of refinement layers."""
     basis = planes_basis(table)
     arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
@@ -212,7 +219,7 @@ def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
 
 
 def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
-    """Return the words of opencl/cpu/trees.cl, each kind in an array of its own."""
+    """Return the words that opencl/cpu/trees.cl reads, with each kind in an array of its own."""
     parts = int(rule_macros(rule)["PARTS"])
     (words,) = rule_constants(rule, "processor")
     groups = -(-parts // 32) + parts
@@ -244,19 +251,19 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Return edges, or one that nobody reads where there are none: C has no empty arrays."""
+    """Return edges, or a single unused one if there are none, because C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 
 def _strings(values: NDArray) -> Iterator[str]:
-    """Yield the lines of the little-endian bytes of an array, as string literals of a length that C99 promises."""
+    """Yield the little-endian bytes of an array as string literals of a length that C99 guarantees."""
     data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
     for start in range(0, len(data), PER_STRING):
         yield f'"{"".join(map(CHARACTERS.__getitem__, data[start : start + PER_STRING]))}",'
 
 
 def _rows(values: NDArray) -> Iterator[str]:
-    """Yield the lines of the numbers of an array, the axes before the last in braces."""
+    """Yield the numbers of an array in lines, with braces around all axes but the last."""
     if values.ndim > 1:
         for each in values:
             rows = list(_rows(each))
@@ -264,7 +271,7 @@ def _rows(values: NDArray) -> Iterator[str]:
             rows[-1] = rows[-1].rstrip(",") + "},"
             yield from rows
         return
-    if values.dtype.kind == "f":  # nine digits, which are read as the same float32, whatever numpy's print options
+    if values.dtype.kind == "f":  # nine digits reproduce a float32 exactly, whatever numpy's print options
         numbers = [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]
     else:
         numbers = [f"{value}{'u' if values.dtype == np.uint32 else ''}" for value in values.tolist()]

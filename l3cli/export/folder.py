@@ -1,4 +1,4 @@
-"""A table as plain arrays: little-endian files, and table.json that says what each holds."""
+"""A table as plain arrays: little-endian files, and table.json, which describes each."""
 
 import json
 from typing import Any
@@ -25,7 +25,7 @@ from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
 HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
-LEFT_OUT = ("samples", "condition")  # of layers: how they were learned
+LEFT_OUT = ("samples", "condition")  # fields of layers that only document the training
 
 FORMULAS = {
     "class": "(((site * levels + level) * contrasts + contrast) * further + further_value) * kinds + kind",
@@ -90,7 +90,7 @@ SPECTRA_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return name → content of every file."""
+    """Return the content of every file, by name."""
     require_known_layers(table)
     arrays = _Arrays()
     content: dict[str, Any] = {
@@ -126,7 +126,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
 
 
 def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
-    """Add the arrays of a set of transforms; its layers' single values, and what short words of it cost."""
+    """Add the arrays of a set of transforms, and return its layers' scalars and the cost of short word lengths."""
     costs = word_costs(table)
     words = chosen_words(table, costs)
     layers = [_layer(arrays, number, layer) for number, layer in enumerate(table.layers)]
@@ -138,12 +138,12 @@ def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
 
 
 class _Arrays:
-    """Files of arrays, and what table.json says of each."""
+    """Collects files of arrays, and the entry of each in table.json."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        self.prefix = ""  # of the names of a further set, whose arrays are left out where the usual set has the same
+        self.prefix = ""  # prefix of a further set's names; arrays equal to the first set's are left out
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))
@@ -158,7 +158,7 @@ class _Arrays:
         )  # fmt: skip
 
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-        """Add the arrays that a dataclass declares; its single values and names, each with unit and meaning."""
+        """Add the arrays that a dataclass declares, and return its scalars and texts, each with unit and meaning."""
         values = {}
         for name, spec, _ in declared(type(instance)):
             if not isinstance(spec, Spec) or name in LEFT_OUT or (names is not None and name not in names):
@@ -176,7 +176,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Return a layer's arrays and single values, those of its rule among them."""
+    """Add the arrays of a layer and of its rule, and return their scalars."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -195,7 +195,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 computes from a table before it renders."""
+    """Add the arrays that l3 computes from a table before rendering."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "taps of each channel in the patch of a site"),
@@ -243,7 +243,7 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """What limits the outputs of a set of transforms; nothing if their light is not known."""
+    """Return the limit of a set's outputs; empty if its light is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 

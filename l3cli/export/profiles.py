@@ -1,5 +1,9 @@
-"""Files of a camera: curves as CSV and as rawtoaces' JSON, a DCP profile as JSON, tuning files of libcamera, a data
-sheet as CSV (docs/method.md#colour-matrices). Formats are those of rawtoaces, of dcamprof's json2dcp and of libcamera."""
+"""Files of a camera for other software (docs/method.md#colour-matrices).
+
+They are curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for dcamprof's json2dcp, tuning files for
+libcamera,
+and a data sheet as CSV.
+"""
 
 import csv
 import io
@@ -20,19 +24,19 @@ from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab, refinement, xyz_from_srgb_matrix
 from l3cli.system.text import printable
 
-TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated
+TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated colour temperature
 STEP = 5.0  # nm
-VISIBLE = (380.0, 780.0)
-DIMMEST = 1e-4  # of the brightest channel: below, white balance would only amplify noise
-TYPICAL = 0.2  # of a white: signal at which noise is weighed against colour
-DIGITS = 5  # decimals of what is written
+VISIBLE = (380.0, 780.0)  # nm
+DIMMEST = 1e-4  # of the brightest channel; white balance would only amplify noise in dimmer channels
+TYPICAL = 0.2  # fraction of a white's signal at which noise is weighed against colour errors
+DIGITS = 5  # decimals of the written matrices
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
-NOISE_LEVELS = 64  # signals from 1 DN of 16 bits to the white level that a noise profile is fitted over
-LEAST_CHANNELS = 3
+NOISE_LEVELS = 64  # signals to which a noise profile is fitted, from 1 DN of 16 bits to the white level
+MIN_CHANNELS = 3  # for colour matrices
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of channels
 SIXTEEN = 16  # bits of the scale of tuning files
-DECLARED_AS = {  # figure: what calibration calls it where it did not measure it
+DECLARED_AS = {  # quantity → its name among the camera's declared quantities
     "overall system gain K": "gain",
     "temporal dark noise": "noise",
     "saturation capacity": "noise",
@@ -44,20 +48,20 @@ Row = tuple[str, str, float | str, str, str]
 CURVES, RAWTOACES_JSON, DATASHEET = ALWAYS = ("responsivity.csv", "rawtoaces.json", "datasheet.csv")  # of every camera
 DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"  # of some
 
-ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices of a DCP, in its order: the colder light second
-SIMPLE_DARKEST = 2**15 - 1  # black level that fits the simple pipeline's type
-RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, the grid of its database
-ALSC_TEMPERATURE = 5000  # K, of the only tables, which then hold for all
-SMOOTHNESS = 0.003  # weight of second differences of a shading table beside its errors
+ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices in a DCP, which orders them by rising temperature
+SIMPLE_DARKEST = 2**15 - 1  # highest black level that the simple pipeline can store
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, wavelength grid of rawtoaces' database
+ALSC_TEMPERATURE = 5000  # K, of the only shading tables, which then apply at every temperature
+SMOOTHNESS = 0.003  # weight of a shading table's second differences, relative to its errors
 Array = NDArray[np.floating]
 
 
 class Target(NamedTuple):
-    """An image signal processor of Raspberry Pi, by libcamera's name."""
+    """An image signal processor of Raspberry Pi, with libcamera's name."""
 
     name: str
     cells: tuple[int, int]  # rows, columns of its shading tables
-    vertices: tuple[int, int]  # of the grid that it interpolates in, from edge to edge; at most
+    vertices: tuple[int, int]  # rows, columns of the grid that it interpolates, from edge to edge, at most
 
 
 VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
@@ -65,27 +69,29 @@ VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33,
 
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix as it is written, and what it leaves of the colours of measured surfaces."""
+    """A matrix as it is written, and the colour errors that remain for measured surfaces."""
 
-    values: Array  # (row, column), of DIGITS decimals
+    values: Array  # (row, column), rounded to DIGITS decimals
     errors: Array  # (surface) CIEDE2000
-    worst: Array  # (3) L*a*b* that the surface of the largest error should have
+    worst: Array  # (3) true L*a*b* of the surface with the largest error
 
 
 @dataclass(frozen=True)
 class LightMatrices:
     """Matrices of a camera with n channels for one light."""
 
-    neutral: Array  # (n) channels of a grey, the brightest 1
-    colour: Matrix  # (n, 3) XYZ under this light, a white's Y 1 → channels, the brightest of a white 1
-    forward: Matrix  # (3, n) channels over those of a grey → XYZ of the surface under D50
-    correction: Matrix  # (3, n) channels over those of a grey → linear sRGB of the surface under daylight; rows sum to 1
+    neutral: Array  # (n) channels of a grey, scaled to a maximum of 1
+    colour: Matrix  # (n, 3) from XYZ under this light (Y = 1 for white) to channels (at most 1 for white)
+    forward: Matrix  # (3, n) from channels divided by those of a grey to XYZ of the surface under D50
+    correction: Matrix  # (3, n) from the same to linear sRGB of the surface under daylight; rows sum to 1
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
-    """Return the matrices for a light by name; None with fewer than three channels, or one that is blind to it."""
+    """Return the matrices for a named light, or None if the camera has fewer than three channels or one is blind to the
+    light.
+    """
     neutral, balanced = _responses(camera, light)
-    if len(neutral) < LEAST_CHANNELS or neutral.min() < DIMMEST:
+    if len(neutral) < MIN_CHANNELS or neutral.min() < DIMMEST:
         return None
     signal = (camera.white_level - camera.black_level) * neutral
     noise = camera.noise_variance(TYPICAL * signal) / signal**2
@@ -100,7 +106,7 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Return (n, 3), whose pseudo-inverse gives the best colours: so developers use it."""
+    """Return the ColorMatrix (n, 3), fitted through its pseudo-inverse, which is what raw converters apply."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -108,11 +114,11 @@ def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) ->
 
 
 def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white: Array) -> Matrix:
-    """Return (3, n) from balanced channels to a linear `space` (3, 3) of XYZ, with white exact."""
+    """Return the matrix (3, n) from balanced channels to a linear space of XYZ. White is exact."""
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
-    values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)  # what rounding has changed
+    values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)  # corrects the rounding
     values = np.round(values, DIGITS)
     return _judged(values, balanced @ values.T @ np.linalg.inv(space).T, wanted, white)
 
@@ -123,13 +129,13 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 
 
 def _grid(camera: CameraModel) -> Array:
-    """Return the wavelengths (nm) of all that the eye or the camera sees."""
+    """Return the wavelengths in nm that the eye or the camera sees."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
     return np.arange(STEP * np.floor(low / STEP), high + STEP / 2, STEP)
 
 
 def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
-    """Return the channels of a white (n), the brightest 1, and those of the surfaces over a white's (surface, n)."""
+    """Return the channels of a white (n), scaled to a maximum of 1, and those of surfaces relative to white (surface, n)."""
     grid = _grid(camera)
     weights = spectra.average(camera.responsivity, camera.wavelength, grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -138,7 +144,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
 
 
 def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Array]:
-    """Return XYZ (surface, 3) of the surfaces under a light, and of its white (3), whose Y is 1."""
+    """Return the XYZ of the surfaces (surface, 3) and of white (3) under a light, scaled to Y = 1 for white."""
     grid = _grid(camera)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -146,8 +152,10 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return each matrix, and what it leaves of the colours of measured surfaces, ready for JSON: mean, 95 % and worst
-    CIEDE2000, L*a*b* of the worst surface."""
+    """Return each matrix and its remaining colour errors for measured surfaces, ready for JSON.
+
+    The errors are the mean, the 95th percentile and the maximum of CIEDE2000, and the L*a*b* of the worst surface.
+    """
     kinds = {"CCM": matrices.correction, "ForwardMatrix": matrices.forward, "ColorMatrix": matrices.colour}
     return {
         name: {
@@ -165,8 +173,12 @@ def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
 
 
 def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array | None:
-    """Return (temperature, 3): K, r over g, b over g of a grey under black bodies and daylights, the channels r, g, b in
-    this `order`; None unless r falls and b rises all the way, as who searches along the curve expects."""
+    """Return the curve (temperature, 3) of K, r/g and b/g of a grey under black bodies and daylights.
+
+    `order` gives the channels r, g, b. The result is None unless r/g falls and b/g rises monotonically, as programs that
+    search
+    along the curve expect.
+    """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
     first, middle, last = greys[:, order].T
@@ -178,8 +190,10 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
 
 
 def noise_profile(camera: CameraModel) -> tuple[float, float]:
-    """Return the constant and slope of a pixel's standard deviation, constant + slope · √signal, on a scale of 16 bits:
-    least squares over signals evenly spaced in their roots; a constant below zero is none."""
+    """Return the noise of a pixel as standard deviation = constant + slope · √signal, on a scale of 16 bits.
+
+    It is fitted by least squares over signals that are evenly spaced in their square roots. The constant is not negative.
+    """
     scale = 2.0 ** (SIXTEEN - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)
     deviation = scale * np.sqrt(camera.noise_variance(root**2 / scale))
@@ -190,17 +204,18 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
 
 
 def black_level_16(camera: CameraModel) -> int:
-    """Return the black level on a scale of 16 bits, as tuning files state it."""
+    """Return the black level on a scale of 16 bits, as in tuning files."""
     return round(camera.black_level * 2 ** (SIXTEEN - camera.bits))
 
 
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
-    """Return tables (row, col) that undo the shading of channels r, g, b in this `order`: the gain of g, and those of r and
-    b over it, each 1 at least.
+    """Return tables (row, col) that correct the shading: the gain of g, and the gains of r and b relative to g, each at
+    least 1.
 
-    A processor takes a table's values for those in the middle of its cells, goes on with the outermost ones to the edge, and
-    interpolates, which would leave 4 % in the corners of a lens that halves the light there. So the gain of each channel is
-    first the table of which it makes the least error, smooth beside.
+    `order` gives the channels r, g, b. A processor takes the values of a table for the centres of its cells, extends the
+    outermost values to the edge, and interpolates. With a lens that halves the light in the corners, this would leave an
+    error of
+    4 % there. Therefore the gain of each channel is first fitted by the smooth table that leaves the smallest error.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -212,7 +227,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 
 
 def _fit(cells: int, vertices: int) -> Array:
-    """Return the matrix (cell, place) from gains at 4 places a vertex to the cells' values by regularised least squares."""
+    """Return the matrix (cell, place) from gains at 4 places per vertex to the values of cells, by regularised least
+    squares.
+    """
     places, middles = _middles(4 * vertices), _middles(cells)
     corners = np.linspace(0, 1, vertices)
     made = interpolation(corners, places) @ interpolation(middles, np.clip(corners, middles[0], middles[-1]))
@@ -222,12 +239,12 @@ def _fit(cells: int, vertices: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Return the middles of `count` equal parts of 0…1."""
+    """Return the centres of `count` equal parts of 0…1."""
     return (np.arange(count) + 0.5) / count
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the places of the channels r, g, b among three of these names; None for any others."""
+    """Return the indices of the channels r, g, b, or None if there are other channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -235,7 +252,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return `rgb_order` of a Bayer array (2×2, g on a diagonal); None for any other array."""
+    """Return the `rgb_order` of a Bayer array (2×2, g on a diagonal), or None for other arrays."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -245,8 +262,10 @@ def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int,
 
 
 def datasheet(camera: CameraModel) -> list[Row]:
-    """Return the rows of a camera, then of each of its channels; the channel is empty where a row holds for all, the source
-    one of "measured", "declared", "recipe"."""
+    """Return the rows of a camera's data sheet: quantity, channel, value, unit, source.
+
+    The channel is empty for quantities of the whole camera. The source is "measured", "declared" or "recipe".
+    """
     optics, source = camera.optics, "recipe" if camera.fit is None else "measured"
     given = "recipe" if camera.fit is None else "declared"
     cfa = "/".join(" ".join(camera.channels[channel] for channel in row) for row in camera.cfa)
@@ -277,14 +296,14 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _declared(name: str, camera: CameraModel) -> bool:
-    """Return whether calibration took a figure from a data sheet, or as 0."""
+    """Return whether calibration took a quantity from a data sheet, or as 0."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
 
 
 def file_names(channels: Sequence[str], cfa: NDArray[np.integer]) -> list[str]:
-    """Return the names of the files of cameras of an array."""
-    dcp = (DCP,) if len(channels) >= LEAST_CHANNELS else ()
+    """Return the names of the files that are exported for cameras with an array."""
+    dcp = (DCP,) if len(channels) >= MIN_CHANNELS else ()
     return [*ALWAYS, *dcp, *((RASPBERRY_PI, PI_5, SIMPLE) if bayer_order(channels, cfa) else ())]
 
 
@@ -292,24 +311,24 @@ class Exported(NamedTuple):
     """Files of a camera for other software."""
 
     files: dict[str, str]  # name → content
-    errors: dict[str, dict[str, dict[str, Any]]]  # of its matrices, for each light, ready for JSON
-    note: str | None  # on what is left out
+    errors: dict[str, dict[str, dict[str, Any]]]  # light → matrix → colour errors, ready for JSON
+    note: str | None  # names files that are missing, and why
 
 
 def export(camera: CameraModel) -> Exported:
     """Return all files of a camera."""
-    camera = replace(camera, name=printable(camera.name))  # that of a file may hold bytes that are no text
+    camera = replace(camera, name=printable(camera.name))  # the name in a file may contain bytes that are no text
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
     lights = {name: light_matrices(camera, name) for name in TEMPERATURES}
     known = {name: matrices for name, matrices in lights.items() if matrices is not None}
     if missing := [name for name in lights if name not in known]:
-        few = len(camera.channels) < LEAST_CHANNELS
-        reason = "it has fewer than three channels" if few else f"a channel sees next to nothing of {missing[0]}"
+        few = len(camera.channels) < MIN_CHANNELS
+        reason = "it has fewer than three channels" if few else f"a channel receives almost no light from {missing[0]}"
         return Exported(files, {}, f"{camera.name}: no colour matrices and no tuning files: {reason}")
     files[DCP] = _dcp_json(camera, known)
     order, note = bayer_order(camera.channels, camera.cfa), None
     if order is None:
-        note = f"{camera.name}: no tuning files for libcamera, which knows 2×2 arrays of r, g and b alone"
+        note = f"{camera.name}: no tuning files for libcamera, which only supports 2×2 arrays of r, g and b"
     else:
         corrections = {TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
         curve = temperature_curve(camera, order)
@@ -322,7 +341,7 @@ def export(camera: CameraModel) -> Exported:
 
 
 def _curves(camera: CameraModel) -> dict[str, str]:
-    """Return the responsivities per energy, the peak of the set 1: CSV on their grid, JSON as rawtoaces reads it."""
+    """Return the responsivities per energy, scaled to a peak of 1: as CSV on their own grid, and as JSON for rawtoaces."""
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
     table = spectra.average(curves, camera.wavelength, RAWTOACES).T
@@ -346,8 +365,12 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 
 
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
-    """Return a DCP as dcamprof's json2dcp reads it, for the lights of ILLUMINANTS; beside it the channels in their order,
-    that of raw files (r, g, b), and AsShotNeutral, which belongs into the DNG of a picture, for each light."""
+    """Return a DCP as JSON for dcamprof's json2dcp, with the lights of ILLUMINANTS.
+
+    It also lists the channels in their order, which is that of raw files (r, g, b), and AsShotNeutral for each light,
+    which
+    belongs in the DNG of a picture.
+    """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]
     content: dict[str, Any] = {"UniqueCameraModel": camera.name, "ProfileName": "l3", "ProfileEmbedPolicy": "Allow copying"}
@@ -363,10 +386,22 @@ def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
 def _raspberry_pi_json(
     camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None, order: tuple[int, int, int], target: Target
 ) -> str:
-    """Return a tuning file of libcamera's Raspberry Pi pipelines, version 2.0: JSON, as they name theirs SENSOR.json, and as
-    picamera2 reads it; libcamera's YAML reader takes it, too. `corrections` (3, 3) by temperature in K, rising; `curve`: as
-    `temperature_curve` returns; `order`: of channels r, g, b."""
-    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # without a lux meter no temperature is likelier
+    """Return a tuning file (version 2.0) for libcamera's Raspberry Pi pipelines, as JSON.
+
+    libcamera and picamera2 both read JSON under the name SENSOR.json.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    corrections : mapping
+        Colour correction matrices (3, 3) by temperature in K, increasing.
+    curve : ndarray or None
+        As returned by `temperature_curve`.
+    order : tuple of int
+        Indices of the channels r, g, b.
+    target : Target
+    """
+    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # flat, because there is no lux meter
     awb: dict[str, Any] = {"bayes": 0}
     missing = ["missing: rpi.awb ct_curve: the channels of greys do not follow a temperature"]
     if curve is not None:
@@ -391,7 +426,7 @@ def _raspberry_pi_json(
     content = {
         "version": 2.0,
         "target": target.name,
-        "comment": [  # for whoever installs the file: libcamera reads version, target and algorithms alone
+        "comment": [  # for people; libcamera only reads version, target and algorithms
             f"{camera.name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
             "noise: at the analogue gain of the calibration, which counts as 1",
             *shading,
@@ -406,8 +441,9 @@ def _raspberry_pi_json(
 
 
 def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
-    """Return a tuning file of libcamera's simple pipeline, the software ISP of laptops and phones, which looks for
-    SENSOR.yaml."""
+    """Return a tuning file for libcamera's simple pipeline, the software ISP of laptops and phones, which is named
+    SENSOR.yaml.
+    """
     black_level = black_level_16(camera)
     lines = [
         "# " + json.dumps(f"{camera.name}, l3cli {__version__}")[1:-1],
@@ -429,7 +465,7 @@ def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
 
 
 def _datasheet_csv(camera: CameraModel) -> str:
-    """Return quantity, channel, value, unit and source of every row of the data sheet, under their headings."""
+    """Return the data sheet as CSV with a header row."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in (("quantity", "channel", "value", "unit", "source"), *datasheet(camera)):
@@ -438,7 +474,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """Return JSON, two spaces a level, with lists of plain values on one line; ASCII."""
+    """Return ASCII JSON, indented by two spaces, with lists of plain values on one line."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

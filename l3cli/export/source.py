@@ -1,4 +1,4 @@
-"""A table as C99 source: fixed code, joined of the pieces in c/, and the table's numbers as macros and constant arrays."""
+"""A table as C99 source: fixed code, joined from the pieces in c/, and the table's numbers as macros and arrays."""
 
 import json
 import math
@@ -42,11 +42,11 @@ from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
 
 PIECES = Path(__file__).parent / "c"
-Words = Literal["float32", "int16"]  # of outputs, and of what the last layer multiplies
-PREFIX = "l3"  # of symbols, unless another is asked for
-LEAST_BLOCK = 128  # pixels that loops take at a time
-CODES = 256  # of a picture
-BINS = 4096  # of linear values: sRGB is nowhere so steep that one holds two thresholds
+Words = Literal["float32", "int16"]  # type of the outputs, and of the last layer's weights and values
+PREFIX = "l3"  # default prefix of symbols
+MIN_BLOCK = 128  # pixels that loops process at a time, at least
+CODES = 256  # number of codes of a picture
+BINS = 4096  # of linear values; sRGB is nowhere so steep that one bin contains two thresholds
 DATA = (
     "/* The numbers of a transform table; l3_table.h says how many. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
@@ -62,9 +62,25 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Return the content of each file by its name. Outputs are in `words`; pictures, of a table of X, Y, Z, show the white
-    of `balance` (None: the table's) neutral; symbols and files begin with `prefix`. InputFileError if the table is beyond
-    what the C computes, RecipeError if symbols cannot begin so."""
+    """Return the content of each file of a table's C source, by name.
+
+    Parameters
+    ----------
+    table : TransformTable
+    words : {"float32", "int16"}
+        Type of the outputs.
+    balance : WhiteBalance, optional
+        White that pictures show as neutral, for a table of X, Y, Z. By default the table's white.
+    prefix : str
+        Prefix of symbols and files.
+
+    Raises
+    ------
+    InputFileError
+        If the C source does not support the table.
+    RecipeError
+        If the prefix is not allowed.
+    """
     require_known_layers(table)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
         raise RecipeError(
@@ -107,8 +123,10 @@ def c_files(
 
 
 def _named(text: str, prefix: str) -> str:
-    """Return a text whose symbols, macros, types and names of files begin with a prefix instead of l3, but for strings of an
-    array's bytes, which may spell anything."""
+    """Return a text with the prefix instead of l3 in symbols, macros, types and file names.
+
+    String literals with bytes of arrays are not changed, because they may contain anything.
+    """
     if prefix == PREFIX:
         return text
     lines = text.split("\n")
@@ -141,7 +159,7 @@ def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros that the sizes of loops and arrays, and the formulas, depend on."""
+    """Return the macros for sizes of loops and arrays, and for the formulas."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {
@@ -155,7 +173,7 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         "MOST_DN": 2**table.bits - 1,
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
-        "BLOCK": -(-LEAST_BLOCK // group) * group,
+        "BLOCK": -(-MIN_BLOCK // group) * group,
         "SHIFT": rule.shift,
         "LEVELS": rule.levels,
         "CONTRASTS": rule.contrasts,
@@ -199,7 +217,7 @@ def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
 
 
 def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]:
-    """Macros that limit outputs, which have so many bits behind the point, to a clipped white; none without such a limit."""
+    """Return the macros that limit outputs, with this number of fractional bits, to the clipped white, if there is one."""
     if table.clipped_white is None:
         return {}
     white = {f"WHITE_{name}": at for name, at in zip("XYZ", table.clipped_white.tolist(), strict=True)}
@@ -210,7 +228,7 @@ def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]
 
 
 def _clipping_known(table: TransformTable) -> dict[str, float | int]:
-    """Return the numbers that the formula of plain clipped areas has, by name."""
+    """Return the numbers in the formula of uniform clipped areas, by name."""
     rows, columns = clipping.block_sides(table.cfa)
     return {
         "clip_rows": rows,
@@ -335,7 +353,7 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 
 
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
-    """Return the text of picture.c with the constants of a table of X, Y, Z and a white, None: the table's own."""
+    """Return the text of picture.c with the constants for a table of X, Y, Z and a white; by default the table's white."""
     balance = balance or usual_balance(table)
     matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
     assert SRGB.curve is not None
@@ -361,14 +379,17 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
 
 
 def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
-    """Return what a page of the browser knows of a table, as JSON; `neutral`, the signals of a grey under the light of
-    training, only where no white was given: to it channels are brought that a file states another white of."""
+    """Return the facts about a table that the browser page needs, as JSON.
+
+    `neutral` holds the signals of a grey under the training light. It is only given if no white was chosen: the page then
+    balances files that state another white.
+    """
     codes, trained = channel_codes(table.channels), Whites(table).trained
     facts = {
         "camera": printable(table.camera_name),
         "cfa": table.cfa.tolist(),
-        "codes": codes.tolist(),  # TIFF/EP's, or free ones
-        "names": [code_of(name) for name in table.channels],  # null where TIFF/EP has none
+        "codes": codes.tolist(),  # codes of TIFF/EP, or unused codes
+        "names": [code_of(name) for name in table.channels],  # null if TIFF/EP has no code
         "black": table.black_level,
         "white": table.white_level,
         "layers": len(table.layers),
@@ -379,7 +400,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return the least linear value that is shown by each code of 8 bits but 0, (code − 1)."""
+    """Return the lowest linear value of each 8-bit code except 0."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

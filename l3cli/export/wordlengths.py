@@ -1,9 +1,12 @@
-"""Short words: the weights of a last layer in fixed point, as C, and how far they move its outputs on a synthetic mosaic.
+"""Short word lengths: the weights of the last layer in fixed point, and the resulting change of outputs on a synthetic
+mosaic.
 
-    weight ≈ whole · 2^−F, whole of so many bits with sign, F the largest that lets the largest weight in: of
-    the whole table, or of each class by itself
+    weight ≈ whole · 2^−F
 
-Intercepts stay as they are. Layers before the last are in words of 16 bits anyway (docs/method.md#planes).
+`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits for which the largest
+weight fits, of the whole table or of each class separately.
+
+Intercepts are not changed. Layers before the last always have 16-bit words (docs/method.md#planes).
 """
 
 import dataclasses
@@ -23,23 +26,25 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer, output_planes, refinement_outputs
 
-VECTOR_SHAPE = (40, 150)  # rows, columns: more than a block, no multiple of any array's period
+VECTOR_SHAPE = (40, 150)  # rows, columns; more than a block, and no multiple of any array's period
 VECTOR_SEED = 3
-OUTPUT_FRACTION = 12  # bits of an output behind the point: words reach ±8
+OUTPUT_FRACTION = 12  # fractional bits of an output, so that words reach ±8
 OUTPUT_TOP = 2**15 - 1
-HIGH_BITS = 12  # of a value, sign included: what the high part keeps
-MOST_WEIGHT, MOST_SUM = 2.0**15 - 8, 2.0**31 - 2**26  # before rounding, and before what the low part and 2^(F − 1) add
-MOST_FRACTION = 24
-REACH, OTHER, NOISE = 8.0, 0.8, 0.2  # R: pixels by which likeness falls to 1/e; of other channels; added on its diagonal
+HIGH_BITS = 12  # bits of the high part of a value, including the sign
+MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26  # before rounding, and before the low part and 2^(F − 1) are added
+MAX_FRACTION = 24
+# Assumed correlation R of taps: falls to 1/e over REACH pixels, is OTHER times as large between channels, plus NOISE on the
+# diagonal.
+REACH, OTHER, NOISE = 8.0, 0.8, 0.2
 LENGTHS = (8, 10, 12, 14, 16)  # bits
-SHAPE, SEED = (64, 256), 4  # of the mosaic: rows, columns
-ENOUGH = 60.0  # dB below a full output: a thousandth of it
-Scale = Literal["class", "table"]  # what shares a binary point
+SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic
+ENOUGH = 60.0  # dB, PSNR relative to a full output, which is an error of a thousandth
+Scale = Literal["class", "table"]  # whether each class has a binary point, or the table has one
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A mosaic with its classes in every layer and its outputs."""
+    """A test vector: a mosaic, its classes in every layer, and its outputs."""
 
     raw: NDArray[np.uint16]  # (row, col) DN at the table's levels
     phase: tuple[int, int]  # CFA row and column of its first pixel
@@ -47,7 +52,7 @@ class Vector:
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return Little-endian, row by row."""
+        """Return the arrays as files: little-endian, row by row."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -113,8 +118,8 @@ def short_words(table: TransformTable) -> ShortWords:
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
     second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
-    most = np.minimum(MOST_WEIGHT / (second + 1e-30), MOST_SUM * 2.0**split / (sums + 1e-30))
-    fraction = np.minimum(MOST_FRACTION + split, np.floor(np.log2(most)))
+    most = np.minimum(MAX_WEIGHT / (second + 1e-30), MAX_SUM * 2.0**split / (sums + 1e-30))
+    fraction = np.minimum(MAX_FRACTION + split, np.floor(np.log2(most)))
     if fraction.min() < split:
         raise InputFileError(
             "transforms of the last layer are too large for words of 16 bits; export them as float32 (‹words›)"
@@ -147,7 +152,7 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 
 
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
-    """Return R (tap, tap) of square windows, plane by plane, of taps of a `source`: `other` times where it differs."""
+    """Return the correlation R (tap, tap) of the taps of square windows, given plane by plane by their `source`."""
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
     distance = np.hypot(row[:, None] - row, column[:, None] - column)
@@ -156,13 +161,13 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights (class, output, tap) as whole numbers (docstring of this module)."""
+    """Return the weights (class, output, tap) rounded such that the error eᵀ R e is small."""
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
-    slope = (whole - flat) @ likeness  # half of what eᵀ R e rises by where a weight does
+    slope = (whole - flat) @ likeness  # half the derivative of eᵀ R e by each weight
     own = np.diag(likeness)
     for _ in range(2 * flat.shape[1]):
-        change = own - 2 * np.abs(slope)  # by the better of one up and one down
+        change = own - 2 * np.abs(slope)  # change of eᵀ R e by a step of one, up or down, whichever is better
         tap = change.argmin(axis=1)
         moved = np.flatnonzero(change[np.arange(len(flat)), tap] < -1e-9)
         if not moved.size:
@@ -185,21 +190,21 @@ class Words:
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """Return the weights (class, output, tap)."""
+        """The weights (class, output, tap) as floats."""
         return np.ldexp(self.whole.astype(np.float32), -self.fraction[:, None, None].astype(np.int32))
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Distance of outputs from those of float weights."""
+    """Difference between the outputs of shortened weights and those of float weights."""
 
     bits: int
     scale: Scale
-    psnr: float  # dB, of a full output: 1
+    psnr: float  # dB, relative to a full output of 1
 
 
 def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
-    """Return the weights (class, output, tap) in words of so many bits."""
+    """Return weights (class, output, tap) as words with this number of bits."""
     largest = np.abs(weights).max(axis=(1, 2)).astype(np.float64)
     if scale == "table":
         largest[:] = largest.max()
@@ -210,7 +215,7 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Return the cost of every word length, with a binary point for each class and with one for all."""
+    """Return the cost of every word length, with a binary point per class and with one for the table."""
     weights = table.layers[-1].weights
     outputs = _outputs(table)
     expected = outputs(weights)
@@ -224,8 +229,11 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
 
 
 def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
-    """Return the cost of words of 16 bits: dB below a full output, and the largest error in steps of an unrounded output.
-    Coarse chroma, which two of three outputs get, is rounded by itself."""
+    """Return the cost of 16-bit words: PSNR in dB relative to a full output, and the largest error in steps of an unrounded
+    output.
+
+    Coarse chroma, which is added to two of three outputs, is rounded separately.
+    """
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
@@ -240,13 +248,13 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Return the shortest words with a binary point for each class that ENOUGH allows, else the longest."""
+    """Return the shortest words with a binary point per class whose PSNR reaches ENOUGH, otherwise the longest."""
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
 
 
 def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """Return the outputs (output, row, col) of the drawn mosaic with other weights of the last layer."""
+    """Return a function from weights of the last layer to the outputs (output, row, col) of the synthetic mosaic."""
     frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
     reference = ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)

@@ -30,7 +30,7 @@ from l3cli.calibration.photo.estimate import (
 from l3cli.calibration.responsivity import BAND_FLOOR, COVERAGE, Curves
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.chart import (
-    LEAST_FIT,
+    MIN_FIT,
     PatchValues,
     components,
     corner_cells,
@@ -151,7 +151,7 @@ def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: 
             raise InputFileError(
                 f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check the black level"
             )
-    if capture.corners is not None and fit(values.mean, components(reflectance)) < LEAST_FIT / 2:
+    if capture.corners is not None and fit(values.mean, components(reflectance)) < MIN_FIT / 2:
         cols = capture.chart.grid[1]
         raise InputFileError(
             f"{capture.name}: the patches at the given corners are not those of the chart; give col, row of the outer "
