@@ -82,31 +82,31 @@ def make_vector(table: TransformTable) -> Vector:
 
 @dataclass(frozen=True)
 class ShortWords:
-    """Transforms of the last layer; taps in the table's order."""
+    """Transforms of the last layer in 16-bit words, with taps in the table's order."""
 
-    whole: NDArray[np.int32]  # (class, output, tap) of 16 bits, but for the largest of a window
+    whole: NDArray[np.int32]  # (class, output, tap) within 16 bits, except the largest weight of a window
     intercept: NDArray[np.int32]  # (class, output)
-    fraction: NDArray[np.uint8]  # (class, output) F, less the split
+    fraction: NDArray[np.uint8]  # (class, output) F minus the split
     split: int  # bits of the low part
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
-        """Return the weights (class, output, tap) of the table's last layer that these words stand for."""
+        """Return the weights (class, output, tap) of the table's last layer that these words represent."""
         shift = -(self.fraction.astype(np.int32) + self.split + OUTPUT_FRACTION)
         return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the bits of the low part of what the last layer of a table reads."""
+    """Return the number of bits in the low part of the values that a table's last layer reads."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
 def offset_of(table: TransformTable) -> int:
-    """Return the offset of the values that the last layer of a table reads."""
+    """Return the offset of the values that a table's last layer reads."""
     return 0 if table.later else raw_middle(table.bits)
 
 
 def short_words(table: TransformTable) -> ShortWords:
-    """Return the last layer of a table in words; InputFileError if its transforms are beyond them."""
+    """Return the last layer of a table in 16-bit words; InputFileError if its transforms are too large."""
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
     weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)  # per unit of a value
@@ -136,12 +136,15 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the step of the last layer's weights in units of the values that words multiply."""
+    """Return the unit of the last layer's weights, relative to the values that words multiply."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return R (tap, tap) of the windows of the last layer, and which classes have these: of the mosaic, those of a site."""
+    """Return the correlation R (tap, tap) of the windows of the last layer, and the classes that it applies to.
+
+    The classes of a layer that reads the mosaic have one R per site.
+    """
     layer = table.layers[-1]
     if table.later:
         source = np.repeat(np.arange(len(table.outputs)), table.later[-1].side ** 2)
