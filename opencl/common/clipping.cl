@@ -1,18 +1,18 @@
-// Plain areas where channels clip (l3cli/classes/clipping.py): means and ranges of blocks of the mosaic, and the maps that quads
-// read of them: how much of the outputs is replaced, and by what.
+// Uniform areas where channels clip (l3cli/classes/clipping.py): means and ranges of blocks of the mosaic, and the maps that
+// quads interpolate from them: the fraction of the outputs that is replaced, and the values that replace them.
 
-// Builtin functions are calls in PoCL 3.0.
+// In PoCL 3.0 built-in functions are function calls, which are slow.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define WITHIN(value, low, high) LESS(MORE(value, low), high)
-#define MEANS (CHANNELS + 1)  // of each channel, and the largest range of one
+#define MEANS (CHANNELS + 1)  // the mean of each channel, and the largest range of a channel
 
 INLINE float smooth_step(float value, float low, float high) {
     const float share = (value - low) * (1.0f / (high - low)), part = WITHIN(share, 0.0f, 1.0f);
     return part * part * (3.0f - 2.0f * part);
 }
 
-// A block of the mosaic, within the frame.
+// A block of the mosaic, inside the frame.
 typedef struct {
     int top, bottom, left, right;
 } Block;
@@ -34,7 +34,7 @@ INLINE int brightest_of(Block block, __global const ushort *restrict raw, int fi
     return brightest;
 }
 
-// made: the means of the channels, and the largest range of one, which is -1 of a block that does not count.
+// made: the means of the channels, and the largest range of a channel, which is -1 for blocks that are left out.
 INLINE void measure_block(float made[MEANS], Block block, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                           float black_level, float span, int phase_row, int phase_column, int first, int frame_columns) {
     int sum[CHANNELS] = {0}, count[CHANNELS] = {0}, lowest[CHANNELS], highest[CHANNELS] = {0}, widest = 0;
@@ -64,7 +64,7 @@ INLINE void measure_block(float made[MEANS], Block block, __global const ushort 
     (made)[CHANNELS] = -1.0f; \
 } while (0)
 
-// The grey that is taken for the brightness of signals (channel); `white`: the signals of a white at 1.
+// Brightness of signals (channel), as a grey; `white` holds the signals of a white, whose brightness is 1.
 INLINE float grey_level(const float *signal, __global const float *white) {
     float total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
     for (int c = 0; c < CHANNELS; c++) {
@@ -79,7 +79,7 @@ INLINE float grey_level(const float *signal, __global const float *white) {
     return mean + every * (most - mean);
 }
 
-// The sum of what channels add as far as they clip, times a factor, to the outputs.
+// Corrections of the outputs by each channel, weighted by how far it clips, times a factor.
 INLINE void add_clipped(float added[3], const float *signal, float factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
         const float weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
@@ -93,9 +93,9 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// The maps of block (y, x); response: (clipped, signal, output), behind it the signals of a white. Beside a plain block whose own
-// means are far below BEGINS none is bright, and one that does not count is not plain beside one that does. Where no channel clips
-// yet, the grey of the same brightness may.
+// The maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Two shortcuts: a uniform
+// block whose means are far below BEGINS has no bright neighbours, and a block that is left out is not uniform beside one that
+// counts. If no channel clips yet, the grey of the same brightness may still clip.
 INLINE float4 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                       int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -136,14 +136,14 @@ INLINE float4 maps_of(int y, int x, __global const float *restrict means, __glob
     return (float4)(share, added[0], added[1], added[2]);
 }
 
-// Where a quad lies between blocks: `low` of a row or column, the next, and the share of that.
+// Position of a quad between blocks along an axis: the block before it, the next one, and the weight of the next.
 typedef struct {
     int low, high;
     float share;
 } Between;
 
 INLINE Between between(int pixel, int side, int blocks) {
-    // In halves of a pixel, `side` of them aside, so that numbers stay whole and above 0.
+    // In half pixels, shifted by `side`, so that numbers are positive integers.
     const int place = 2 * pixel + 2 + side, low = place / (2 * side) - 1;
     Between made = {WITHIN(low, 0, blocks - 1), WITHIN(low + 1, 0, blocks - 1), (float)(place % (2 * side)) / (2 * side)};
     return made;

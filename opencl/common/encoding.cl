@@ -1,17 +1,17 @@
-// Outputs → what is written, for as many pixels as `floats` holds (render/display.py is the float64 truth).
+// Outputs → written values, for as many pixels as `floats` holds (l3cli/rendering/display.py is the float64 reference).
 //
-// The host chooses by macros: PLANES: the outputs as they are; else X, Y, Z by a matrix and the curve of a colour space to
-// three values a pixel, each a CODE up to TOP.
+// The host chooses by macros. With PLANES, outputs are written unchanged. Otherwise a matrix and the transfer curve of a colour
+// space turn X, Y, Z into three values per pixel, each a CODE up to TOP.
 
 #ifdef FIXED_POINT
 
-// A fixed-point sum as a plane keeps it (l3cli/classes/planes.py).
+// A fixed-point sum, rounded and clamped to the value of a plane (l3cli/classes/planes.py).
 INLINE ints plane_value(ints sum, ints fraction) {
     const ints top = PLANE_TOP, value = (sum + ((ints)1 << fraction >> 1)) >> fraction, below = value < top ? value : top;
     return below > -top ? below : -top;
 }
 
-// A plane as a layer between reads it, in 16 bits.
+// A plane's value as read by layers between the first and the last, in 16 bits.
 INLINE ints coarse(ints plane) {
     const ints top = COARSE_TOP, value = (plane + (1 << COARSE >> 1)) >> COARSE, below = value < top ? value : top;
     return below > -top ? below : -top;
@@ -20,7 +20,7 @@ INLINE ints coarse(ints plane) {
 #endif
 #ifdef TOP
 
-// Colours outside of the gamut → inside, along lines of constant hue (l3cli/physics/gamut.py is the float64 truth).
+// Colours outside of the gamut → inside, along lines of constant hue (l3cli/physics/gamut.py is the float64 reference).
 
 // A row of a matrix times three values.
 #define GAMUT_SUM(m, row, v) ((m)[3 * (row)] * (v)[0] + (m)[3 * (row) + 1] * (v)[1] + (m)[3 * (row) + 2] * (v)[2])
@@ -37,7 +37,8 @@ INLINE floats cube_root(floats x) {
     return x * (y * y);
 }
 
-// Towards the grey of the same lightness until no value is negative: the least root of the cubics of t, by one step of Halley's.
+// Moves a colour towards the grey of the same lightness until no value is negative. The distance is the least root of the cubics
+// in t, found by one step of Halley's method.
 INLINE void less_chromatic(floats *linear) {
     const float cones[] = {GAMUT_CONES}, back[] = {GAMUT_LINEAR}, light[] = {GAMUT_LIGHTNESS};
     floats chroma[3], squares[3], cubes[3], ends[3], lowest = (floats)0.0f, least = (floats)1.0f;
@@ -78,7 +79,7 @@ INLINE void less_chromatic(floats *linear) {
 }
 
 #ifndef TONE_A
-// Darkened until no value is above 1, or clipped the nearer to white the colour is.
+// Limits values to 1: colours are darkened, but the closer a colour is to white, the more it is clipped instead.
 INLINE void darker(floats *linear) {
     const float luminance[] = {GAMUT_LUMINANCE};
     const floats most = most_of(most_of(linear[0], linear[1]), linear[2]), share = 1.0f / most;
@@ -94,7 +95,7 @@ INLINE void darker(floats *linear) {
 }
 #endif
 
-// Whether any of the values that are side by side is negative, or -0.
+// Whether any lane is negative, or -0.
 INLINE bool any_negative(floats value) {
 #if LANES == 1
     return value < 0.0f;
@@ -112,7 +113,7 @@ INLINE bool any_negative(floats value) {
 #endif
 }
 
-// Colours inside are left as they are. Few lie outside, so the rest is a call, which is skipped where none of those side by side does.
+// Colours inside the gamut stay unchanged. Few lie outside, so the mapping is a function call, which is skipped if no lane needs it.
 static __attribute__((noinline)) void brought_into_gamut(floats *linear) {
     if (any_negative(least_of(least_of(linear[0], linear[1]), linear[2]))) less_chromatic(linear);
 #ifndef TONE_A
@@ -130,7 +131,7 @@ INLINE void into_gamut(floats *linear) {
     if (any_negative(room)) brought_into_gamut(linear);
 }
 
-// Linear values as a tone curve shows them.
+// Linear values after a tone curve.
 INLINE floats toned(floats linear) {
 #ifdef TONE_A
     linear = linear > 0.0f ? linear : (floats)0.0f;
@@ -143,9 +144,9 @@ INLINE floats toned(floats linear) {
 
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
-// Codes of 8 bits, where the processor looks up 16 lanes in a table of 32 at once: the curve times TOP in 32 parabolas, four an octave
-// of u, which is the linear value and 2^-8 (layout.curve_pieces). A float's upper bits are the number of its parabola, of
-// which the lookup reads the last five.
+// 8-bit codes on processors that look up 16 lanes at once in a table of 32. The curve times TOP consists of 32 parabolas, four per
+// octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u number the parabola;
+// the lookup reads the last five of them.
 #define PIECE_BITS 21
 __constant float curve_pieces[] = {CURVE_PIECES};  // (power of u, number of its parabola)
 
@@ -166,9 +167,10 @@ INLINE uints encode(floats linear) {
 
 #else
 
-// Library functions are calls and would end the vectors. So with y = x^(-1/4) by CURVE_STEPS of Newton's iteration, whose
-// first guess is within 3 % because a float's bits are nearly its logarithm, the power part of the curve is a polynomial in
-// z = x y^3 = x^(1/4), of CURVE_TERMS, the lowest first: few of both for 8 bits, more for the rest (layout.curve_macros).
+// Library functions are calls, which would prevent vectorisation. Instead, y = x^(-1/4) is found by CURVE_STEPS of Newton's
+// iteration. Its first guess is within 3 %, because a float's bits are nearly its logarithm. The power part of the curve is then
+// a polynomial in z = x y^3 = x^(1/4) with the coefficients CURVE_TERMS, lowest first. Codes of 8 bits need fewer steps and terms
+// than others (layout.curve_macros).
 INLINE floats curve(floats linear) {
     const float term[] = {CURVE_TERMS};
     const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;

@@ -1,5 +1,5 @@
-// Where the host does not say how many pixels lie side by side: as many as the compiler has registers for. PoCL 3.0 takes
-// processors younger than itself for older ones, and 16 lanes in registers of 8 are slower than 8 lanes.
+// Number of pixels side by side, unless the host sets it: as many as fit a register of the processor that is compiled for. PoCL 3.0
+// may compile for an older processor than the actual one, and 16 lanes in registers of 8 are slower than 8 lanes.
 
 #ifndef LANES
 #ifdef __AVX512F__

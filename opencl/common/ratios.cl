@@ -1,9 +1,9 @@
-// Processor variant: chroma as shading would make it, and that of pixels alike (l3cli/classes/refinement.py), of a row of a tile: taps
-// behind the window of a last layer with RATIO_TAPS.
+// Processor variant: the taps that follow the windows of a last layer with RATIO_TAPS, for a row of a tile. They are the chroma that
+// shading alone would cause, and the chroma of similar pixels (l3cli/classes/refinement.py).
 
 #if SOURCES > 1
 typedef struct {
-    tap of[SOURCES][SPAN];  // of each plane
+    tap of[SOURCES][SPAN];  // one row of each plane
 } Row;
 #endif
 
@@ -18,10 +18,10 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Of the row whose window is the PATCH rows kept, the first of which is row[first % PATCH]: tap t of the tile's column x → to[t][x].
+// Tap t at the tile's column x → to[t][x], for the row whose window is the PATCH stored rows. The first of them is row[first % PATCH].
 INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
     const Row *r[PATCH];
-    float sum[SOURCES][SPAN];  // down a column
+    float sum[SOURCES][SPAN];  // sums down each column
     for (int j = 0; j < PATCH; j++) r[j] = row + (first + j) % PATCH;
     for (int s = 0; s < SOURCES; s++)
         for (int p = 0; p < WHOLE(width, LANES) + 2 * RADIUS; p += LANES) {

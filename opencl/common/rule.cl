@@ -1,10 +1,10 @@
-// From the sums of a patch to its class, for as many pixels as `uints` holds: the features joined as by ClassRule and
-// l3cli/classes/decide.py, in uint, exact or wrapping to exact, for both variants.
+// Sums of a patch → its class, for as many pixels as `uints` holds and for both variants. The features are combined as in ClassRule
+// and l3cli/classes/decide.py. Arithmetic in uint is exact, or wraps around to the exact result.
 
-// CFA phase of padded row or column p, whose frame begins at phase `start`: that of p - RADIUS.
+// CFA phase of padded row or column p, which is that of p - RADIUS, in a frame that begins at phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// What the features read, in the order of l3cli/classes/plane_kernel.py: as parameters, and handed on.
+// The constants of the features, in the order of l3cli/classes/plane_kernel.py, as parameters and as arguments.
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW
@@ -15,7 +15,7 @@
 #define RULE BASIC
 #endif
 
-// Which set of transforms: as a value, as a parameter of kernels, and handed on; nothing where there is one.
+// The number of the set of transforms, as a value, as a parameter of kernels, and as an argument. Empty if there is one set.
 #ifdef SETS
 #define SET_VALUE uints set,
 #define SET_PARAMETER , __global const uchar *restrict pixel_sets  // (row, col)
@@ -37,7 +37,7 @@ typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
     Colour colour;
 #ifdef EACH_WINDOW
-    ints window_sum[WINDOW_SUMS];   // of the further features
+    ints window_sum[WINDOW_SUMS];   // for the further features
 #endif
 } Evidence;
 
@@ -49,7 +49,7 @@ INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
 #endif
 }
 
-// What channel c says: `count`, `sum` and `square` of its pixels in the patch, and the reciprocals that go with the count.
+// Adds channel c: `count`, `sum` and `square` of its pixels in the patch, and the reciprocals of the count.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
                          uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;
@@ -58,7 +58,7 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
     add_colour(&e->colour, c, scaled, chroma_weights);
 }
 
-// The chroma, or where saturation decides its case behind the chromas.
+// The kind: the chroma or, if a pixel is saturated, the saturation case, which is numbered after the chromas.
 INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
     const uints chroma = chroma_of(&e->colour, site, chroma_weights);
     if (!any_case(code, case_of_code)) return chroma;
@@ -66,11 +66,11 @@ INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANT
     return saturation > 0 ? CHROMAS - 1 + saturation : chroma;
 }
 
-// The class of pixels of `site` near whose centres the channels of `code` are saturated. Comparing with every level edge
-// needs no table, which vectors are slow at; contrast edges follow the level in the same loop.
+// The class of pixels at `site`, with the channels in `code` saturated near the centre. Comparing with every level edge avoids a table
+// lookup, which is slow in vectors. The same loop selects the contrast edges of the level.
 //
-// Of SETS of transforms (l3cli/rendering/conditions.py), pixels compare with the edges of their `set`, which lie behind those of
-// the sets before it, and are of sites beyond theirs.
+// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the edges of their `set`. The edges and
+// the sites of the sets are numbered one set after the other.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, site, code, RULE);
     uints level = 0, edge[CONTRASTS];

@@ -1,7 +1,7 @@
-// Raw values → the same with what their channels differ by in shading taken off (l3cli/frames/shading.py is the truth).
+// Correction of colour shading, the difference in shading between channels, in raw values (l3cli/frames/shading.py is the reference).
 //
-// In place, before any other kernel reads them, a work-item RUN pixels: whole numbers, so that every device agrees. `colour` is
-// a gain less 1, about the black level. Clipped pixels stay as they are, and no other becomes one.
+// It is applied in place, before any other kernel reads the values. Each work-item corrects RUN pixels, in integers, so that all
+// devices agree. `colour` is a gain minus 1, about the black level. Clipped pixels are unchanged, and no other pixel becomes clipped.
 
 INLINE ints corrected(ints value, ints colour, int black, int clipped) {
     const ints gained = value + (((value - black) * colour + (1 << FRACTION >> 1)) >> FRACTION), zero = 0, top = clipped - 1;

@@ -1,6 +1,6 @@
-// Spectra that take the mean of their neighbourhood and keep their brightness (l3cli/rendering/reference.py is the truth).
+// Smoothing of spectra over the neighbourhood, with the brightness of each pixel kept (l3cli/rendering/reference.py is the reference).
 
-// What a neighbour counts whose brightness differs so much; `inverse`: of the difference from which it counts nothing.
+// Weight of a neighbour by its difference in brightness; `inverse` is the reciprocal of the difference at which the weight is zero.
 INLINE floats nearness(floats difference, floats inverse) {
     const floats share = difference * inverse, left = 1.0f - share * share;
     const floats positive = left > 0.0f ? left : (floats)0.0f;
@@ -12,12 +12,12 @@ INLINE floats inverse_of(floats brightness, float reach) {
     return 1.0f / (reach * above);
 }
 
-// What the mean is multiplied by, of the pixel's brightness and the mean of the neighbours' above it.
+// Factor of the mean spectrum, from the pixel's brightness and the mean amount by which its neighbours are brighter.
 INLINE floats brightness_ratio(floats brightness, floats brighter) {
     return brightness > DARKEST ? brightness / (brightness + brighter) : (floats)1.0f;
 }
 
-// Which of `length` samples stands where sample `wanted` is missing: the mirror image.
+// The sample, of `length`, that replaces sample `wanted` if it is outside: its mirror image.
 INLINE int mirrored(int wanted, int length) {
     const int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
     return min(max(mirror, 0), length - 1);

@@ -7,7 +7,7 @@
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 
-// The structure of pixels from the weighted sums of products of their gradients; `turns` is the gradient word.
+// Structure of pixels from the weighted sums of products of gradients; `turns` is the gradient word.
 INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
     const uints trace = xx + yy;
     uints strength = 0;

@@ -1,20 +1,20 @@
 // Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/reference.py).
 
-// Cells have PADDING columns on either side, and a row above and below them, of nought.
+// Arrays of cells are padded with zeros: PADDING columns on either side, and a row above and below.
 INLINE int cell_row_length(int columns) { return columns + 2 * PADDING; }
 
 INLINE int cell_place(int row, int column, int cell_columns) {
     return (row + 1) * cell_row_length(cell_columns) + PADDING + column;
 }
 
-// How many cells on a middle of a cell was before: `vector` is in pixels.
+// Displacement in cells of a cell's centre by a `vector` in pixels.
 INLINE int2 cells_on(int2 vector) {
-    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // a vector is not so many cells: none is divided below 0
+    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // cells, more than any vector, so that no negative number is divided
     return (side / 2 + vector + far * side) / side - far;
 }
 
-// Of every cell of STRIP blocks the power of its residuals, their sum, what noise makes of either, and what was left of the
-// noise where its middle was before.
+// For every cell of STRIP blocks: the power of its residuals, their sum, the noise expected of either, and the remaining noise at the
+// previous position of its centre.
 __kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict history,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global uint *restrict powers, __global int *restrict sums, __global uint *restrict variances,
@@ -58,7 +58,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
         uint squares[STRIP_CELLS];
         int residuals[STRIP_CELLS], signals[STRIP_CELLS];
         const int rest = CELL_COLUMNS / PAIRED(CELL_COLUMNS), rest_of_squares = SITES > 16 ? CELL_COLUMNS : rest;
-        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // fit 32 bits, too
+        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // these sums fit 32 bits, too
         add_columns(sum_of, count, CELL_COLUMNS);
         add_columns(light_of, count, CELL_COLUMNS);
         for (int i = 0; i < count; i++) {
@@ -96,8 +96,8 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
     }
 }
 
-// Of every cell its weight and what is left of its noise, and of STRIP blocks how many cells are of another scene. `weights`
-// are what was left before, and become weights.
+// For every cell: its weight and its remaining noise. For STRIP blocks: the number of cells that show another scene. `weights` holds
+// the previous remaining noise, and is overwritten by the weights.
 __kernel void weigh(__global const uint *restrict powers, __global const int *restrict sums,
                     __global const uint *restrict variances, __global ushort *restrict weights,
                     __global ushort *restrict new_left, __global int *restrict cuts, int block_columns) {
@@ -137,7 +137,7 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
     cuts[block_row * get_global_size(0) + get_global_id(0)] = SUM_CELLS(others);
 }
 
-// The blend, as u for the history and as DN, and the means of the history over a period. `restart`: nothing is taken from before.
+// The blend, as u for the history and as DN, and the means of the history over periods. With `restart` the history is ignored.
 __kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict history,
                     __global const int2 *restrict vectors, __global const ushort *restrict weights,
                     __global const int *restrict cuts, __global ushort *restrict new_kept,

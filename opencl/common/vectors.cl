@@ -1,12 +1,12 @@
-// Types that the rest is written in. The processor variant takes LANES pixels, or taps, side by side: 16 fill a register of
-// AVX-512, 8 one of AVX2. The graphics variant takes one: there the device itself lays pixels side by side.
+// Vector types of all kernels. The processor variant processes LANES pixels, or taps, side by side: 16 fill a register of AVX-512,
+// 8 a register of AVX2. The graphics variant processes one, because the device itself runs pixels side by side.
 //
-// vloadN and convert_T are function calls in PoCL 3.0. Reading through a pointer to a vector type that promises only the
-// alignment of one element, and clang's own conversion, compile to one instruction each.
+// vloadN and convert_T are function calls in PoCL 3.0. Instead, vectors are read through pointers to a type with the alignment of a
+// single element, and converted by clang's own conversion. Each compiles to one instruction.
 
 #define INLINE static inline __attribute__((always_inline))
 
-#define GAIN_NODES(columns) (((columns) + GAIN_STEP - 1) / GAIN_STEP + 1)  // of a row of gains (l3cli/frames/shading.py)
+#define GAIN_NODES(columns) (((columns) + GAIN_STEP - 1) / GAIN_STEP + 1)  // nodes in a row of gains (l3cli/frames/shading.py)
 
 #if LANES == 1
 typedef uint uints;
@@ -44,24 +44,24 @@ VECTOR(short, pairs, 2 * LANES);
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
 
-// The vector of a type that starts at p: read, or on the left of an assignment written.
+// The vector of a type that starts at p, for reading and for assignment.
 #define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
-// What a kernel of one work-item a group does is a function that is compiled as such, and the kernel calls it: PoCL has each kernel
-// once as it stands and twice more in what starts work-groups, and would compile all of it three times.
+// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times, once as it is
+// and twice in the code that starts work-groups, but the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
-#define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // the tile's first
+#define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// A loop over the few pixels at an edge that fill no vector. It stays one: in vectors and many steps at once, as the compiler
-// would have it, it is code that hardly runs and takes time to compile.
+// A loop over the few pixels at an edge that do not fill a vector. Vectorising and unrolling, which the compiler would do, are
+// switched off, because the code rarely runs and would take time to compile.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
-// The first `count` lanes of a vector → to[0], to[1] …: by way of an array, for code that picks a lane by its number is long.
+// The first `count` lanes of a vector → to[0], to[1] …, through an array, because selecting a lane by a variable takes much code.
 #define WRITE_FIRST(element, type, to, value, count) do { \
     element lane[LANES]; \
     STORE_PRIVATE(type, lane) = value; \
@@ -72,15 +72,15 @@ VECTOR(short, pairs, 2 * LANES);
     else WRITE_FIRST(float, floats, to, value, count); \
 } while (0)
 
-// Have the caches fetch the line at p, which is read a row later: no processor guesses where the next row of a tile lies. A line for
-// every LANES pixels, while others are computed: many at once would have to wait for one another.
-#ifdef __NVPTX__ // NVIDIA's compiler refuses the address space, and a graphics card hides the wait itself
+// Prefetch the cache line at p, which is read one row later. Processors do not predict where the next row of a tile lies. One line is
+// prefetched per LANES pixels, while others are computed, because many prefetches at once would queue.
+#ifdef __NVPTX__ // NVIDIA's compiler refuses the address space, and graphics cards hide the latency themselves
 #define FETCH(p)
 #else
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
 #endif
 
-// Products of neighbours, added in pairs and to `sum`: one instruction where the compiler has it.
+// Products of 16-bit pairs, added to each other and to `sum`. It is a single instruction if the compiler supports it.
 INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 #if LANES == 16 && defined(__AVX512BW__)
     return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), ints);
@@ -93,8 +93,8 @@ INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 }
 #endif
 
-// What a layer reads and sums up: values of a mosaic, or planes, in floating point; or, so that planes are the same on every
-// device, in whole numbers of 16 bits with sums of 32, two products a lane.
+// Types of a layer's values and sums. The last layer reads the mosaic or planes in floating point. Other layers use 16-bit integers
+// with 32-bit sums, two products per lane, so that planes are the same on every device.
 #if LANES == 1
 #ifdef FIXED_POINT
 typedef int tap;

@@ -1,17 +1,17 @@
-// Processor variant: mosaic → means of blocks → maps → those that quads read. One work-item takes a tile of blocks, or of quads.
-// Nearly all of most frames is dark, or at least not plain and clipped: that is found out in vectors.
+// Processor variant: mosaic → means of blocks → maps of blocks → maps of quads. One work-item processes a tile of blocks or quads. Most
+// of a frame is dark, or not uniform, or not clipped. Vector code finds these parts, which are then skipped.
 
 #define EACH_OF_TILE \
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
         for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x++)
 
-// The band's raw rows begin at row `first` of the frame; blocks that do not lie in it are not read.
+// The band's raw rows begin at row `first` of the frame. Blocks outside of the band are not read.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                            __global float *restrict means, int bright, float black_level, float span, int phase_row,
                            int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
     const int begin = x0 * BLOCK_COLUMNS, width = min(TILE * BLOCK_COLUMNS, frame_columns - begin);
     const size_t plane = (size_t)rows * columns;
-    ushort brightest[TILE * BLOCK_COLUMNS];  // of a column
+    ushort brightest[TILE * BLOCK_COLUMNS];  // highest value of each column
     for (int y = y0; y < min(y0 + BAND, rows); y++) {
         const Block row = block_at(y, x0, frame_rows, frame_columns);
         const bool inside = row.top >= first && row.bottom <= first + raw_rows;
@@ -60,7 +60,7 @@ KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const fl
     EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
 }
 
-// Of LANES quads of a row, which lie between no more blocks than these.
+// The maps of LANES quads in a row, which lie between these blocks.
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float4 *restrict maps, __global float *restrict to, int first,

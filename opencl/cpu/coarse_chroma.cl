@@ -1,4 +1,4 @@
-// Processor variant: planes → blocks; blocks → those after an edge-avoiding step. One work-item takes a tile of blocks.
+// Processor variant: planes → blocks, and blocks → blocks after an edge-avoiding step. One work-item processes a tile of blocks.
 
 #define PAIRED(a, b) (__builtin_shufflevector(a, b, ALL_LANES(EVEN)) + __builtin_shufflevector(a, b, ALL_LANES(ODD)))
 

@@ -1,7 +1,7 @@
-// Processor variant: outputs X, Y, Z of a frame → its picture, as `transform` writes it. A frame whose exposure is measured on
-// its outputs is encoded when they are there. The kernel's name tells the host how many LANES it has.
+// Processor variant: outputs X, Y, Z of a frame → its picture, the same as `transform` writes. It is used for a frame whose exposure is
+// measured from its outputs. The kernel's name tells the host the number of LANES.
 //
-// One work-item takes a tile of TILE columns and BAND rows.
+// One work-item processes a tile of TILE columns and BAND rows.
 
 #if LANES == 16
 #define ENCODE encode_16

@@ -1,16 +1,16 @@
 // Processor variant, layers in floating point: patches → weighted sums of any number of outputs.
 //
-// An odd square is 8n + 1, so a patch of one plane is VECTORS whole vectors (of 16 lanes the last one may be half weights of zero)
-// and one tap more, which goes with the intercept: for all outputs of a group together, one vector of four.
+// An odd square is 8n + 1. A patch of one plane therefore fills VECTORS whole vectors and one more tap. (With 16 lanes, half of the
+// last vector may be zero weights.) The last tap is processed with the intercept, in one vector of four for all outputs of a group.
 
 #ifndef SIDE_BY_SIDE
 
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
-#define GROUPS ((OUTPUTS + 3) / 4)               // of at most four outputs, so that their sums stay in registers
+#define GROUPS ((OUTPUTS + 3) / 4)               // groups of at most four outputs, so that their sums stay in registers
 #define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // outputs of a group
-#define LAST_TAP (VECTORS * GROUP * LANES)       // where a group's last taps lie, then its intercepts
+#define LAST_TAP (VECTORS * GROUP * LANES)       // offset of a group's last taps, which its intercepts follow
 #ifdef RATIO_TAPS
-#define TAPS_OF_RATIOS RATIO_TAPS  // after those of the windows, their weights after the intercepts
+#define TAPS_OF_RATIOS RATIO_TAPS  // taps after the windows, whose weights follow the intercepts
 #else
 #define TAPS_OF_RATIOS 0
 #endif
@@ -19,7 +19,7 @@
 #define PLANES_MADE (GROUPS * GROUP)
 #define READ_AHEAD (VECTORS * LANES)  // taps that may be read past a patch
 
-// The fours of each vector added up, one four after the other.
+// Sum of the groups of four lanes in a vector.
 INLINE totals fold_all(const totals v[LANES / 4]) {
 #if LANES == 16
     const totals ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
@@ -31,7 +31,7 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 #endif
 }
 
-// Where the sums of a pixel begin: output o's last tap and intercept, in lane o.
+// Initial value of a pixel's sums: the last tap and the intercept of output o, in lane o.
 INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
@@ -39,7 +39,7 @@ INLINE four_totals last_taps(const tap *patch, const float *ratios, __global con
     return sum;
 }
 
-// A pair's products with the weights of their classes, summed as far as a pair goes.
+// Products of a pair of pixels with the weights of their classes, summed as far as both pixels share the work.
 INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *ratios, __global const tap *first_weights,
                        __global const tap *second_weights) {
     const four_totals first_last = last_taps(first, ratios, first_weights);
@@ -64,7 +64,7 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// LANES pixels from x on, `ratios` (tap, column) of their patches: output o of group g → made[g * GROUP + o].
+// Output o of group g of LANES pixels from x on → made[g * GROUP + o]. `ratios` (tap, column) are the taps after the windows.
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
@@ -79,7 +79,7 @@ INLINE void apply(totals *made, const tap *patches, const float *ratios, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = ratios + x + first;
-#ifndef PLANES  // mostly of one frame, for its exposure: half the code takes less time to compile, which counts more
+#ifndef PLANES  // outputs are mostly wanted of one frame, for its exposure; then half the code saves more time in compiling
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else

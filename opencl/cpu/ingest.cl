@@ -1,30 +1,29 @@
 // Processor variant: raw rows → rows of a tile.
 //
-// A tile is TILE columns wide; with the margins of its patches it reads SPAN columns, numbered p, the first of which lies
-// RADIUS to the left of the tile. Padded rows and columns are those of the frame with RADIUS more on every side:
-// row_source and column_source name the raw one that each repeats (frame.mirrored_indices), so that padding never breaks
-// the phase of the CFA.
+// A tile is TILE columns wide. With the margins of its patches it reads SPAN columns, numbered p, which begin RADIUS columns to the
+// left of the tile. Padded rows and columns are those of the frame, plus RADIUS on every side. row_source and column_source give the
+// raw row or column that each repeats (frame.mirrored_indices), such that padding preserves the phase of the CFA.
 
 #define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // slack for reads past the last patch
 #define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n rounded up
 
-// CFA phase n columns on. Arrays with a `period` axis repeat a row of the CFA until a vector can be read from any phase on;
-// where the CFA divides the vector, the phase stays, and the compiler keeps their vectors in registers.
+// CFA phase n columns further. Arrays with a `period` axis repeat a row of the CFA such that a vector can be read from any phase. If
+// the CFA's width divides the vector, the phase stays the same, and the compiler keeps these vectors in registers.
 #if LANES % CFA_COLUMNS == 0
 #define PHASE_AFTER(phase, n) (phase)
 #else
 #define PHASE_AFTER(phase, n) (((phase) + (n)) % CFA_COLUMNS)
 #endif
 
-INLINE ushort highest_raw(ushort v) { return v < (ushort)MAX_RAW ? v : (ushort)MAX_RAW; }  // min is a call in PoCL 3.0
+INLINE ushort highest_raw(ushort v) { return v < (ushort)MAX_RAW ? v : (ushort)MAX_RAW; }  // min is a function call in PoCL 3.0
 
 INLINE void ingest_vector(ushort *row, __global const ushort *from) {
     const full_shorts v = LOAD_GLOBAL(full_shorts, from), top = (ushort)MAX_RAW;
     STORE_PRIVATE(full_shorts, row) = v < top ? v : top;
 }
 
-// One raw row → row[p], at most MAX_RAW, for the tile that begins at column x0. The last vector of what lies in the frame repeats some
-// of the one before it, so that none are left to be taken one by one.
+// One raw row → row[p], clamped to MAX_RAW, for the tile that begins at column x0. The last vector inside the frame overlaps the one
+// before it, so that no pixels are left over.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);

@@ -1,12 +1,11 @@
-// Processor variant: raw frame → outputs of the layer that reads it, classes and transforms in one kernel, so that a row's classes are
-// still in the nearest cache when they are applied, and raw values are read once. Classes are written only where a next layer reads
-// them.
+// Processor variant: raw frame → outputs of the first layer, with classes and transforms in one kernel. A row's classes are then still
+// in the nearest cache when they are used, and raw values are read once. Classes are only written if another layer reads them.
 
 #ifdef JOINED
 #define JOINED_PARAMETERS \
     CLASSES_PARAMETERS, \
     __global uint *restrict labels,        /* (row, col) */ \
-    __global const tap *restrict weights,  /* as transform.cl has them, and what follows */ \
+    __global const tap *restrict weights,  /* this and the following as in transform.cl */ \
     __global const float *restrict matrix, \
     __global CODE *restrict picture GAIN_PARAMETER, \
     float black_level, int phase_row, int phase_column, int rows, int columns

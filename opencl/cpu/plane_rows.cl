@@ -1,9 +1,9 @@
-// Processor variant: padded rows of a tile of planes, and what the classes of their pixels say.
+// Processor variant: padded rows of a tile of planes, with the label words of their pixels.
 
 #define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 
 typedef struct {
-    ulong of[REACHED];  // label_words of every pixel
+    ulong of[REACHED];  // element of label_words for every pixel
 } Words;
 
 // `end` padded columns of a row of a plane, or of classes; the first lies STRUCTURE_REACH to the left of the tile.
@@ -12,7 +12,7 @@ INLINE void read_plane(int *to, __global const int *row, __global const int *col
     int p = first;
     __global const int *inside = row + x0 - STRUCTURE_REACH;
     for (; p + LANES <= last; p += LANES) STORE_PRIVATE(ints, to + p) = LOAD_GLOBAL(ints, inside + p);
-    if (last - first >= LANES) {  // the last vector repeats some of the one before it
+    if (last - first >= LANES) {  // the last vector overlaps the one before it
         p = last;
         STORE_PRIVATE(ints, to + p - LANES) = LOAD_GLOBAL(ints, inside + p - LANES);
     }
@@ -37,7 +37,7 @@ VECTOR(uint, words, 2 * LANES);
 INLINE uints gradient_words(const Words *row, int p) { return HALVES_AT(row, p, EVEN); }
 INLINE uints start_words(const Words *row, int p) { return HALVES_AT(row, p, ODD); }
 
-// Classes of LANES pixels of a row that is `width` wide from x on.
+// Classes of LANES pixels from x on, in a row that is `width` wide.
 INLINE void write_labels(__global uint *row, uints label, int x, int width) {
     if (x + LANES <= width) STORE_GLOBAL(uints, row + x) = label;
     else WRITE_FIRST(uint, uints, row + x, label, width - x);

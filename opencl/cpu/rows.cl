@@ -1,5 +1,5 @@
-// Processor variant: outputs of LANES pixels of a row → what is written of them, so that stores and curve go along with the sums of
-// the next ones.
+// Processor variant: outputs of LANES pixels of a row → written values. Done per LANES pixels, so that stores and transfer curve run in
+// parallel with the sums of the next pixels.
 
 #ifdef SHADED
 #define GAIN_PARAMETER , __global const float *restrict gain  // (row, node) of the outputs
@@ -7,7 +7,7 @@
 
 #define LANE(i) (float)(i)
 
-// made[o] of pixels from column x on times the gain of each, linear between the nodes of a row, GAIN_STEP columns apart.
+// made[o] of pixels from column x on, times the gain of each, which is linear between a row's nodes at every GAIN_STEP columns.
 INLINE void even_pixels(floats *made, __global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
@@ -21,7 +21,7 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #endif
 
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-// made[0..2], X, Y and Z, no brighter than the clipped white, whose XYZ stands behind the matrix (l3cli/classes/clipping.py).
+// Limits made[0..2], X, Y and Z, to the brightness of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
 INLINE void limit_to_white(floats *made, __global const float *matrix) {
     const float limit = matrix[10];
     const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;
@@ -33,11 +33,11 @@ INLINE void limit_to_white(floats *made, __global const float *matrix) {
 #define limit_to_white(made, matrix)
 #endif
 
-// Of the pixels, the first `count` are in the frame.
+// The first `count` pixels are inside the frame.
 #if defined(FIXED_POINT)
 
-// made[o] → what the next layer reads (output, pixel), past the caches where vectors lie on whole lines: it is read when all is
-// written, and no cache holds all.
+// made[o] → planes for the next layer (output, pixel). Stores bypass the caches if vectors are aligned with cache lines, because planes
+// are read after all have been written, and no cache holds them all.
 INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     #pragma unroll
@@ -63,7 +63,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
 
 #elif defined(NOT_ENCODED)
 
-// For timing: the sum of three planes.
+// For timing: writes the sum of three planes.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     const floats sum = made[0] + made[1] + made[2];
@@ -87,7 +87,7 @@ typedef uchar four_bytes __attribute__((ext_vector_type(4 * LANES)));
 
 // Values a, b, c of LANES pixels → pixel by pixel.
 #if TOP == 255
-// Bytes: those of a pixel in one word, then every fourth is left out.
+// For bytes: those of a pixel are put in one word, then every fourth byte is left out.
 #define PLACE(i) ((i) / 3 * 4 + (i) % 3)
 INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
     const four_bytes words = SAME_BITS(a | b << 8 | c << 16, four_bytes);

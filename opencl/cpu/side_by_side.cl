@@ -1,23 +1,23 @@
-// Processor variant, outputs side by side: layers in fixed point (16-bit values → sums in 32 bits, and planes of them), and small
-// patches of floats.
+// Processor variant with outputs side by side, for layers in fixed point (16-bit values → 32-bit sums → planes) and for small patches in
+// floating point.
 //
-// A vector of weights holds ONCE taps of each output, those of one in four lanes of sums. The patch is read ONCE taps at a time,
-// repeated for every output. So the sums of a pixel are one vector (or two of 8 lanes), and folding them costs a third of what it would
-// with a vector an output. Of three outputs, a fourth has no weights; in fixed point its intercept is the fraction of the class. Floats
-// fill vectors with half as many taps: reading those of large patches would take longer than is saved by folding less.
+// A vector of weights holds ONCE taps of each output; the sums of an output are in four lanes. ONCE taps of the patch are read at a time,
+// repeated for every output. The sums of a pixel are then one vector (or two of 8 lanes), and adding up their lanes costs a third of what
+// one vector per output would. With three outputs, the fourth has no weights; in fixed point its intercept is the fraction of the class.
+// Floats fill a vector with half as many taps. For large patches, reading them would take longer than the lanes' sums save.
 
 #ifdef SIDE_BY_SIDE
 
-#define AT_ONCE_OUTPUTS (LANES / 4)         // outputs side by side in a vector
-#define SUMS (4 / AT_ONCE_OUTPUTS)          // vectors that hold four outputs
+#define AT_ONCE_OUTPUTS (LANES / 4)         // number of outputs side by side in a vector
+#define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors that hold four outputs
 #define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // taps
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // first the intercepts, in the first lane of each four
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // begins with the intercepts, in the first lane of each four
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether weights are read once for a pair of one class. Before a further layer classes change so often that processors would guess wrong,
-// which takes longer than reading a few weights twice.
+// Whether weights are read once for a pair of the same class. If another layer follows, classes change so often that mispredicted
+// branches would take longer than reading some weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else
@@ -37,7 +37,7 @@ typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #endif
 
-// A pair's products with the weights of their classes, summed as far as a pair goes.
+// Products of a pair of pixels with the weights of their classes, summed as far as both pixels share the work.
 INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __global const tap *first_weights,
                        __global const tap *second_weights) {
     totals one[SUMS], other[SUMS];
@@ -60,7 +60,7 @@ INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __
     for (int s = 0; s < SUMS; s++) sum[s] = fold_two(one[s], other[s]);
 }
 
-// The fours of each vector, those of one output together.
+// Groups of four lanes, with those of the same output together.
 INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #if LANES == 16
     const totals *v = folded[0];
@@ -79,7 +79,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// LANES pixels from x on: plane or output o → made[o].
+// Plane or output o of LANES pixels from x on → made[o].
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)

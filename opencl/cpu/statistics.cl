@@ -1,13 +1,13 @@
 // Processor variant: rows of a tile → sums and squares of each channel, and its saturation, over the patch of every pixel.
 //
-// Both are separable. Down a column they slide: the entering row is added, the row that leaves the patch is subtracted, each
-// under the mask of its CFA row. Across columns they are shared: RUN columns are added once, a patch is a few runs.
+// Both are separable. Down the columns, sums are updated: the row that enters the patch is added and the row that leaves it is subtracted,
+// each masked by its CFA row. Across the columns, sums over RUN columns are computed once and shared by patches.
 
 #define RUN (PATCH < 3 ? PATCH : 3)         // columns
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation counts
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturated pixels count
 
 typedef struct {
-    ushort sum[CHANNELS][SPAN];      // down the patch; at most 15 · 4095
+    ushort sum[CHANNELS][SPAN];      // over the rows of a patch; at most 15 · 4095
     uint square[CHANNELS][SPAN];     // likewise
     ushort saturated[SPREAD][SPAN];  // bit c: this pixel is of channel c and saturated; the latest SPREAD rows in any order
 } Columns;
@@ -17,12 +17,12 @@ typedef struct {
     ushort saturated[SPAN];                            // over the SPREAD rows, this column alone
 } Runs;
 
-// The masks of one CFA row: all bits where a pixel is of channel c.
+// The masks of one CFA row: all bits are set where a pixel belongs to channel c.
 #define MEMBER(member, c, phase) LOAD_GLOBAL(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
 #define WIDE_MEMBER(member, c, phase) \
     SAME_BITS(CONVERT(LOAD_GLOBAL(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
 
-// Let row `entering` into the columns and row `leaving` out.
+// Adds row `entering` to the columns and subtracts row `leaving`.
 INLINE void slide(Columns *columns, const ushort *entering, __global const ushort *entering_member, const ushort *leaving,
                   __global const ushort *leaving_member, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
@@ -35,7 +35,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
             STORE_PRIVATE(full_shorts, sum) = LOAD_PRIVATE(full_shorts, sum) + change;
         }
     }
-#if CONTRASTS > 1  // else nobody asks for squares
+#if CONTRASTS > 1  // otherwise squares are not needed
     for (int p = 0, at = phase; p < span; p += LANES, at = PHASE_AFTER(at, LANES)) {
         const uints in = CONVERT(LOAD_PRIVATE(shorts, entering + p) >> SHIFT, uints);
         const uints out = CONVERT(LOAD_PRIVATE(shorts, leaving + p) >> SHIFT, uints);
@@ -55,7 +55,7 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
 INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
         const full_shorts v = LOAD_PRIVATE(full_shorts, row + p), bit = LOAD_GLOBAL(full_shorts, channel_bit + at);
-#if SATURATION > 0xffff  // no value is that high
+#if SATURATION > 0xffff  // no value reaches it
         STORE_PRIVATE(full_shorts, saturated + p) = 0;
 #else
         STORE_PRIVATE(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
@@ -89,7 +89,7 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
     }
 }
 
-// Sums of one channel over the patches whose first column is p: whole runs, then the columns that are left.
+// Sums of one channel over the patches whose first column is p: whole runs, then the remaining columns.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
     uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll
@@ -109,7 +109,7 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
 }
 
 #ifdef BOX_ROWS
-// Windows of one size are shared by many pixels: what each row adds is added up once, over the windows that end with it.
+// Windows of the same size are shared by many pixels. The sums over windows that end with a row are computed once per row.
 #if BOX_ROWS * BOX_COLUMNS <= 16  // 12-bit values
 typedef ushort box;
 #define LOAD_BOX(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
@@ -141,7 +141,7 @@ INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int 
     }
 }
 #elif defined(EACH_WINDOW)
-// Values of a window of those patches, whose rows lie in the ring from slot `first` on. A row's sum fits 16 bits.
+// Sums over a window of these patches, whose rows are in the ring from slot `first` on. The sum of a row fits 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
     ints total = (ints)0;
     for (int j = 0; j < rows; j++) {
@@ -155,7 +155,7 @@ INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int lef
 }
 #endif
 
-// Channels saturated near the centres of those patches, one bit a channel.
+// Channels that are saturated near the centres of these patches, one bit per channel.
 INLINE shorts patch_saturated(const Runs *runs, int p) {
     shorts channels = 0;
     #pragma unroll

@@ -1,21 +1,21 @@
-// Processor variant: what a layer reads and its classes → its outputs: the transform of each pixel's class applied to its patch.
+// Processor variant: input and classes of a layer → its outputs. The transform of each pixel's class is applied to its patch.
 //
-// One work-item renders a tile of TILE columns and BAND rows, row after row. A layer reads SOURCES planes: the mosaic, or the
-// planes that the layer before has made.
+// One work-item renders a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes of the
+// previous layer.
 //
-// The column-major ring. A patch should be as few vectors as can be, not one short vector a row. So the tile keeps, for each
-// padded column, the PATCH latest rows one below the other: column p's padded row k of source s lies at
-// ring[p * COLUMN + k * SOURCES + s]. A patch is then PATCH * COLUMN consecutive values. One row on, every window moves by
-// SOURCES values, and the new row's pixel of column p falls on the slot after its column, which is where column p + 1 kept the
-// row that no patch needs any more. Nothing is moved: one store a value, and the base moves on.
+// The column-major ring: a patch should fill as few vectors as possible, instead of one short vector per row. For each padded column
+// the tile stores the PATCH latest rows one after the other. Padded row k of source s in column p is at
+// ring[p * COLUMN + k * SOURCES + s], so a patch consists of PATCH * COLUMN consecutive values. For the next row, every window moves by
+// SOURCES values. The new pixel of column p then falls on the slot after its column, where column p + 1 stored the row that no patch
+// needs any more. No value has to be moved: there is one store per value, and the base address advances.
 
 #define RING (SPAN * COLUMN + (BAND + 2 * RADIUS) * SOURCES + READ_AHEAD)
 
 #if SOURCES == 1
 #define SOURCE ushort
 
-// The newest row into the ring: to is where column 0's pixel falls. The black level is taken off here: zero signal then
-// stays zero in every transform. Integers keep it: their intercepts know it.
+// Stores the newest row in the ring; `to` is the slot of column 0. The black level is subtracted here for floats, so that zero signal
+// gives zero in every transform. Integers keep it, because their intercepts include it.
 INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int span) {
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
@@ -40,7 +40,7 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
 #else
 #define SOURCE int
 
-// What a layer reads of LANES pixels of a plane.
+// LANES pixels of a plane in the type that a layer reads.
 #ifdef FIXED_POINT
 INLINE signed_shorts signal_of(ints plane) { return CONVERT(coarse(plane), signed_shorts); }
 #else
@@ -48,7 +48,7 @@ INLINE floats signal_of(ints plane) { return CONVERT(plane, floats); }
 #endif
 VECTOR(tap, signals, LANES);
 
-// The newest row of every plane into the ring.
+// Stores the newest row of every plane in the ring.
 INLINE void into_ring(tap *to, __global const int *planes, __global const int *column_source, float black_level, int x0,
                       int columns, size_t stride, Row *row, int span) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
@@ -58,7 +58,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
         int p = first;
         for (; p + LANES <= last; p += LANES)
             STORE_PRIVATE(signals, signal + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
-        if (last - first >= LANES) {  // the last vector repeats some of the one before it
+        if (last - first >= LANES) {  // the last vector overlaps the one before it
             p = last;
             STORE_PRIVATE(signals, signal + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
@@ -80,7 +80,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 #define LOW(i) (((i) + 2) / 4)
 #define HIGH(i) (((i) + 2) / 4 + 1)
 
-// What coarse chroma adds to a chroma plane of `width` pixels of a row from x0 on (l3cli/classes/coarse_chroma.py).
+// The change of a chroma plane by coarse chroma, for `width` pixels of a row from x0 on (l3cli/classes/coarse_chroma.py).
 INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, int columns COARSE_PARAMETERS) {
     const size_t stride = BLOCKS_STRIDE(columns);
     const size_t at = s * BLOCKS_PLANE(rows, columns) + (NEAREST(row) + MARGIN) * stride + MARGIN + x0 / 4 - 1;
@@ -113,7 +113,7 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// What becomes of plain clipped areas (l3cli/classes/clipping.py), of LANES pixels of a row of the planes.
+// Replacement of uniform clipped areas (l3cli/classes/clipping.py), for LANES pixels of a row of the planes.
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
@@ -140,7 +140,7 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
     __global const int *restrict row_source,     /* (padded row) */ \
     __global const int *restrict column_source,  /* (padded col) */ \
     __global const uint *restrict labels,        /* (row, col) */ \
-    __global const tap *restrict weights,        /* (class, …) per unit of the source */ \
+    __global const tap *restrict weights,        /* (class, …) per unit of the source, packed by layout.py */ \
     __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve; XYZ of the clipped white */ \
     __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER CORRECTED_PARAMETER, \
     float black_level, int source_rows, int rows, int columns

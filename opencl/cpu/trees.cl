@@ -1,11 +1,11 @@
-// Processor variant: planes and classes of the layer before → classes of the next, by a tree.
+// Processor variant: planes and classes of the previous layer → classes of the next, by a tree.
 //
-// One work-item labels a tile of TILE columns and BAND rows, row after row. Gradients and bends of the latest five rows are kept;
-// sums are separable: weighed down the columns, then across.
+// One work-item labels a tile of TILE columns and BAND rows, row by row. It stores the first and second differences of the latest five
+// rows. Sums are separable: weighted down the columns, then across.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
 #define STRUCTURE_READ label_words, tests
-#define ROWS 5  // of gradients
+#define ROWS 5  // rows of gradients that are stored
 #define PLANE_ROWS 5
 
 typedef struct {
@@ -17,7 +17,7 @@ typedef struct {
     int u[REACHED], luminance[REACHED], v[REACHED];
 } Planes;
 
-// Weighed down the columns: products over five rows, and over the three in their middle.
+// Sums weighted down the columns: products over five rows, and over the three in the middle.
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
     int chroma_bend_xx[REACHED], chroma_bend_yy[REACHED], narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
@@ -62,7 +62,7 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *middle, co
 #define FIVE_OF(f) (f(0) + 2 * f(1) + 3 * f(2) + 2 * f(3) + f(4))
 #define THREE_OF(f) (f(1) + 2 * f(2) + f(3))
 
-// Rows r[0] to r[4] of products and, about the same one, q[1] to q[3] of planes.
+// Sums of rows r[0] to r[4] of products, and of rows q[1] to q[3] of planes, around the same row.
 INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLANE_ROWS], int span) {
     for (int p = 1; p < span; p += LANES) {
 #define WIDE_ROWS(name) { const ints one = AT(r[0]->name, p) + AT(r[4]->name, p), two = AT(r[1]->name, p) + AT(r[3]->name, p); \
@@ -90,7 +90,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
     }
 }
 
-// Weighed across the columns from `at` on, and the three in their middle.
+// Sums weighted across the five columns from `at` on, and across the three in the middle.
 INLINE ints wide(const int *at) { return AT(at, 0) + AT(at, 4) + 2 * (AT(at, 1) + AT(at, 3)) + 3 * AT(at, 2); }
 INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2); }
 
@@ -104,20 +104,20 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// A tree is cut into PARTS of at most 32 leaves each; which part is a pixel's is decided first, then the parts that are some
-// pixel's are taken. Within a part all tests are made of all pixels, without a branch: leaves are numbered from left to right, a
-// test that is passed rules out those below its first branch, and of the leaves that are left at the end the first is the pixel's.
-// Parts are decided in the same way, 32 at a time.
+// A tree is divided into PARTS of at most 32 leaves each. The part of each pixel is decided first; then the parts that contain pixels
+// are evaluated. Within a part all tests are applied to all pixels, without branches. Leaves are numbered from left to right. A test that
+// is passed excludes the leaves below its first branch. Of the leaves that remain, the first is the pixel's. Parts are decided in the
+// same way, 32 at a time.
 //
-// `tests` holds where the tests of each 32 parts begin, where those of each part, and where the last end; then the first leaf of each
-// part; then the tests, three words each: the bits of the threshold; its numerator and, from bit 8 on, its denominator; and what it
-// rules out. Products and comparisons of float32 are the same on every device.
+// `tests` holds the start of the tests of each 32 parts, the start of the tests of each part, and the end of the last; then the first
+// leaf of each part; then the tests. A test has three words: the bits of the threshold; its numerator and, from bit 8, its denominator;
+// and the leaves that it excludes. Products and comparisons of float32 are the same on every device.
 #define WORDS ((PARTS + 31) / 32)
-#define AT_ONCE 2  // times LANES pixels, which share the reading of tests
+#define AT_ONCE 2  // times LANES pixels are processed together, so that each test is read once for all
 
 // Number of the lowest bit that is set.
 INLINE uints lowest_bit(uints bits) {
-    const uints lowest = bits & -bits;  // that one alone, whose number a float's exponent tells
+    const uints lowest = bits & -bits;  // only the lowest bit, whose number is the exponent of the float
     const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);
     return (SAME_BITS(power, uints) >> 23) - 127;
 }
@@ -130,7 +130,7 @@ INLINE bool some(ints mask) {
     return all != 0;
 }
 
-// What is left after the tests numbered `group`.
+// The leaves, or parts, that remain after the tests of a `group`.
 INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
     for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
     for (uint t = tests[group]; t < tests[group + 1]; t += 3) {
@@ -169,7 +169,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
     }
 }
 
-#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
+#ifndef TRANSFORM_ONLY  // another program contains this kernel
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;

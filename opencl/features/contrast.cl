@@ -2,8 +2,8 @@
 
 #define CONTRAST_CONSTANTS __global const uint *restrict contrast_edges  // (contrast edge, level)
 
-// What a channel adds to the variance sum: `count`, `sum` and `square` of its pixels in the patch, its mean, and the
-// reciprocal that goes with the count.
+// A channel's term of the variance sum, from `count`, `sum` and `square` of its pixels in the patch, its mean, and the reciprocal of
+// the count.
 INLINE uints variance_part(uints count, uints sum, uints square, uints mean, uints variance_reciprocal) {
     const uints cap = 0xffffffffu / CHANNELS;
     const uints deviation = square - mean * (sum + sum - mean * count), variance = deviation * variance_reciprocal;
@@ -15,7 +15,7 @@ INLINE void first_contrast_edges(uints *edge, __global const uint *contrast_edge
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = contrast_edges[k * LEVELS];
 }
 
-// The contrast edges of `level` where it is reached, else those before.
+// The contrast edges of `level` if the pixel reaches this level, otherwise the previous edges.
 INLINE void next_contrast_edges(uints *edge, ints reached, int level, __global const uint *contrast_edges) {
     for (int k = 0; k < CONTRASTS - 1; k++) edge[k] = reached ? (uints)contrast_edges[k * LEVELS + level] : edge[k];
 }

@@ -1,4 +1,4 @@
-// Graphics variant: outputs X, Y, Z of a frame → its picture, as `transform` writes it, a work-item a pixel (encode.cl).
+// Graphics variant: outputs X, Y, Z of a frame → its picture, the same as `transform` writes, with one work-item per pixel (encode.cl).
 
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void encode_1(__global const float *restrict outputs,  // (output, row, col)

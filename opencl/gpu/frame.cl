@@ -1,10 +1,10 @@
-// Graphics variant: both kernels with a work-item a pixel. A work-group's TILE × BAND pixels share their neighbourhood, and
-// in the classes the sums down its columns, in local memory; weights come from global memory through the caches.
+// Graphics variant: both kernels, with one work-item per pixel. The TILE × BAND pixels of a work-group share their neighbourhood in
+// local memory and, for classes, the sums down its columns. Weights are read from global memory through the caches.
 //
-// Neighbouring work-items run together and do best on one row of the table, so they get pixels of the same column of the
-// CFA: TILE is a multiple of CFA_COLUMNS.
+// Adjacent work-items run together, and are fastest when they read the same row of the table. They therefore process pixels with the
+// same CFA column. TILE is a multiple of CFA_COLUMNS.
 
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturation counts
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturated pixels count
 #define TILE_COLUMNS (TILE + 2 * RADIUS)
 #define TILE_ROWS (BAND + 2 * RADIUS)
 #define OF_ONE_SITE (TILE / CFA_COLUMNS)
@@ -13,7 +13,7 @@
 // Column within the tile of the work-item with local number i.
 INLINE int column_of(int i) { return i % OF_ONE_SITE * CFA_COLUMNS + i / OF_ONE_SITE; }
 
-// Place in `raw` of padded pixel i of the tile at (y0, x0); past the frame any pixel will do.
+// Index in `raw` of padded pixel i of the tile at (y0, x0). Outside of the frame it is the index of an arbitrary pixel.
 INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, __global const int *column_source, int rows,
                         int columns) {
     const int row = min(y0 + i / TILE_COLUMNS, rows + 2 * RADIUS - 1);
@@ -96,7 +96,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
 
 #endif
 
-#define FOURS ((OUTPUTS + 3) / 4)  // vectors of four that hold the outputs
+#define FOURS ((OUTPUTS + 3) / 4)  // number of vectors of four that hold the outputs
 #ifdef RATIO_TAPS
 #define TAPS_OF_RATIOS RATIO_TAPS
 
@@ -116,7 +116,7 @@ INLINE float square_between(__local const tap *one, __local const tap *other) {
 #endif
 
 #if defined(FIXED_POINT)
-// Where a fourth intercept would be stands the fraction of the class.
+// The fraction of the class takes the place of a fourth intercept.
 INLINE void write(__global int *picture, const tap *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o], output[3]);
 }
@@ -124,7 +124,7 @@ INLINE void write(__global int *picture, const tap *output, __global const float
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
-#elif defined(NOT_ENCODED)  // for timing: the sum of three planes
+#elif defined(NOT_ENCODED)  // for timing: writes the sum of three planes
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     picture[at] = output[0] + output[1] + output[2];
 }
@@ -194,7 +194,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         }
     }
 #ifdef RATIO_TAPS
-    // Behind the window: chroma as shading would make it (l3cli/classes/refinement.py).
+    // Taps after the window: the chroma that shading alone would cause (l3cli/classes/refinement.py).
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
@@ -204,7 +204,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #if RATIO_TAPS > 2
-    // And that of pixels alike.
+    // Taps after these: the chroma of similar pixels.
     __local const tap *own = signal[line + RADIUS][column + RADIUS];
     float reach = 0.0f, weighed = 0.0f, first = 0.0f, third = 0.0f;
     for (int n = 0; n < PATCH * PATCH; n++) reach += square_between(signal[line + n % PATCH][column + n / PATCH], own);
@@ -221,7 +221,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #endif
 #endif
 #ifdef COARSE_CHROMA
-    // What coarse chroma adds (l3cli/classes/coarse_chroma.py).
+    // Change by coarse chroma (l3cli/classes/coarse_chroma.py).
     const int row = row_source[y + RADIUS];
     for (int n = 0; n < 4; n++) {
         const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;
@@ -232,7 +232,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     }
 #endif
 #ifdef CLIPPING
-    // What becomes of plain clipped areas (l3cli/classes/clipping.py).
+    // Replacement of uniform clipped areas (l3cli/classes/clipping.py).
     const size_t quads = QUADS_PLANE(source_rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
@@ -249,7 +249,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
 #endif
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-    // No brighter than the clipped white, whose XYZ stands behind the matrix (l3cli/classes/clipping.py).
+    // Limit to the brightness of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
     const float limit = matrix[10], luminance_of_pixel = max(output[1], limit);
     const float faded = min((luminance_of_pixel - limit) / ((WHITE_FROM - 1.0f) * limit), 1.0f);
     for (int o = 0; o < 3; o++)

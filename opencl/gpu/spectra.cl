@@ -1,4 +1,4 @@
-// Graphics variant: outputs of a band → the same with their spectra smoothed, a work-item a pixel (spectra.cl).
+// Graphics variant: outputs of a band → the same with their spectra smoothed, with one work-item per pixel (spectra.cl).
 
 #define NEIGHBOURS (WINDOW * WINDOW)
 
@@ -12,8 +12,8 @@ __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void smooth_spectra(__global const float *restrict made,   // (output, made row, col)
                     __global float *restrict smoothed,     // (output, row, col)
                     float reach,
-                    int made_rows, int top,                // and the frame's row of the first of them
-                    int first, int frame_rows,             // the frame's row of the first that is written, rows of the frame
+                    int made_rows, int top,                // number of made rows, and the frame's row of the first
+                    int first, int frame_rows,             // the frame's row of the first written row, and the rows of the frame
                     int rows, int columns) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;

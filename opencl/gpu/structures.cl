@@ -1,6 +1,6 @@
-// Graphics variant: luminance and classes of the layer before → classes of the next, a work-item a pixel.
+// Graphics variant: luminance and classes of the previous layer → classes of the next, with one work-item per pixel.
 
-#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
+#ifndef TRANSFORM_ONLY  // another program contains this kernel
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);

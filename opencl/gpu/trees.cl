@@ -1,16 +1,16 @@
-// Graphics variant: planes and classes of the layer before → classes of the next by a tree, a work-item a pixel.
+// Graphics variant: planes and classes of the previous layer → classes of the next by a tree, with one work-item per pixel.
 
-// A node is two words: the bits of its threshold; and which numerator it compares, from bit 6 on with which denominator, from bit
-// 8 on the first of its two branches, which follow one another. A leaf is its own branch, and nothing exceeds its threshold.
+// A node has two words. The first holds the bits of its threshold. The second holds its numerator, its denominator (from bit 6) and
+// the first of its two consecutive branches (from bit 8). A leaf is its own branch, and no value exceeds its threshold.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// The node that follows: one product and one comparison in float32, which are the same on every device.
+// The next node, by one product and one comparison in float32, which are the same on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
 }
 
-#ifndef TRANSFORM_ONLY  // a program beside one that has this kernel already
+#ifndef TRANSFORM_ONLY  // another program contains this kernel
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
