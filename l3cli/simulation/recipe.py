@@ -1,4 +1,7 @@
-"""SCENES.toml: what is simulated, under which light, how long exposed: frames = scenes × lights × luminances × exposures."""
+"""The scene recipe (SCENES.toml): which scenes are simulated, under which lights and with which exposures.
+
+The number of frames is scenes × lights × luminances × exposures.
+"""
 
 import itertools
 from collections.abc import Iterator, Mapping
@@ -25,12 +28,12 @@ EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "expo
 
 
 class Lens(Recipe):
-    """Which imperfections of the lens are simulated, and another lens than the camera's (docs/method.md#optics)."""
+    """Which imperfections of the lens are simulated, and what replaces the camera's own lens (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # darker corners; a table does not know where in the frame it is applied
+    off_axis: bool = False  # darker corners; a table treats all parts of the frame alike and cannot correct them
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # number or CSV, on top of what the camera's responsivity holds
+    # number or CSV file, multiplied with the camera's responsivity
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
@@ -38,43 +41,49 @@ class Lens(Recipe):
 
 
 class SensorSetting(Recipe):
-    noise: Literal["all", "shot", "none"] = "all"  # shot: of light and dark current only; none: only rounding
-    noise_model: str | None = None  # of an installed package, in place of the camera's noise (docs/python.md#a-noise-model)
-    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # on top of the camera's gain
+    """Noise and gain of the sensor."""
+
+    noise: Literal["all", "shot", "none"] = "all"  # shot: shot noise of light and dark current; none: only rounding
+    noise_model: str | None = None  # an installed package's, instead of the camera's noise (docs/python.md#a-noise-model)
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # multiplied with the camera's own gain
 
 
 class TargetRecipe(Recipe):
-    # or "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31", "radiance 31" (400…700 nm), "camera" (its bands), a CSV
-    # of functions
+    # or "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31", "radiance 31" (400…700 nm), "camera" (its bands), or a
+    # CSV file of matching functions
+    """What the table should compute from the raw frame."""
+
     outputs: str = "CIE 1931"
-    illuminant: str | None = None  # another light than falls on the frame: illuminant correction
+    illuminant: str | None = None  # light of the target if it differs from the light of the frame: illuminant correction
 
 
 class Pair(Recipe):
-    """A raw file and the picture it should become, pixel by pixel."""
+    """A raw file and the picture that it should become, registered pixel by pixel."""
 
     raw: str  # relative to the recipe
     picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
-    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw that the picture's first pixel shows
-    phase: tuple[int, int] | None = None  # CFA row and column of the raw's first pixel; default: as the file says
-    # picture value × scale = share of full scale that a white as bright gives; default: fitted
+    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw frame at the picture's first pixel
+    phase: tuple[int, int] | None = None  # CFA row and column at the first raw pixel; default: from the file
+    # picture value × scale = fraction of full scale that a white surface of this brightness reaches; default: fitted
     scale: Positive | None = None
 
 
 class SceneRecipe(Recipe):
+    """A scene recipe as a whole."""
+
     title: ClassVar[str] = "a scene recipe"
 
     scene: list[sources.Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
-    # CIE names, "3200K", "D6000K", files of spectra, mixtures "0.7 D65 + 0.3 lamp.csv", or "scene": its own
+    # CIE names, "3200K", "D6000K", files of spectra, mixtures such as "0.7 D65 + 0.3 lamp.csv", or "scene": the scene's own
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several | None = None  # of a perfect white; default: 100
-    lux: Several | None = None  # on it, instead: π times as much
-    exposure_share: Several | None = None  # automatic: share of full scale that white reaches in its brightest channel
-    # automatic: share of all pixels that reach full scale
+    lux: Several | None = None  # illuminance of the white, instead of its luminance; π times the luminance
+    exposure_share: Several | None = None  # automatic: fraction of full scale that a white reaches in its brightest channel
+    # automatic: fraction of the pixels that reach full scale
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
-    exposure_mean: Several | None = None  # automatic: share of full scale that the mosaic's mean reaches, unclipped
-    exposure_s: Several | None = None  # fixed
+    exposure_mean: Several | None = None  # automatic: mean of the mosaic without clipping, as a fraction of full scale
+    exposure_s: Several | None = None  # fixed exposure time
     lens: Lens = msgspec.field(default_factory=Lens)
     sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
     target: TargetRecipe = msgspec.field(default_factory=TargetRecipe)
@@ -86,7 +95,13 @@ class SceneRecipe(Recipe):
         return self.luminances_cd_m2 or [100.0]
 
     def exposures(self) -> tuple[str, list[float]]:
-        """Return the kind of the exposures, as in EXPOSURES, and their values; RecipeError unless exactly one is given."""
+        """Return the kind of exposure (a value of EXPOSURES) and its settings.
+
+        Raises
+        ------
+        RecipeError
+            If the recipe gives no exposure or more than one kind.
+        """
         given = {kind: values for key, kind in EXPOSURES.items() if (values := getattr(self, key)) is not None}
         if len(given) != 1:
             automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
@@ -95,14 +110,14 @@ class SceneRecipe(Recipe):
 
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
-    """Return the lights that scenes of the recipe were recorded under, where it names them."""
+    """Return the lights under which the recipe says that its scenes were recorded."""
     return [
         source.light for source in recipe.scene if isinstance(source, sources.Spectral | sources.IsetScenes) and source.light
     ]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Return every file of spectra that the recipe names, and its role: light, transmittance or functions."""
+    """Return the files of spectra that the recipe names, each with its role: "light", "transmittance" or "functions"."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
     curves = {name: "light" for text in lights for _, name in mixture(text) if names_file(name)}
@@ -114,7 +129,27 @@ def curve_files(recipe: SceneRecipe) -> dict[str, str]:
 
 
 def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]) -> CameraModel:
-    """Return the camera with the recipe's lens and analog gain: that of the training set. RecipeError if impossible."""
+    """Apply the lens and the analog gain of a recipe to a camera.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera as calibrated.
+    recipe : SceneRecipe
+        The recipe.
+    curves : mapping of str to Curve
+        The files of spectra, already read.
+
+    Returns
+    -------
+    CameraModel
+        The camera that the training set stores.
+
+    Raises
+    ------
+    RecipeError
+        If the lens is not possible.
+    """
     lens, optics = recipe.lens, camera.optics
     focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
     f_number = optics.f_number if lens.f_number is None else lens.f_number
@@ -122,20 +157,33 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     if lens.magnification is not None:
         distance = focal * (1.0 + 1.0 / lens.magnification) if lens.magnification > 0 else 0.0
     if 0 < distance <= focal:
-        raise RecipeError("lens: the object must be farther than the focal length")
+        raise RecipeError("lens: the object must be farther away than the focal length; lower focal_length_mm")
     if isinstance(lens.transmittance, str):
         grid, values = curves[lens.transmittance]
         passed = spectra.average(values[0], grid, camera.wavelength)
     else:
         passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
     if not (passed.min() >= 0 and 0 < passed.max() <= 1):
-        raise RecipeError("lens.transmittance must lie in 0…1 and let some light through")
+        raise RecipeError("lens.transmittance must lie between 0 and 1 and be above 0 at some wavelength")
     fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
     return with_analog_gain(fitted, recipe.sensor.analog_gain)
 
 
 def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield all that cannot be of a scene recipe, with `camera` if there is one."""
+    """Yield the faults of a scene recipe.
+
+    Parameters
+    ----------
+    recipe : SceneRecipe
+        The recipe.
+    camera : CameraModel or None
+        The camera that it is meant for, if known.
+
+    Yields
+    ------
+    Fault
+        A message and the keys that it concerns.
+    """
     if not (recipe.scene or recipe.pair):
         yield fault("scene or pair must have an entry", "scene", "pair")
     if recipe.luminances_cd_m2 is not None and recipe.lux is not None:
@@ -158,7 +206,7 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
     if any(map(sources.holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
-        message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
+        message = f'pictures that hold codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
         yield fault(message, "target.outputs", "target.illuminant")
     if outputs not in (*OUTPUTS, CAMERA) and not names_file(outputs):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
@@ -169,14 +217,15 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     if recipe.target.illuminant == SCENE_LIGHT:
         yield fault(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out', "target.illuminant")
     if recipe.pair and outputs == CAMERA:
-        message = "the target of a pair is a picture; target.outputs cannot be the camera's bands"
+        message = 'the target of a pair is a picture; target.outputs cannot be "camera"'
         yield fault(message, "target.outputs", "pair")
 
 
 def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:
     if setting.noise != "all":
         yield fault(
-            f'sensor.noise = "{setting.noise}" is of the camera\'s own noise; leave it or noise_model out', "sensor.noise"
+            f'sensor.noise = "{setting.noise}" selects parts of the camera\'s own noise; give either noise or noise_model',
+            "sensor.noise",
         )
     try:
         noise_plugin(model)
@@ -192,23 +241,38 @@ def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterato
         yield fault(str(error), *given, *(key for key in EXPOSURES if key not in given))
         return
     if unit == "seconds" and camera is not None and not camera.absolute:
-        message = f"{camera.name} has only a relative responsivity; use exposure_share, not exposure_s"
+        message = f"{camera.name} has only a relative responsivity; give exposure_share instead of exposure_s"
         yield fault(message, "exposure_s")
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame to be simulated under a light, with an exposure."""
+    """The light and exposure of one frame."""
 
-    index: int  # of the frame
+    index: int  # number of the frame
     illuminant: str
     luminance: float  # cd/m²
-    exposure: float  # seconds, share of full scale or share of saturated pixels, as SceneRecipe.exposures says
-    moment: int = 0  # frame of a clip
+    exposure: float  # in the unit that SceneRecipe.exposures returns: seconds, fraction of full scale or of pixels
+    moment: int = 0  # number of the frame within its clip
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[sources.WantedScene, list[Shot]]]:
-    """Yield every scene of the recipe with its frames; `files` are those of each of its sources, none where it has none."""
+    """Yield each scene of a recipe with its frames.
+
+    Parameters
+    ----------
+    recipe : SceneRecipe
+        The recipe.
+    files : list of list of Path
+        The files of each source; an empty list for a source without files.
+
+    Yields
+    ------
+    scene : WantedScene
+        The scene.
+    frames : list of Shot
+        Its frames, numbered throughout the recipe.
+    """
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
         for scene in sources.wanted_scenes(source, paths):
@@ -218,7 +282,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
 
 
 def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the lights that a recipe names, and of its files of curves."""
+    """Yield the faults of the lights and the files of spectra that a recipe names."""
     lens, target = recipe.lens, recipe.target
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
@@ -229,7 +293,7 @@ def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
 
 
 def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
-    """Yield the lights that a recipe names, and where."""
+    """Yield each light that a recipe names, and the key that names it."""
     yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
     if recipe.target.illuminant is not None:
         yield recipe.target.illuminant, ("target", "illuminant")
@@ -251,7 +315,7 @@ def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fau
 
 
 def _require_named(name: str, path: Path) -> None:
-    """Raise RecipeError if no light has that name; of a file that is there, because of its suffix."""
+    """Raise RecipeError if no light has this name. If a file has it, the message says that its suffix is unknown."""
     if path.is_file():
-        raise RecipeError(f"{path} is no file of a light by its name; end it in one of {' '.join(SUFFIXES)}")
+        raise RecipeError(f"{path} has no suffix of a spectrum file; end its name in one of {' '.join(SUFFIXES)}")
     spectra.require_illuminant(name)

@@ -25,15 +25,13 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # principal components of the Gaussian in logit space
-DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)  # nm; the same for every camera, so that colours are
+# nm; the wavelengths at which colours are drawn. They are the same for every camera, so a material has one colour for all.
+DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
 # Fraction of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
-DYED = (
-    "library",
-    "mixture",
-    "gaussian",
-)  # kinds whose saturation is drawn per scene; the other kinds have their natural saturation
+# Kinds whose saturation is drawn per scene. The other kinds have their natural saturation.
+DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey
 VESSEL = 0.007  # cm; radius of the blood vessels of the skin
 PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
@@ -170,8 +168,8 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     Absorption, in cm⁻¹, is that of whole blood with 150 g/l haemoglobin (64 500 g/mol), plus the blood-free baseline and
     melanin ∝ λ^−3.33 of [1]_. Reduced scattering is 46 (λ/500)^−b cm⁻¹. Light does not reach the blood in the middle of a
     vessel [2]_. The mean blood and melanin contents and VESSEL are chosen so that the mean skin agrees with that of 41
-    measured skins (Vrhel and others 1994; University of Utah) within 2 %. It agrees with the mean of 71 other skins within 5
-    %.
+    measured skins (Vrhel and others 1994; University of Utah) within 2 %. The mean of 71 other skins differs
+    by at most 5 %.
 
     References
     ----------

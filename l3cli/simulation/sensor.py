@@ -1,4 +1,7 @@
-"""The sensor (docs/method.md#sensor): mean photo-electrons → digital numbers; defects of a real one."""
+"""The sensor: mean photo-electrons become a raw frame in digital numbers (docs/method.md#sensor).
+
+It also draws the defects that the virtual lab adds to a camera.
+"""
 
 import functools
 from dataclasses import dataclass, replace
@@ -14,23 +17,21 @@ from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
-MOST_ELECTRONS = 1e15  # beyond any well, within what a Poisson generator takes
-
-
-NOISES = ("all", "shot", "none")  # shot: only that of light and dark current; none: only rounding
+MAX_ELECTRONS = 1e15  # larger than any well, and small enough for the Poisson generator
+NOISES = ("all", "shot", "none")  # shot: shot noise of light and dark current; none: only rounding
 OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """Differences between a camera's pixels, the same in every frame."""
+    """Differences between the pixels of a camera that are the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col) e-, offset, that of the column included
+    dsnu: NDArray[np.float32]  # (row, col) e-; offset, including the offset of the column
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU maps of the whole sensor, drawn from the camera's own seed."""
+    """Return the PRNU and DSNU maps of the whole sensor, drawn from the fixed-pattern seed of the camera."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
@@ -45,7 +46,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the (row, col) mosaic of full-resolution electrons (channel, row, col), CFA phase (0, 0)."""
+    """Sample full-resolution electrons (channel, row, col) through the CFA, whose site (0, 0) lies at the first pixel."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -54,29 +55,65 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return rates (row, col) e-/s as electrons that would give as many DN at the gain of the camera."""
+    """Convert rates (row, col), in e-/s, to a common gain.
+
+    The result is the rate at which a pixel with the camera's gain would have the same signal in DN. It differs from the
+    input only if the channels have gains of their own.
+    """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
 
 def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the seconds after which `share` of pixels with `rates` (row, col) e-/s are full; ValueError if all is dark."""
+    """Return the exposure time, in s, at which the fraction `share` of the pixels saturates.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    rates : ndarray, (row, col)
+        Mean photo-electrons per pixel, in e-/s.
+    share : float
+        Fraction of saturated pixels.
+
+    Raises
+    ------
+    ValueError
+        If these pixels collect nothing.
+    """
     rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
-        raise ValueError("the scene is too dark for an exposure by its saturated pixels")
+        raise ValueError("the scene is too dark for exposure_saturated; give exposure_share or exposure_s instead")
     return camera.full_scale / rate
 
 
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the seconds after which pixels with `rates` (row, col) e-/s hold `share` of full scale on average, were nothing
-    clipped; ValueError if all is dark."""
+    """Return the exposure time, in s, at which the mean signal is `share` of full scale, ignoring clipping.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    rates : ndarray, (row, col)
+        Mean photo-electrons per pixel, in e-/s.
+    share : float
+        Mean signal as a fraction of full scale.
+
+    Raises
+    ------
+    ValueError
+        If the pixels collect nothing.
+    """
     rate = float(np.mean(signals(camera, rates), dtype=np.float64))
     if rate <= 0:
-        raise ValueError("the scene is too dark for an exposure by its mean")
+        raise ValueError("the scene is too dark for exposure_mean; give exposure_share or exposure_s instead")
     return share * camera.full_scale / rate
 
 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
-    """Return the camera with its analog gain turned up: more DN an electron, its top sooner reached, black level as is."""
+    """Return the camera with its analog gain multiplied by `gain`.
+
+    The black level stays the same. Pixels reach the white level with fewer electrons.
+    """
     white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
     return replace(camera.at_gain(gain), white_level=white_level)
 
@@ -84,11 +121,30 @@ def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
 def expose(
     camera: CameraModel, electrons: NDArray[np.floating], exposure: float, rng: np.random.Generator, noises: str = "all"
 ) -> NDArray[np.uint16]:
-    """Return one raw frame (row, col) in DN of mean photo-electrons after `exposure` seconds (docs/method.md#sensor), with
-    those `noises`: one of NOISES, or the name of a noise model of an installed package. Shot noise is drawn from the Poisson
-    distribution itself.
+    """Simulate one raw frame (docs/method.md#sensor).
 
-    The frame is the upper left part of the sensor, whose fixed pattern it carries; ValueError if it is larger.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    electrons : ndarray, (row, col)
+        Mean photo-electrons collected during the exposure.
+    exposure : float
+        Exposure time in s.
+    rng : Generator
+        Source of the noise.
+    noises : str
+        One of NOISES, or the name of a noise model of an installed package.
+
+    Returns
+    -------
+    ndarray of uint16, (row, col)
+        Raw values in DN. The frame carries the fixed pattern of the upper left part of the sensor.
+
+    Raises
+    ------
+    ValueError
+        If the frame is larger than the sensor.
     """
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
@@ -106,12 +162,15 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """Return a raw frame (row, col) in DN of mean photo-electrons on pixels of such a pattern (docs/method.md#sensor)."""
+    """Simulate one raw frame, in DN, of a sensor with a given fixed pattern (docs/method.md#sensor).
+
+    The other parameters are those of `expose`.
+    """
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
     read_noise: Any = np.float32(noise.read_noise)
     gain: Any = np.float32(camera.gain)
-    if readout is not None:  # then these are those of each pixel
+    if readout is not None:  # exposure, read noise and gain then differ between channels
         channel = camera.channel_map(electrons.shape)
         time = exposure * readout.channel_exposure[channel]
         read_noise = readout.channel_read_noise.astype(np.float32)[channel]
@@ -129,9 +188,9 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons (row, col) with those `noises` of a camera."""
+    """Return the electrons (row, col) with the noise of the camera, or with a part of it as `noises` says."""
     noise = camera.noise
-    signal = np.clip(electrons, 0.0, MOST_ELECTRONS) + np.minimum(noise.dark_current * time, MOST_ELECTRONS)
+    signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
     if noises != "none":
         signal = rng.poisson(signal)
     signal = signal.astype(np.float32)
@@ -144,10 +203,16 @@ def _collected(
 
 @functools.cache
 def noise_plugin(name: str) -> EntryPoint:
-    """Return the noise model of an installed package (docs/python.md#a-noise-model); RecipeError if there is none."""
+    """Find the noise model of an installed package (docs/python.md#a-noise-model).
+
+    Raises
+    ------
+    RecipeError
+        If no installed package offers a noise model of this name.
+    """
     offered = {each: entry for each, entry in plugins(NOISE).items() if each not in NOISES}
     if name not in offered:
-        known = suggestion(name, offered) if offered else "none has any"
+        known = suggestion(name, offered) if offered else "install the package that provides it"
         raise RecipeError(f'no installed package has a noise model "{shortened(name)}"; {known}')
     return offered[name]
 
@@ -155,39 +220,41 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons (row, col) with the noise of a model of a package; L3Error if it gives none."""
+    """Return the electrons (row, col) with the noise of a package's model; L3Error if its result is unusable."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
         if signal.shape != electrons.shape or not np.isfinite(signal).all():
-            raise ValueError(f"electrons must be finite and of shape {electrons.shape}; these are of {signal.shape}")
+            raise ValueError(
+                f"electrons must be finite and have the shape {electrons.shape}; the model returned {signal.shape}"
+            )
     return signal
 
 
 class DefectRecipe(Recipe):
-    """The defects of the virtual lab's sensor."""
+    """Defects of the sensor in the virtual lab."""
 
     hot_pixels_per_million: OfMillion = 25.0
     hot_current_e_per_s: NotNegative = 4000.0  # dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
-    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # soft shadows of a few pixels' radius
-    dust_depth: Share = 0.03  # share of the light that a speck takes in its middle
+    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # soft shadows of dust
+    dust_depth: Share = 0.03  # fraction of the light that a speck blocks at its centre
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
-    column_noise_e: NotNegative = 2.0  # standard deviation of the columns' offsets
+    column_noise_e: NotNegative = 2.0  # e-; standard deviation of the column offsets
 
 
 @dataclass(frozen=True)
 class SensorDefects:
-    """The defects of one sensor, the same in every frame."""
+    """The defects of one sensor, which are the same in every frame."""
 
     hot: NDArray[np.int64]  # (pixel, 2) row, col
     dead: NDArray[np.int64]  # (pixel, 2) row, col
-    shade: NDArray[np.float32]  # (row, col) share of the light that dust lets through
+    shade: NDArray[np.float32]  # (row, col) fraction of the light that passes the dust
     columns: NDArray[np.float32]  # (col) e-, offset
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """Return the defects of a camera, drawn from its fixed-pattern seed."""
+    """Draw the defects of a camera from its fixed-pattern seed."""
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 

@@ -1,4 +1,4 @@
-"""Cameras, lab and scene recipes in figures, and these as lines of text."""
+"""Summaries of cameras, lab recipes and scene recipes, as values for JSON and as lines of text."""
 
 from collections import Counter
 from typing import Any
@@ -15,17 +15,33 @@ from l3cli.simulation.light import camera_unknown, make_light, named_beyond_know
 from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # cd/m² of the white whose exposure is reported: a room
+LUMINANCE = 100.0  # cd/m²; luminance of a white in a room, for which the exposure is reported
 
 
 def camera_figures(camera: CameraModel) -> dict[str, Any]:
-    """Return the curves of each channel, its share of what the brightest collects of a white, and the exposures that fill a
-    pixel, ready for JSON. InputFileError if it collects nothing."""
+    """Summarise a camera.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+
+    Returns
+    -------
+    dict
+        Values for JSON: the array, the curve of each channel, its response to white relative to the brightest channel, and
+        the exposures at which a white saturates a pixel.
+
+    Raises
+    ------
+    InputFileError
+        If the camera collects nothing of a white.
+    """
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
-    rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # of 1 cd/m²
+    rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # per cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
         raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
-    _ = camera.saturation_exposure  # the same of the light of its own wavelengths alone
+    _ = camera.saturation_exposure  # raises InputFileError if the camera collects nothing of D65 at its own wavelengths
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):
@@ -58,14 +74,14 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
-    """Return the camera in figures, and a note on columns of its file of curves."""
+    """Return the summary of a camera, with a note on unused columns in its file of curves."""
     camera = load_camera(source.path)
     unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
     return camera_figures(camera) | {"note": columns_left_out(source.path)} | unknown, []
 
 
 def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
-    """Return the figures of a camera as lines, tables no wider than `width` characters."""
+    """Format the summary of a camera as lines, with tables of at most `width` characters."""
     lights = list(camera["exposure_s"])
     rows = []
     for name, curve in camera["channels"].items():
@@ -86,15 +102,15 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
         "",
         *columns(headings, rows, width),
         "",
-        f"efficiency: e-/photon, {first:g}…{last:g} nm; white: what a channel collects of it, over the brightest channel",
-        f"a white fills a pixel at {', '.join(filled)}: "
+        f"efficiency: e-/photon, {first:g}…{last:g} nm; white: response to a white relative to the brightest channel",
+        f"a white saturates a pixel at {', '.join(filled)}: "
         f"at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g} in {', '.join(times)}",
         *filter(None, [camera["note"]]),
     ]
 
 
 def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
-    """Return captures and frames of each kind for the camera, if one is given."""
+    """Return the captures per kind and the size of the frames, if a camera is given."""
     camera = source.camera
     if camera is None:
         return {}, []
@@ -107,13 +123,13 @@ def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
 
 
 def lab_lines(lab: dict[str, Any], width: int | None) -> list[str]:
-    """Return the figures of a lab recipe as lines."""
+    """Format the summary of a lab recipe as lines."""
     captures = ", ".join(f"{count} {kind}" for kind, count in lab["captures"].items())
     return [f"for {lab['camera']}: captures {captures}; {lab['frames']} frames, {size_text(lab['bytes'])}"]
 
 
 def scene_lines(scenes: dict[str, Any], width: int | None) -> list[str]:
-    """Return the figures of a scene recipe as lines."""
+    """Format the summary of a scene recipe as lines."""
     exposures = [f"{len(values)} exposures ({unit})" for unit, values in scenes["exposures"].items()]
     factors = [
         f"{scenes['scenes']} scenes" + (f" ({scenes['clips']} of them clips)" if scenes["clips"] else ""),
