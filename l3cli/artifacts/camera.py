@@ -54,8 +54,7 @@ class DefectMap:
 class FlatField:
     """Gain that corrects shading: it turns the image of an evenly lit white into a uniform one.
 
-    The gain is relative to the middle of the frame, per channel. It is given on a grid that covers the whole sensor, and
-    is
+    The gain is relative to the middle of the frame, per channel. It is given on a grid that covers the whole sensor, and is
     interpolated linearly between grid lines.
     """
 
@@ -344,8 +343,7 @@ class CameraModel(Artifact):
     def at_gain(self, gain: float) -> "CameraModel":
         """Return the camera at another analog gain.
 
-        The levels stay the same. The read noise is interpolated between the known gains, with its square linear in
-        1/gain²
+        The levels stay the same. The read noise is interpolated between the known gains, with its square linear in 1/gain²
         (docs/method.md#gains).
 
         Parameters
@@ -433,9 +431,8 @@ class CameraModel(Artifact):
     def output_unit(self) -> float:
         """Luminance × exposure time, in cd s/m², that an output of 1 stands for in tables of the camera.
 
-        It is the saturation exposure. If the sensitivities of channels differ more than four times, it is instead a
-        quarter of the
-        exposure that fills the least sensitive channel (docs/method.md#exposures).
+        It is the saturation exposure. If the sensitivities of channels differ more than four times, it is instead a quarter
+        of the exposure that fills the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
@@ -467,8 +464,7 @@ class CameraModel(Artifact):
         """Return the coefficients of the noise variance as a polynomial of the signal above black.
 
         The mean dark signal has been subtracted, and the remaining range stretched to full scale. The shot noise of the
-        dark
-        electrons and their nonuniformity stay in the frame. `noise_left` scales the temporal part of the variance,
+        dark electrons and their nonuniformity stay in the frame. `noise_left` scales the temporal part of the variance,
         without rounding.
 
         Parameters
@@ -477,8 +473,7 @@ class CameraModel(Artifact):
             Dark signal in DN of a channel with the full exposure time and the gain `gain`.
         channel : ndarray of int, optional
             Channel of each pixel. It matters if channels differ in exposure time or gain; without it the coefficients are
-            those
-            of a channel with the full exposure time and the gain `gain`.
+            those of a channel with the full exposure time and the gain `gain`.
 
         Returns
         -------

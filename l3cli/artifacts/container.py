@@ -1,7 +1,6 @@
 """HDF5 files in which a changed byte is detected, and which cannot make HDF5 read outside of them.
 
-The first 512 bytes, HDF5's user block, hold the SHA-256 of all bytes that follow. l3 compares a file with its digest
-before
+The first 512 bytes, HDF5's user block, hold the SHA-256 of all bytes that follow. l3 compares a file with its digest before
 HDF5 opens it, because the library may crash on damaged metadata and its checksums cover only the values of datasets.
 
 Links, external storage, virtual datasets and unknown filters let a file refer to other files or to plug-ins, so all are
@@ -39,8 +38,8 @@ class _Sink(io.RawIOBase):
     """The file object that HDF5 writes to.
 
     HDF5 crashes if a write fails, so errors are stored and raised after HDF5 has closed the file. Signals are held back,
-    too: an
-    exception from within one of these methods would crash HDF5, or be swallowed together with the data to be written.
+    too: an exception from within one of these methods would crash HDF5, or be swallowed together with the data to be
+    written.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -25,9 +25,8 @@ Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows 
 class LightMoments:
     """Second moments of patches and targets under one light, summed over all patches.
 
-    The spectrum of each tap is given by `terms` coefficients. An entry of the moments is a coefficient of one of the
-    SIDE × SIDE taps (tap by tap), or one of the targets at the centre: X, Y, Z relative to white, the same blurred, and
-    the
+    The spectrum of each tap is given by `terms` coefficients. An entry of the moments is a coefficient of one of the SIDE ×
+    SIDE taps (tap by tap), or one of the targets at the centre: X, Y, Z relative to white, the same blurred, and the
     coefficients of the scene in front of the lens.
     """
 

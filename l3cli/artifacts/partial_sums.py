@@ -225,8 +225,7 @@ def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iter
     path : Path
     head : PartialSums or PartialLayerSums
     *sets : iterable of ClassSums or LayerSums
-        The sums of each site of `head.sites`: first at the camera's noise, then at each other noise. Iterables are read
-        one
+        The sums of each site of `head.sites`: first at the camera's noise, then at each other noise. Iterables are read one
         site at a time.
     """
     with store.new_artifact(path, head.kind, head.version, head.history) as root:

@@ -65,8 +65,7 @@ class PlanePlace(NamedTuple):
 class PlaneClasses(GradientScale):
     """Classes of a refinement layer: index = (site · levels + level) · kinds + kind.
 
-    Level and saturation case are those of the first layer. The structures are what the rule distinguishes where nothing
-    is
+    Level and saturation case are those of the first layer. The structures are what the rule distinguishes where nothing is
     saturated.
     """
 

@@ -174,9 +174,8 @@ def check(instance: Any) -> None:
     Dtypes and numbers of axes must be as declared, axes of the same name must have the same length, and numbers must be
     finite.
 
-    An axis that a group labels itself, by a dataset of the axis's name, belongs to that group and the groups below it.
-    Axes that
-    only the members of a list have may differ in length from member to member.
+    An axis that a group labels itself, by a dataset of the axis's name, belongs to that group and the groups below it. Axes
+    that only the members of a list have may differ in length from member to member.
 
     Raises
     ------

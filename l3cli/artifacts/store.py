@@ -1,8 +1,7 @@
 """Reading and writing of artifacts: HDF5 files laid out as their dataclasses declare (docs/artifacts.md).
 
 A file is written completely or not at all, and carries the history of the stages that led to it. `verify` checks that it
-has
-not changed since, and `chain` which of the files at hand it was made from.
+has not changed since, and `chain` which of the files at hand it was made from.
 """
 
 import contextlib

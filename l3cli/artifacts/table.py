@@ -1,7 +1,6 @@
 """The transform table: the class rule and the transforms of every layer (docs/method.md#classes).
 
-A table may also hold transforms for conditions: for single lights (docs/method.md#several-lights), and for frames with
-more
+A table may also hold transforms for conditions: for single lights (docs/method.md#several-lights), and for frames with more
 or less noise than the camera's (docs/method.md#noise-sets). All conditions share the class rules, except that class edges
 follow the noise.
 """
@@ -495,8 +494,7 @@ class TransformTable(Artifact):
         -------
         TransformTable
             If further outputs follow X, Y, Z, a table of X, Y, Z only. If luminance is the only output, a table that
-            renders it
-            three times, GREY. Otherwise the table itself.
+            renders it three times, GREY. Otherwise the table itself.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):

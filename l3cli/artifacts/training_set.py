@@ -47,8 +47,7 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
     light : LightSpectrum
     camera : CameraModel
     output_unit : float, optional
-        Luminance times exposure time, in cd s/m², that Y = 1 stands for. By default that of the camera's tables, for
-        which
+        Luminance times exposure time, in cd s/m², that Y = 1 stands for. By default that of the camera's tables, for which
         colour-science has to be imported.
 
     Returns
@@ -124,8 +123,7 @@ class TrainingFrame(TrainingPair):
     """A simulated pair, for which the noise-free electrons are known too.
 
     The electrons are given for every channel at every pixel. Training can therefore place the mosaic at any offset and in
-    any
-    of its eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera would have recorded.
+    any of its eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera would have recorded.
     """
 
     electrons: NDArray[np.float32] = data(
@@ -155,8 +153,7 @@ class TrainingSet(Artifact):
     """Head of a training set: the camera, the outputs and what the target is.
 
     The frames are stored in the groups frames/00000, frames/00001…, and real pairs in pairs/00000…. `open_training_set`
-    reads
-    them one by one.
+    reads them one by one.
 
     Attributes
     ----------

@@ -2,8 +2,7 @@
 
 There is one module per feature of a pixel's neighbourhood: level, contrast, saturation, chroma and direction. Each module
 holds the feature's recipe keys, its integer formula, the macros and constants of its kernel snippet (opencl/), and the
-names
-of its values in tables and plots.
+names of its values in tables and plots.
 
 * `windows` and `statistics` provide what all features read: for v = DN >> shift over the p × p neighbourhood of a pixel,
   the
@@ -14,7 +13,6 @@ of its values in tables and plots.
 
 ClassRule (artifacts/class_rule) stores a rule and numbers its classes.
 
-To add a feature, write its module here, as `features.FurtherFeature` describes, and its snippet in opencl/. Then add a
-line to
-`features.FURTHER`. The key of that line is the recipe table that switches the feature on.
+To add a feature, write its module here, as `features.FurtherFeature` describes, and its snippet in opencl/. Then add a line
+to `features.FURTHER`. The key of that line is the recipe table that switches the feature on.
 """

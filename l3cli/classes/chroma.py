@@ -2,15 +2,12 @@
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-summed over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The
-distance
-|f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is
-needed.
+summed over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The distance
+|f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is needed.
 
 A rule may dither between chromas (docs/method.md#dither). At the middle between two chromas about half of the CFA sites
-take
-the other chroma, and towards either centre fewer and fewer do. Colours then change smoothly, because later layers average
-over the sites.
+take the other chroma, and towards either centre fewer and fewer do. Colours then change smoothly, because later layers
+average over the sites.
 """
 
 import warnings
@@ -126,10 +123,8 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
     """Return the widths (chroma) over which sites are dithered.
 
     The width is the excess of the second score over the first at which no site takes the second chroma any more. It is
-    DITHERED
-    times the squared distance from the centre to the nearest other centre, in units of 1/256 of score per sum of the
-    channels.
-    It is 0 for rules without dither, and for twins, between which greys would flicker.
+    DITHERED times the squared distance from the centre to the nearest other centre, in units of 1/256 of score per sum of
+    the channels. It is 0 for rules without dither, and for twins, between which greys would flicker.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)

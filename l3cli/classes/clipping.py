@@ -1,14 +1,11 @@
 """Smooth rendering of uniform areas where channels begin to clip (docs/method.md#plain-clipped-areas).
 
 Classes switch abruptly where channels clip. In uniform areas their outputs are therefore replaced by a smooth function of
-the
-channel means.
+the channel means.
 
 The means are taken over blocks. A block consists of whole periods of the array and has sides of at least 4 pixels. A quad
-of
-2 × 2 pixels interpolates four maps between the blocks around it: the fraction of its outputs that is replaced, and the
-three
-outputs that replace it.
+of 2 × 2 pixels interpolates four maps between the blocks around it: the fraction of its outputs that is replaced, and the
+three outputs that replace it.
 """
 
 from dataclasses import dataclass
@@ -144,8 +141,7 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     """Return the blocks that may be uniform.
 
     Blocks are left out if they are textured, or if they are dark. Dark blocks have means of 0, so that a bright block
-    beside
-    one differs from it by at least TEXTURED.
+    beside one differs from it by at least TEXTURED.
 
     Parameters
     ----------
@@ -194,8 +190,7 @@ def grey_level(signal: Array, white: Array) -> Array:
     """Return the brightness (…) of signals (channel, …) as a grey, where a white is 1.
 
     It is the mean of the channels' estimates, weighted by how little each clips. If all channels clip, it is the largest
-    estimate.
-    `white` (channel) holds the signals of a white.
+    estimate. `white` (channel) holds the signals of a white.
     """
     level = np.stack([each / one for each, one in zip(signal, white, strict=True)])
     clipped = smooth_step(signal, BEGINS, CLIPS)

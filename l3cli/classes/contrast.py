@@ -1,8 +1,7 @@
 """Contrast: how much a neighbourhood varies, compared with noise at its level (docs/method.md#contrast).
 
 For each channel let n be the count, S the sum, Q the sum of squares and M = S · round(65536 / n) >> 16 the mean. (M is
-exact
-in uint32, because v has 12 bits.)
+exact in uint32, because v has 12 bits.)
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
     contrast    number of contrast edges (at the pixel's level) that are below Σ V over the channels

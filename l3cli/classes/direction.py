@@ -1,15 +1,12 @@
 """Direction: the axis along which a neighbourhood varies most, how strongly, and whether it varies along that axis only.
 
 docs/method.md#direction has the formulas; coherence is left out unless the recipe asks for it. Rising and falling
-brightness
-along an axis count as the same direction, because transforms are linear.
+brightness along an axis count as the same direction, because transforms are linear.
 
 A mirrored or turned patch varies along another axis (`turned`). A quarter turn exchanges axes 0 and 2, and 1 and 3;
-transposition exchanges 0 and 2. Strength and coherence stay the same. The boxes are placed symmetrically, so this holds
-to
-the last bit, except for ties. Sites that share their training as mirror images therefore read each other's classes at
-the turned direction (training/symmetry), and sums are averaged only over orientations that leave every direction
-unchanged.
+transposition exchanges 0 and 2. Strength and coherence stay the same. The boxes are placed symmetrically, so this holds to
+the last bit, except for ties. Sites that share their training as mirror images therefore read each other's classes at the
+turned direction (training/symmetry), and sums are averaged only over orientations that leave every direction unchanged.
 """
 
 import math

@@ -54,8 +54,7 @@ class FurtherFeature(Feature, Protocol):
     """Interface of a feature that a recipe switches on.
 
     The feature is decided by integer sums over windows of the patch, by the level, and by constants that are chosen when
-    the rule
-    is made. Its snippet defines the function
+    the rule is made. Its snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 

@@ -115,10 +115,8 @@ def joined(rule: ClassRule) -> str:
     """Return C source that combines the further features, for rule.cl.
 
     It defines FURTHER, the number of combined values; WINDOW_SUMS, the number of sums; EACH_WINDOW, which lists the
-    windows; and
-    the function `further_of`. Values beyond the end of a feature are replaced by its last value. If all windows have the
-    same
-    size, BOX_ROWS and BOX_COLUMNS give it.
+    windows; and the function `further_of`. Values beyond the end of a feature are replaced by its last value. If all
+    windows have the same size, BOX_ROWS and BOX_COLUMNS give it.
     """
     windows, values = [], []
     sums = constants = 0
@@ -158,8 +156,7 @@ def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
     """Return the constants of the features, in the order of the kernels' arguments.
 
     `others` are rules that differ only in what depends on noise: contrast edges and constants of further features. Their
-    values
-    follow those of `rule`.
+    values follow those of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

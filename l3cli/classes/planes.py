@@ -1,8 +1,7 @@
 """Layers in fixed point. Their planes are integers that are the same on every device (docs/method.md#planes).
 
 The weights of each channel are rounded such that they add up to their rounded sum. Otherwise rounding would tint uniform
-areas,
-differently at every site. Weights fit 16 bits, which processors multiply twice as fast as floats.
+areas, differently at every site. Weights fit 16 bits, which processors multiply twice as fast as floats.
 """
 
 import functools
@@ -197,9 +196,8 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
     """Round weights (tap, …) to integers less than 1 away, such that the sum over each channel is the nearest integer.
 
-    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up;
-    among equal
-    ones, the first.
+    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up; among
+    equal ones, the first.
     """
     whole = np.floor(weights)
     loss = whole - weights

@@ -37,8 +37,7 @@ def label_planes(
     first_rule : ClassRule
     *others : PlaneRule
         Rules of further sets of transforms, which differ only in the scale of gradients. The sets are numbered one after
-        the
-        other, as if each had its own sites.
+        the other, as if each had its own sites.
 
     Returns
     -------
@@ -103,10 +102,9 @@ def window_means(planes: NDArray, side: int) -> NDArray:
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
     """Return a 64-bit word for each class (class) of the first layer, as kernels read it (opencl/common/gradient.cl).
 
-    The lower half holds the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14).
-    The upper
-    half holds the first class of the site and level. If saturation decides, it holds the class itself and bit 31 is set.
-    `others` as in `label_planes`.
+    The lower half holds the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14). The
+    upper half holds the first class of the site and level. If saturation decides, it holds the class itself and bit 31 is
+    set. `others` as in `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))

@@ -128,8 +128,7 @@ def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
     """Return the recipe's saturation radius, limited to the patch, and wide enough for every site to see every channel.
 
     Otherwise sites would assign different cases to the same clipped area, and most of these cases are never trained on
-    clipped
-    greys (docs/method.md#saturation-cases).
+    clipped greys (docs/method.md#saturation-cases).
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

@@ -33,8 +33,7 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
     """Choose the saturation cases of a rule.
 
     Code 0 is case 0. The most frequent other codes become cases. Every remaining code joins the nearest case. Nearest is,
-    in
-    this order:
+    in this order:
 
     1. a case that has lost a filter if the code has, and otherwise a case that has not,
     2. the case that differs in the fewest channels,
@@ -147,8 +146,7 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
     """Return the summed distance of each pattern to all others, measured as in choose_cases.
 
     The distance is the number of channels that differ, plus one half if the other pattern is not contained in this one.
-    With up
-    to 2¹⁶ patterns they cannot be compared in pairs.
+    With up to 2¹⁶ patterns they cannot be compared in pairs.
     """
     holds = codes[:, None] >> np.arange(channels) & 1
     often = holds.sum(axis=0)

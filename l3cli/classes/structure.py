@@ -1,8 +1,7 @@
 """Structure: strength and direction of the edge at a pixel, from the luminance that the previous layer has rendered.
 
 docs/method.md#structure has the formulas. The angle of (a, b) is twice the angle of the gradient. All integers stay below
-2³¹,
-so results are the same on every device.
+2³¹, so results are the same on every device.
 """
 
 import functools

@@ -1,8 +1,7 @@
 """Trees: threshold tests on the planes of the previous layer near a pixel (docs/method.md#trees lists the quantities).
 
 A test compares a numerator with a threshold times a denominator. Both are integers below 2³¹, which are converted to
-float32
-and multiplied once, by the rules of IEEE 754. The outcome is therefore the same on every device.
+float32 and multiplied once, by the rules of IEEE 754. The outcome is therefore the same on every device.
 """
 
 from dataclasses import dataclass

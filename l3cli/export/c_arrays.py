@@ -39,8 +39,7 @@ SHORT_TOP = 2**15 - 1
 class Array:
     """A constant array of l3_table.c.
 
-    A `packed` array, with an entry per class, has a single axis in C. It is written as string literals of its bytes,
-    which
+    A `packed` array, with an entry per class, has a single axis in C. It is written as string literals of its bytes, which
     compilers read fifty times as fast as numbers.
     """
 

@@ -1,7 +1,6 @@
 """Files of a camera for other software (docs/method.md#colour-matrices).
 
-They are curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for dcamprof's json2dcp, tuning files for
-libcamera,
+They are curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for dcamprof's json2dcp, tuning files for libcamera,
 and a data sheet as CSV.
 """
 
@@ -176,8 +175,7 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     """Return the curve (temperature, 3) of K, r/g and b/g of a grey under black bodies and daylights.
 
     `order` gives the channels r, g, b. The result is None unless r/g falls and b/g rises monotonically, as programs that
-    search
-    along the curve expect.
+    search along the curve expect.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -214,8 +212,8 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 
     `order` gives the channels r, g, b. A processor takes the values of a table for the centres of its cells, extends the
     outermost values to the edge, and interpolates. With a lens that halves the light in the corners, this would leave an
-    error of
-    4 % there. Therefore the gain of each channel is first fitted by the smooth table that leaves the smallest error.
+    error of 4 % there. Therefore the gain of each channel is first fitted by the smooth table that leaves the smallest
+    error.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -367,8 +365,7 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
     """Return a DCP as JSON for dcamprof's json2dcp, with the lights of ILLUMINANTS.
 
-    It also lists the channels in their order, which is that of raw files (r, g, b), and AsShotNeutral for each light,
-    which
+    It also lists the channels in their order, which is that of raw files (r, g, b), and AsShotNeutral for each light, which
     belongs in the DNG of a picture.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))

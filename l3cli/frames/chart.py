@@ -1,9 +1,8 @@
 """A colour chart in a mosaic: finding it, and measuring its patches (docs/method.md#charts-in-photographs).
 
 A chart is a set of uniform regions that lie on a grid and follow the reflectances of its patches. The channels'
-responsivities
-need not be known. The values of each channel are compared with all values that the reflectances allow, which also
-determines the order of the patches.
+responsivities need not be known. The values of each channel are compared with all values that the reflectances allow, which
+also determines the order of the patches.
 """
 
 import itertools
@@ -175,8 +174,7 @@ def _typical(values: Array, least: float) -> NDArray[np.bool_]:
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
     """Return differences (row, col) whose variance is a pixel's noise variance; NaN at the edge.
 
-    They are differences of two frames. For a single frame they are mixed second differences between neighbours of the
-    same
+    They are differences of two frames. For a single frame they are mixed second differences between neighbours of the same
     site, which cancel slopes and the differences between patches.
     """
     if len(frames) > 1:
@@ -199,8 +197,7 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon-transfer line, or None if there is none.
 
-    The line is fitted through the patches and channels of all shots. Processed files and files with almost no noise have
-    no
+    The line is fitted through the patches and channels of all shots. Processed files and files with almost no noise have no
     such line.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])

@@ -187,8 +187,7 @@ class HotTest:
         """Return the frame with hot pixels replaced. `cfa` is the array from the frame's first pixel on.
 
         A hot pixel is far brighter than the eight nearest pixels of its CFA site, while its neighbours of any channel are
-        not brighter
-        than usual. A star, or another detail that a lens has imaged, brightens its neighbours, too.
+        not brighter than usual. A star, or another detail that a lens has imaged, brightens its neighbours, too.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
             return frame  # too few neighbours
@@ -279,12 +278,10 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
     """Return the dark frame from frames of the same size, phase, orientation and exposure time.
 
     The mean of n frames still has 1/√n of their noise, which must not be added to every picture. The difference d of a
-    pixel from
-    the mean is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of that noise (the
-    non-negative
-    garrote, Breiman 1995). Hot pixels are thus removed completely, however few frames there are, and fine patterns better
-    with
-    more frames. σ is estimated from the differences of frames, or from the spread of the pixels of a single frame.
+    pixel from the mean is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of that noise (the
+    non-negative garrote, Breiman 1995). Hot pixels are thus removed completely, however few frames there are, and fine
+    patterns better with more frames. σ is estimated from the differences of frames, or from the spread of the pixels of a
+    single frame.
 
     Raises
     ------

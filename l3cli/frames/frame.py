@@ -85,8 +85,7 @@ class RawFrame:
         `white_level`, clamped to `bits`. Full scale then stands for `light_share` of the previous full scale.
 
         Values are shifted by whole DN, so that no level is lost. The remaining dark current, below half a DN, is added to
-        the black
-        level of the result.
+        the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -137,8 +136,7 @@ def with_one_black_level(
     -------
     values : ndarray, (row, col)
     black_level, white_level : float
-        The black level is the rounded mean. The white level is that of the pixel with the smallest range, so that
-        saturated
+        The black level is the rounded mean. The white level is that of the pixel with the smallest range, so that saturated
         pixels are never taken for bright ones.
     """
     room = float((white_level - black_level).min())
@@ -153,8 +151,7 @@ def with_one_black_level(
 def upright(pixels: NDArray, orientation: int) -> NDArray:
     """Return pixels (row, col, …) in upright orientation, by LibRaw's flip code.
 
-    Code 1 mirrors columns, 2 mirrors rows, and 4 then transposes. So 3 is a half turn, 5 a quarter turn to the left and 6
-    a
+    Code 1 mirrors columns, 2 mirrors rows, and 4 then transposes. So 3 is a half turn, 5 a quarter turn to the left and 6 a
     quarter turn to the right.
     """
     if orientation & 1:
@@ -168,9 +165,8 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
     """Return the source index of each of `length` + 2 · `margin` padded samples.
 
     Inside, a sample is its own source. Outside, the source is the sample with the same CFA phase that is nearest to the
-    mirror
-    image, so that padding preserves the mosaic (docs/method.md#rendering). If the mosaic is shorter than the period, the
-    nearest sample is the source.
+    mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the mosaic is shorter than the period,
+    the nearest sample is the source.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:

@@ -203,8 +203,7 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
     """Return the patches of the ranges of signal that agree about the gain; ValueError if too few agree.
 
     The gain is the lowest on which a quarter of the ranges agree. The other ranges have texture in their weak components,
-    such
-    as a grating with a period of two pixels.
+    such as a grating with a period of two pixels.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -222,8 +221,7 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
     values.
 
     The measured variances are assumed to have gamma distributions around the predicted ones, the excess a normal
-    distribution
-    of width 1. With `excess` None, the excess is fixed at 0.
+    distribution of width 1. With `excess` None, the excess is fixed at 0.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(STEPS):

@@ -183,9 +183,8 @@ class Measurements:
     """All measurements of one camera, and how well the lights are known.
 
     The responsivity comes from one of `mono`, `bands`, `curve` and `photos`. The sensor data come from `darks` and
-    `whites`, or
-    otherwise from `datasheet`, or otherwise from the photos. With a `base`, only defects and flat field are measured, and
-    everything else comes from the base.
+    `whites`, or otherwise from `datasheet`, or otherwise from the photos. With a `base`, only defects and flat field are
+    measured, and everything else comes from the base.
     """
 
     body: Body

@@ -1,9 +1,8 @@
 """Checks of what a raw file states against its pixels: the position of the array, the array itself, the black level.
 
 In a smooth block all sites of one channel read nearly the same. If they do not, the stated CFA phase is probably wrong.
-Another
-phase may only exchange channels with equal patterns, such as r and b of a Bayer array. Then the phase follows from the
-signals of a grey, which many files state, because the mean over a photo is roughly grey.
+Another phase may only exchange channels with equal patterns, such as r and b of a Bayer array. Then the phase follows from
+the signals of a grey, which many files state, because the mean over a photo is roughly grey.
 """
 
 import itertools
@@ -115,13 +114,10 @@ class ArrayDoubt:
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     """Return evidence that a frame has another array than `cfa` (row, col), or None.
 
-    If the array is right, sites at the same place of the super-pixel have the same mean over a frame. Sites of one
-    channel
+    If the array is right, sites at the same place of the super-pixel have the same mean over a frame. Sites of one channel
     do, too, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of another array: single
-    pixels,
-    such as autofocus pixels; differences that are as large modulo a period which no sensor has; and stripes of the scene
-    along
-    rows or columns, which change all channels by the same factor.
+    pixels, such as autofocus pixels; differences that are as large modulo a period which no sensor has; and stripes of the
+    scene along rows or columns, which change all channels by the same factor.
     """
     tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no array has that period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
@@ -211,8 +207,7 @@ def _median(values: NDArray[np.float64]) -> float:
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the mean signal (block, row, col) of each site of a super-pixel in evenly spaced blocks, in DN above black and
-    dark
-    current. The first site is that of the frame's first pixel.
+    dark current. The first site is that of the frame's first pixel.
     """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // SIDE, 1, SIDE))
@@ -284,16 +279,14 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
     """Return the name of a reading of a frame's bytes that is far smoother than the first one, or "" if there is none.
 
-    If low bits are taken for high ones, neighbours of one channel differ by a large part of full scale. A wrong reading
-    can only
-    add such differences, in flat, dark and noisy frames, too.
+    If low bits are taken for high ones, neighbours of one channel differ by a large part of full scale. A wrong reading can
+    only add such differences, in flat, dark and noisy frames, too.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
         Name, pixels and bits of each way to read the same bytes, first the one in use. The others are only tried if that
-        one
-        is rough.
+        one is rough.
     cfa : ndarray of uint8, (row, col)
         Channels of the colour filter array from the first pixel on.
     """

@@ -22,10 +22,8 @@ class Scene:
 
     `reflectance` is the radiance divided by that of a perfect white. It is ≥ 0, and above 1 in specular highlights
     (docs/method.md#simulation). Synthetic scenes, RGB pictures raised to spectra, and cubes of reflectance have
-    NO_ILLUMINANT, and
-    can be lit by any light. Radiance under an unknown light has the equal-photon spectrum as its illuminant: it can be
-    seen as it
-    is, but not relit.
+    NO_ILLUMINANT, and can be lit by any light. Radiance under an unknown light has the equal-photon spectrum as its
+    illuminant: it can be seen as it is, but not relit.
     """
 
     name: str
@@ -78,9 +76,8 @@ class ChannelPicture:
 def _projections(values: NDArray[np.float32], planes: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return sums of values (row, col, plane) of the selected planes, weighted by PROJECTIONS patterns of random signs.
 
-    The sums are divided by the square root of the number of values. Different values give different sums; equal values
-    give equal
-    sums, except for rounding, which varies between machines.
+    The sums are divided by the square root of the number of values. Different values give different sums; equal values give
+    equal sums, except for rounding, which varies between machines.
     """
 
     def signs(axis: int, length: int) -> NDArray[np.float32]:

@@ -1,7 +1,6 @@
 """Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
 
-The mean loss over the channels is compensated by a gain of the outputs. This is possible because transforms are linear,
-and
+The mean loss over the channels is compensated by a gain of the outputs. This is possible because transforms are linear, and
 it keeps the classes right: they are decided from the original values, which have the camera's noise at their level. Only
 the deviation of each channel from the mean is corrected in the values themselves, where it changes their noise only
 slightly.
@@ -44,9 +43,8 @@ class Shading:
     ) -> "Shading":
         """Return the shading of patches.
 
-        It has the colour shading (patch, tap) of the pixels `taken`, and one gain per patch, at its centre. The centres
-        lie at the
-        crossings of `rows` and `cols`.
+        It has the colour shading (patch, tap) of the pixels `taken`, and one gain per patch, at its centre. The centres lie
+        at the crossings of `rows` and `cols`.
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)

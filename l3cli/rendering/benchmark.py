@@ -206,8 +206,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
     -------
     dict
         The case, and "frame_ms" as the caller waits, "stages_ms" as the device measures them (OpenCLRenderer.stage_times)
-        and
-        "stages_sum_ms".
+        and "stages_sum_ms".
     """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)

@@ -53,8 +53,7 @@ class Mix:
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     """Return the mixture of a table's lights for a scene whose white has the given XYZ (3).
 
-    The mixture is linear in reciprocal colour temperature between the two nearest lights. Beyond the outermost light it
-    is
+    The mixture is linear in reciprocal colour temperature between the two nearest lights. Beyond the outermost light it is
     that light alone. The result is None if the table has no transforms for single lights.
     """
     if not table.lights:
@@ -190,8 +189,7 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
     """Return one set of transforms for a gain.
 
     The relative noise of each level at this gain equals that of another level at the camera's own gain. Each class takes
-    the
-    transforms of that level. Classes of clipped pixels keep their own.
+    the transforms of that level. Classes of clipped pixels keep their own.
     """
     if gain == 1:
         return table
@@ -231,9 +229,9 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     """Return a layer whose unclipped classes take the transforms of other levels.
 
-    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) states,
-    for each
-    level of the first layer, the level to read, which may lie between two. `sites` is the number of sites of the array.
+    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) states, for
+    each level of the first layer, the level to read, which may lie between two. `sites` is the number of sites of the
+    array.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -263,8 +261,8 @@ class NoiseSets:
     """The sets of transforms that the pixels of a frame choose from.
 
     The first set is for the noise of the table's camera. With `by_noise`, further sets are for less noise. The classes of
-    the sets
-    are numbered one after the other, as if each set had its own sites, so that kernels and the reference index one array.
+    the sets are numbered one after the other, as if each set had its own sites, so that kernels and the reference index one
+    array.
 
     Raises
     ------

@@ -87,9 +87,8 @@ def adapted_display(
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
     """Return M (3, 3), such that M @ XYZ are linear values of a space.
 
-    It multiplies by `scale`, adapts to D65 by `adaptation` (3, 3), and from there to the white of the space. RecipeError
-    if the
-    scale is not positive.
+    It multiplies by `scale`, adapts to D65 by `adaptation` (3, 3), and from there to the white of the space. RecipeError if
+    the scale is not positive.
     """
     if not (np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
@@ -119,8 +118,7 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     -------
     ndarray, (3, 3)
         `adaptation`. For a table that shows grey it is the white of D65 times Y, so that R, G and B of a picture are
-        exactly
-        equal.
+        exactly equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 

@@ -95,11 +95,9 @@ class SpreadSamples:
 class LightMeter:
     """Meter of the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the processor.
 
-    The result is limited to the luminance of a white that clips every channel, because such a white is always shown
-    white. The
-    pixels have a single CFA site, since all sites respond equally to uniform areas. The result depends only on the frame,
-    not on
-    the device.
+    The result is limited to the luminance of a white that clips every channel, because such a white is always shown white.
+    The pixels have a single CFA site, since all sites respond equally to uniform areas. The result depends only on the
+    frame, not on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -145,9 +143,8 @@ class SteadyExposure:
     """Exposure scale of each frame of a sequence, in order.
 
     The first frame gets the scale that its brightness requires. Later frames approach theirs exponentially, in log
-    exposure. This
-    averages the noise of the measurement, and follows a change of light without overshoot. A change of analog gain is
-    followed immediately. The scale depends only on past frames.
+    exposure. This averages the noise of the measurement, and follows a change of light without overshoot. A change of
+    analog gain is followed immediately. The scale depends only on past frames.
     """
 
     def __init__(self, rate: Fraction) -> None:

@@ -1,9 +1,8 @@
 """Flicker of mains light in a sequence: by how much it brightens or darkens each frame (docs/method.md#flicker).
 
 Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. A camera with r frames per second sees this frequency, and its
-second
-harmonic, aliased: at the distance to the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per
-second.
+second harmonic, aliased: at the distance to the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames
+per second.
 
 The log brightness of a sequence is modelled as a slow trend, jumps where light or picture change, and sines at these few
 known frequencies. The model is fitted to the differences between consecutive frames. There a jump is a single outlier,

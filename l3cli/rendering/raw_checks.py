@@ -1,8 +1,7 @@
 """Warnings about frames that do not fit a table.
 
-A frame may come from another camera or array, or have light levels that the table was not trained for. Its values may
-also be
-implausible, because of mistakes about bit depth, byte order, black level or size.
+A frame may come from another camera or array, or have light levels that the table was not trained for. Its values may also
+be implausible, because of mistakes about bit depth, byte order, black level or size.
 """
 
 import re
@@ -81,8 +80,7 @@ class FrameWarnings:
         """Pass frames on, and check every still, or the first frame of a sequence.
 
         Later frames of a sequence are only checked for values that the converter cannot give, and only if the first frame
-        has none.
-        Frames that a worker will read are not checked.
+        has none. Frames that a worker will read are not checked.
         """
         first_text = ""
         for each in frames:

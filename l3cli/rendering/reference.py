@@ -225,8 +225,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
         o_p ← ō_p · Y_p / Ȳ_p
 
     where ō and Ȳ are means weighted by w. Means are taken of differences from the pixel, so that uniform areas stay
-    unchanged to
-    the last bit.
+    unchanged to the last bit.
     """
     _, rows, cols = planes.shape
     brightness = planes.mean(axis=0)

@@ -52,9 +52,8 @@ class Renderer(Protocol):
 def make_ready(backend: str, **options: str | None) -> None:
     """Prepare what all renderers of a backend need: import modules, find the device, start its compiler.
 
-    This takes about as long as reading a table, so both can run in parallel. Errors are reported by `make_renderer`,
-    which has the
-    same `options`.
+    This takes about as long as reading a table, so both can run in parallel. Errors are reported by `make_renderer`, which
+    has the same `options`.
     """
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
@@ -93,10 +92,8 @@ class NoiseRenderer:
     """Renderer for frames of any analog gain and noise.
 
     A frame is rendered with the transforms for its analog gain. A frame with less noise, after a temporal filter, is
-    rendered
-    with the transforms that the noise of each pixel requires. If the table has none for less noise, class edges are
-    adjusted to
-    the frame's fraction of noise instead.
+    rendered with the transforms that the noise of each pixel requires. If the table has none for less noise, class edges
+    are adjusted to the frame's fraction of noise instead.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:

@@ -264,9 +264,8 @@ class FrameMeter:
 class Following:
     """Determines exposure scale and white balance of frames in order, and filters them.
 
-    Parameters are those of FrameMeter. With `rate` None, all frames keep the scale and balance of the first. `temporal`
-    is the
-    temporal filter, if any.
+    Parameters are those of FrameMeter. With `rate` None, all frames keep the scale and balance of the first. `temporal` is
+    the temporal filter, if any.
     """
 
     def __init__(

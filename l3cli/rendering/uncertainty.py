@@ -2,14 +2,11 @@
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value that is as bright as the output of pixel p. The gains G belong to the classes
-of
+s is the standard deviation of a raw value that is as bright as the output of pixel p. The gains G belong to the classes of
 the last layer, the factors K to the kinds of the first.
 
-To find them, the rendered picture is taken as the true scene. The camera is simulated several times with new noise, and
-the
-frames are rendered, so that the effect of noise on the choice of classes is included. G and K are fitted such that the
-mean
+To find them, the rendered picture is taken as the true scene. The camera is simulated several times with new noise, and the
+frames are rendered, so that the effect of noise on the choice of classes is included. G and K are fitted such that the mean
 σ of each class and kind equals the standard deviation of these renderings. At the border of a frame windows are mirrored
 and read some raw values twice, so that noise averages out less. The factors E of the outermost rows and columns correct
 this.
@@ -331,8 +328,7 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
     """Return a matrix (channel, output) from outputs to signals in DN, and the ratio of mean DN to mean brightness.
 
     The matrix is found by robust least squares over blocks of the `sampled` rows and columns of a frame at the table's
-    levels.
-    Errors are taken relative to the brightness of a block, because fine patterns may not be resolved.
+    levels. Errors are taken relative to the brightness of a block, because fine patterns may not be resolved.
     """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
@@ -380,9 +376,8 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     fitting.
 
     They are chosen such that the mean prediction over the draws equals the `measured` standard deviation (output, row,
-    col): over
-    each level, each class within its site and each class of the last layer, and over each kind of the first layer. The
-    prediction for a pixel comes from its classes (draw, pixel) and its `spread` (draw, pixel).
+    col): over each level, each class within its site and each class of the last layer, and over each kind of the first
+    layer. The prediction for a pixel comes from its classes (draw, pixel) and its `spread` (draw, pixel).
     """
     from scipy.sparse import coo_array
 

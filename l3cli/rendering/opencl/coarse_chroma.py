@@ -25,8 +25,7 @@ class DeviceCoarseChroma:
         variant: str,
     ) -> None:  # fmt: skip
         """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it on a track,
-        over rows
-        and columns; `constant` puts an array on the device.
+        over rows and columns; `constant` puts an array on the device.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # average, soften

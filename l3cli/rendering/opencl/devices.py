@@ -1,9 +1,9 @@
 """Finding OpenCL devices, explaining why there are none, and choosing the folder in which PoCL caches compiled kernels.
 
 PoCL trusts whatever it finds in its cache, and ends the process if it cannot write there. The folder therefore belongs to
-this
-user alone and is on a disk with enough space; otherwise it is a temporary folder. docs/limits.md describes what a damaged
-file in it does. Other drivers cache kernels themselves. pyopencl's own cache is not used, because it unpickles its files.
+this user alone and is on a disk with enough space; otherwise it is a temporary folder. docs/limits.md describes what a
+damaged file in it does. Other drivers cache kernels themselves. pyopencl's own cache is not used, because it unpickles its
+files.
 """
 
 import atexit
@@ -139,8 +139,7 @@ def pyopencl() -> Any:
     ------
     DeviceError
         If OpenCL is not installed, or if this process was forked from one that uses OpenCL. Drivers have threads, which a
-        fork
-        does not copy, so the first call would wait for ever.
+        fork does not copy, so the first call would wait for ever.
     """
     global _owner
     if _owner not in (None, os.getpid()):

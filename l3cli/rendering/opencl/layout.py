@@ -51,9 +51,8 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
     """Return the macros of a transfer curve as 32 parabolas, which give codes up to `top`, plus one half for rounding.
 
-    The variable is u = 2^-8 + CURVE_SHARE · x. There are four parabolas per octave of u, fitted at Chebyshev's nodes,
-    with errors
-    within 3e-5 of `top`. They are stored in the order in which the upper bits of u number them.
+    The variable is u = 2^-8 + CURVE_SHARE · x. There are four parabolas per octave of u, fitted at Chebyshev's nodes, with
+    errors within 3e-5 of `top`. They are stored in the order in which the upper bits of u number them.
     """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
@@ -374,9 +373,8 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     """Pack weights (class, …) for side_by_side.cl, or (class, group, …) for floating_point.cl.
 
     The latter consist of, for each group of outputs: vectors (vector, output, lane) of all taps of a window but the last;
-    the
-    last taps of four outputs; their four intercepts; the taps after the window one by one; and zeros up to a multiple of
-    16.
+    the last taps of four outputs; their four intercepts; the taps after the window one by one; and zeros up to a multiple
+    of 16.
     """
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
@@ -413,9 +411,8 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     """Pack the weights for side_by_side.cl.
 
-    Per class there is a header with the four intercepts at a stride of 4, then blocks of `once` taps for outputs 0 to 3
-    in turn.
-    Missing outputs and taps are zero.
+    Per class there is a header with the four intercepts at a stride of 4, then blocks of `once` taps for outputs 0 to 3 in
+    turn. Missing outputs and taps are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)

@@ -1,10 +1,8 @@
 """Choice of the processor that PyPI's PoCL 3.0 compiles for, if its compiler does not know the actual processor.
 
 PoCL asks its compiler, LLVM 14 of 2022, for the name of the processor. LLVM calls newer processors "generic", a name that
-it
-then refuses as a target, so that nothing can be built (https://github.com/pocl/pocl/issues/1049). PoCL has no option or
-variable for another name. The name is therefore replaced within the structure of PoCL's device, by that of a processor
-that
+it then refuses as a target, so that nothing can be built (https://github.com/pocl/pocl/issues/1049). PoCL has no option or
+variable for another name. The name is therefore replaced within the structure of PoCL's device, by that of a processor that
 LLVM knows and whose abilities the actual processor has (docs/limits.md).
 """
 

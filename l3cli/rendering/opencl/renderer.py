@@ -49,8 +49,7 @@ class DeviceShading:
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
         """Prepare without building. `kernel` builds a kernel from source, macros and name; `constant` puts an array on the
-        device;
-        `lanes` is the length of its vectors.
+        device; `lanes` is the length of its vectors.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -102,8 +101,7 @@ class DeviceSpectra:
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
         """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it over rows and
-        columns of
-        a track.
+        columns of a track.
         """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
@@ -158,17 +156,15 @@ BEYOND = 16  # bytes after the last pixel, which vectors may read
 class OpenCLRenderer:
     """Renderer on an OpenCL device.
 
-    Programs, kernels and the table's buffers are created once, the buffers of bands once per frame size. Only one thread
-    at a
-    time may use a renderer; other threads run while it waits.
+    Programs, kernels and the table's buffers are created once, the buffers of bands once per frame size. Only one thread at
+    a time may use a renderer; other threads run while it waits.
 
     Parameters
     ----------
     table : TransformTable
     device : str, optional
         Number of the device, or a part of its name. By default the environment variable L3_DEVICE, the first GPU, or the
-        first
-        device.
+        first device.
     variant : str, optional
         A key of layout.VARIANTS. By default the variant for the device's type.
     lanes : int, optional
@@ -276,11 +272,9 @@ class OpenCLRenderer:
         """Return the time in ms that the device spent in each of `stages`, for a picture, or for outputs if `display` is
         None.
 
-        Classes and transforms of the first layer are timed separately, even if they are otherwise one kernel.
-        "transforms" is the
-        time of the kernel built without encoding, which writes one number per pixel instead. "encode" is the additional
-        time of the
-        whole kernel. The first call warms up, so use the second.
+        Classes and transforms of the first layer are timed separately, even if they are otherwise one kernel. "transforms"
+        is the time of the kernel built without encoding, which writes one number per pixel instead. "encode" is the
+        additional time of the whole kernel. The first call warms up, so use the second.
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -315,10 +309,8 @@ class OpenCLRenderer:
         """Start to render a frame.
 
         `results` are one or several arrays (row, …), which follow one another on the device. The kernel `transform` with
-        the given
-        ending fills them. `labels` (row, col), by layer, receive the classes. With `borrow` the frame's values may be
-        read until
-        all is done; otherwise they are copied, because the caller may change them.
+        the given ending fills them. `labels` (row, col), by layer, receive the classes. With `borrow` the frame's values
+        may be read until all is done; otherwise they are copied, because the caller may change them.
         """
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)

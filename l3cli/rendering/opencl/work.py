@@ -77,8 +77,7 @@ class Track:
         """Enqueue a kernel.
 
         The types of its arguments are stated once. Otherwise pyopencl would determine them on every call, which takes
-        longer than
-        everything else before a frame's first kernel.
+        longer than everything else before a frame's first kernel.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])

@@ -1,8 +1,7 @@
 """The temporal filters of a sequence, and the frames at which they start, which do not depend on who renders the sequence.
 
 A sequence is divided into chunks of CHUNK frames, counted from the first frame. The filter of a chunk starts LEAD frames
-before the chunk, so that little noise is left when the chunk begins. A frame therefore depends on at most LEAD + CHUNK −
-1
+before the chunk, so that little noise is left when the chunk begins. A frame therefore depends on at most LEAD + CHUNK − 1
 other frames. A run that resumes another reads these frames again and gives the same result.
 """
 
@@ -68,8 +67,7 @@ class AnyOrder:
     """The filters of a sequence whose frames are requested in any order, as video editors do.
 
     Each frame is the same as in a sequential run. A frame that does not follow the previous request is computed from the
-    start
-    of its chunk's lead-in. Threads may share an instance, but only one works at a time.
+    start of its chunk's lead-in. Threads may share an instance, but only one works at a time.
 
     Parameters
     ----------

@@ -1,10 +1,9 @@
 """Motion vectors: where each block of a frame was in the previous frame (docs/method.md#temporal), in integers.
 
 Both frames are averaged over periods of the array, which removes the mosaic. These planes are halved repeatedly, until a
-sample is about as large as a block. The search goes from the coarsest plane to the finest, in whole periods, so that
-sites keep
-their channel. Most blocks do not move, or the vector of the coarser plane fits: their difference is no larger than noise,
-and they are not searched further.
+sample is about as large as a block. The search goes from the coarsest plane to the finest, in whole periods, so that sites
+keep their channel. Most blocks do not move, or the vector of the coarser plane fits: their difference is no larger than
+noise, and they are not searched further.
 """
 
 import itertools

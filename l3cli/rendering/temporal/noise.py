@@ -1,8 +1,7 @@
 """The cells and blocks into which the filter divides a frame, and the camera's noise in the filter's integers.
 
-Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion so keeps
-fractions of
-a DN, and every camera uses the full range of 16 bits.
+Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion so keeps fractions
+of a DN, and every camera uses the full range of 16 bits.
 """
 
 from dataclasses import dataclass
@@ -98,8 +97,8 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 class NoiseTerms:
     """Noise of a pixel with signal S above black, in units u.
 
-    The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is
-    fixed + (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters where a vector compares different pixels.
+    The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is fixed +
+    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters where a vector compares different pixels.
     """
 
     protect: int  # bits by which a DN is shifted left to give u
@@ -139,8 +138,7 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     """Return the fraction of a camera's noise variance that a filter has left at a frame's mean level.
 
     `left` is the fraction of the temporal variance. The fixed pattern is not reduced. The result is the least of SHARES
-    that is not
-    below the fraction.
+    that is not below the fraction.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch

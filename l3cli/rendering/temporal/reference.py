@@ -55,9 +55,8 @@ def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
 def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
     """Return the state for frames with another gain or exposure time (docs/method.md#temporal).
 
-    Signals become `times` as large. `noises` are the noise before and now; the remaining noise becomes another fraction
-    of the
-    new noise, at most all of it.
+    Signals become `times` as large. `noises` are the noise before and now; the remaining noise becomes another fraction of
+    the new noise, at most all of it.
     """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)

@@ -263,11 +263,9 @@ class SceneWhite:
 class Whites:
     """Finds the whites of scenes for a table.
 
-    If the table knows its camera and its training light, the channels of a frame are first brought to the ratios they
-    have
+    If the table knows its camera and its training light, the channels of a frame are first brought to the ratios they have
     under the training light. Only then are the edges of grey objects grey and clipped highlights white. A matrix corrects
-    the
-    remaining colour errors of surfaces.
+    the remaining colour errors of surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -311,8 +309,7 @@ class Whites:
         """Return the scene white for a known XYZ (3).
 
         If it matches the training white, pictures are adapted from it. Otherwise the light is assumed to be the nearest
-        black body
-        or daylight, shifted between green and magenta. If no such light is plausible, pictures are adapted only.
+        black body or daylight, shifted between green and magenta. If no such light is plausible, pictures are adapted only.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:

@@ -96,11 +96,9 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
     """Return the logarithms (2) of the outer cone responses relative to the middle one, of white, or None with too few
     samples.
 
-    The result is the mean of two estimates. The grey-edge method assumes that large steps between neighbours are grey
-    (van de
-    Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each cone belongs to
-    white
-    (Land, 1977).
+    The result is the mean of two estimates. The grey-edge method assumes that large steps between neighbours are grey (van
+    de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each cone belongs to
+    white (Land, 1977).
 
     Parameters
     ----------
@@ -348,8 +346,7 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
     Parameters
     ----------
     text : str or None
-        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" or None for the
-        table's
+        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" or None for the table's
         white.
     table : TransformTable
         The table that renders.
