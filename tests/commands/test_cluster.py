@@ -260,7 +260,7 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
             with pytest.raises(L3Error, match="no worker for 1 s"):
                 _go_on(pool(_process, range(10_000)), cluster.workers[0].kill)
         cluster.add(1)
-        with workers(1, there) as pool, pytest.raises(L3Error, match="the scheduler has gone"):
+        with workers(1, there) as pool, pytest.raises(L3Error, match="the scheduler has stopped"):
             _go_on(pool(_process, range(10_000)), cluster.scheduler.kill)
         with pytest.raises(L3Error, match="no scheduler answers"), workers(1, there):
             pass
