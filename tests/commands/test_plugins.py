@@ -106,7 +106,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     for name, words in {
         "basic": "the name of one of l3's own baselines",
         "ideal": '"ideal" is already in use',
-        "a/b": "other characters",
+        "a/b": "may have only letters",
     }.items():
         entries.write_text(text.replace("boxes =", f"{name} ="))
         code = 2 if name == "ideal" else 1
