@@ -1,5 +1,9 @@
-"""A camera model as a section: its array, responsivities, noise, and how well it predicts its charts; and as a data sheet of
-EMVA 1288: operation point, figures, the plots of release 4.0 (docs/measurement.md#data-sheet)."""
+"""A camera model in a report: a section, or a data sheet.
+
+The section shows the colour filter array, the responsivities, the noise, and how well the model predicts the charts it was
+fitted to. The data sheet follows EMVA 1288 release 4.0: operation point, values per channel, and the plots of the standard
+(docs/measurement.md#data-sheet).
+"""
 
 from typing import Any
 
@@ -15,15 +19,30 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, S
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
 
-CELL, WIDEST = 44, 104  # px, of a filter in the drawing of the array
-HEADROOM = 1.06  # above the curves, for their names
-LABELLED = 24  # letters of all channels' names that find room above the curves
-NEARLY = 0.9  # of the variance that a line of photon transfer has: points below are saturated
+CELL, WIDEST = 44, 104  # px, height and maximum width of a filter in the drawing of the array
+HEADROOM = 1.06  # top of the axis relative to the highest curve, so that there is space for labels
+LABELLED = 24  # characters; if all channel names together are longer, the curves get no labels
+NEARLY = 0.9  # a point with less than this fraction of the variance on the photon transfer line counts as saturated
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
-    """Return the section of a camera model. `figures` is what `l3 calibrate --json` says of the camera, and under
-    "shortfall" why not to trust it, if so; `name` is the file it comes from."""
+    """Build the section of a camera model.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    figures : dict
+        The document that `l3 calibrate --json` prints for this camera. Its entry "shortfall" says why the model should not
+        be trusted, and is empty or None otherwise.
+    name : str
+        Name of the file that contains the camera.
+
+    Returns
+    -------
+    Section
+        Sensor and array, responsivities, noise, and if the camera was fitted to charts its validation.
+    """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
         Subsection("Responsivities", (Figures(responsivity_figures(camera)),)),
@@ -38,6 +57,7 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
 
 
 def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
+    """Summarize the camera in a few sentences."""
     rows, cols = camera.cfa.shape
     text = (
         f"{len(camera.channels)} channels in a {rows} × {cols} colour filter array on {camera.cols} × {camera.rows} pixels, "
@@ -58,12 +78,12 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence, after a blank, on lamps that drifted more than was declared; "": none did."""
+    """Return a sentence about lamps that drifted more than declared, with a leading space, or an empty string."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (
-        f" The charts disagree as if the lamps had drifted by {tidy(100 * camera.fit.drift.deviation, 2)} %; the confidence "
-        "bands allow for it."
+        f" The charts disagree as if the lamps had drifted by {tidy(100 * camera.fit.drift.deviation, 2)} %. The confidence "
+        "bands include this drift."
     )
 
 
@@ -71,7 +91,10 @@ def drift_note(camera: CameraModel) -> str:
 
 
 def array_figure(camera: CameraModel) -> Figure:
-    """Return one period of the array."""
+    """Draw one period of the colour filter array.
+
+    Each site shows the colour of daylight through its channel, and the channel's name.
+    """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
     wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
@@ -89,7 +112,7 @@ def array_figure(camera: CameraModel) -> Figure:
         )
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
-    finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours are those of daylight through each channel."
+    finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours show daylight through each channel."
     svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, fixed_size=True)
     sites = tuple((str(row), str(col), camera.channels[channel]) for (row, col), channel in np.ndenumerate(camera.cfa))
     return Figure("Colour filter array", svg, finding, narrow=True, data=Data(("row", "column", "channel"), sites))
@@ -112,7 +135,7 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """Return the origin of the figures that were not measured: photos leave dark frames' figures at 0."""
+    """Say where values come from that were not measured. A model from photos sets dark-frame values to 0."""
     return "not measured, taken as 0" if "dark current" in camera.declared else "taken from the data sheet"
 
 
@@ -120,7 +143,10 @@ def _declared_from(camera: CameraModel) -> str:
 
 
 def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
-    """Return the curves, and where they were measured their confidence bands."""
+    """Plot the responsivity curves.
+
+    If the curves have confidence bands, these are drawn around the curves, and a second figure shows their half widths.
+    """
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
     plot = Plot(
@@ -140,7 +166,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Return the half widths alone, since a good calibration's bands are thinner than its lines."""
+    """Plot the half widths of the bands on their own. Bands of a good calibration are thinner than the curves."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)
@@ -148,8 +174,8 @@ def _band_figure(camera: CameraModel) -> Figure:
         plot.line(camera.wavelength, share, key.colour, key.mark, series=key.label)
     medians = ", ".join(f"{name} {tidy(float(np.median(s)), 2)} %" for name, s in zip(camera.channels, shares, strict=True))
     finding = (
-        f"Half width of the 95 % band as a share of the channel's peak, median over wavelengths: {medians}; "
-        f"at most {tidy(shares.max(), 2)} %."
+        f"Half width of the 95 % band relative to the channel's peak, median over wavelengths: {medians}. "
+        f"The maximum is {tidy(shares.max(), 2)} %."
     )
     return plot.figure("Confidence bands", finding, keys)
 
@@ -171,7 +197,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
     if any(others.values()):
         blocks.append(table_of("Figures of each channel", "channel", others))
     if figures["saturation reached"] is False:
-        blocks.append(Text("No white frame saturates: the white level is taken to be the converter's last value."))
+        blocks.append(Text("No white frame saturates: the white level is assumed to be the largest value of the converter."))
     if figures["defects"]:
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""
@@ -180,14 +206,14 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
         blocks.append(Text("Defect map: " + ", ".join(f"{what} {count}" for what, count in found.items())))
     if lost := figures.get("corner fall-off %"):
         shares = ", ".join(f"{name} {share:.3g} %" for name, share in lost.items())
-        blocks.append(Text(f"Flat field: light lost in the darkest corner: {shares}"))
+        blocks.append(Text(f"Flat field, loss of light in the darkest corner: {shares}"))
     if figures["left out"] and not figures["photos"]:
         blocks.append(Details(f"{counted(len(figures['left out']), 'capture')} left out", "\n".join(figures["left out"])))
     return tuple(blocks)
 
 
 def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Return the temporal variance over the mean signal, with the line that the system gain is the slope of."""
+    """Plot the photon transfer: temporal variance over mean signal, with lines whose slope is the system gain K."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
@@ -196,7 +222,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
-        end = float(mean[int(variance[:, channel].argmax()), channel])  # beyond it the channel saturates
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # above this signal the channel saturates
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
@@ -205,18 +231,29 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     )
     line = noise.conversion_gain * mean + (noise.conversion_gain * noise.read_noise) ** 2
     full = int((variance < NEARLY * line).sum())
-    finding = f"The slope is the system gain K in DN/e⁻: {gains}. Lines are K times signal plus dark variance."
-    points = f"{counted(full, 'saturated point')}, of less variance, {'lies' if full == 1 else 'lie'} below them."
+    finding = f"The slope is the system gain K in DN/e⁻: {gains}. Each line is K times the signal plus the dark variance."
+    points = f"{counted(full, 'saturated point')} with less variance {'lies' if full == 1 else 'lie'} below the lines."
     return plot.figure("Photon transfer", f"{finding} {points}" if full else finding, keys)
 
 
 Array = NDArray[np.floating]
-LINEAR = (0.05, 0.95)  # share of saturation over which linearity is judged
-SHOT_MOST = 1e-3  # of saturation, from which the curve of signal over noise is drawn
+LINEAR = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
+SHOT_MOST = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
 
 
 def data_sheet(camera: CameraModel) -> Section:
-    """Return the data sheet of a camera whose noise was measured."""
+    """Build the EMVA 1288 data sheet of a camera.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        A camera with measured noise (`camera.fit.noise`).
+
+    Returns
+    -------
+    Section
+        Operation point, values per channel, and plots.
+    """
     assert camera.fit is not None
     noise = camera.fit.noise
     assert noise is not None
@@ -226,19 +263,20 @@ def data_sheet(camera: CameraModel) -> Section:
         Subsection("Figures", (figures_table(camera, noise), Text(MEANINGS))),
         Subsection("Plots", (Figures((*plots, snr_figure(camera, noise), *responsivity_figures(camera))),)),
     )
-    return Section("EMVA 1288 data sheet", f"{camera.name}: as measured, channel by channel.{drift_note(camera)}", parts)
+    return Section("EMVA 1288 data sheet", f"{camera.name}, as measured, per channel.{drift_note(camera)}", parts)
 
 
 MEANINGS = (
-    "η: quantum efficiency with lens and filters, at the channel's peak. SNR max: root of the saturation capacity. "
-    "Threshold: signal whose signal-to-noise ratio is 1; DR: saturation capacity over it. DSNU and PRNU: standard "
-    "deviations over pixels. LE: mean deviation from a line over 5–95 % of saturation, relative. Photons are those of the "
-    "peak wavelength before the lens, per pixel and exposure; curves that are relative state none."
+    "η: quantum efficiency including lens and filters, at the channel's peak. SNR max: square root of the saturation "
+    "capacity. Threshold: the signal with a signal-to-noise ratio of 1. DR: saturation capacity divided by the threshold. "
+    "DSNU and PRNU: standard deviations over pixels. LE: mean relative deviation from a line over 5–95 % of saturation. "
+    "Photons are counted at the peak wavelength before the lens, per pixel and exposure. They are not listed if the "
+    "responsivities are relative."
 )
 
 
 def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
-    """Return what was measured, and how."""
+    """List the settings of the camera and the exposures at which it was measured."""
     first, last = float(noise.exposure.min()), float(noise.exposure.max())
     array = " / ".join(array_rows(camera.channels, camera.cfa))
     rows = (
@@ -248,14 +286,17 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
         ("Resolution of values", f"{camera.bits} bits"),
         ("Black and white level", f"{tidy(camera.black_level, 5)} and {tidy(camera.white_level, 5)} DN"),
         ("Exposures of white frames", f"{noise.exposure.size}, {tidy(1e3 * first)} to {tidy(1e3 * last)} ms"),
-        ("Saturation", "reached" if noise.white_level_reached else "not reached: the converter's last value"),
+        (
+            "Saturation",
+            "reached" if noise.white_level_reached else "not reached; the converter's largest value is used",
+        ),
         ("Lens", f"{tidy(1e3 * camera.optics.focal_length)} mm, f/{camera.optics.f_number:g}"),
     )
     return Table("Operation point", ("quantity", "value"), rows)
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """Return the figures of each channel, as lines of the standard's table."""
+    """List the quantities of EMVA 1288 with a column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -290,7 +331,17 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:
-    """Return exposure (s), signal above the dark (DN) and the line through it over LINEAR, of the exposures of a channel."""
+    """Fit the linear range of a channel.
+
+    Returns
+    -------
+    exposure : ndarray, (exposure,)
+        Exposure times in seconds, ascending.
+    signal : ndarray, (exposure,)
+        Mean signal above the dark signal, in DN.
+    line : ndarray, (exposure,)
+        Line fitted over LINEAR with relative weights, in DN; NaN if fewer than two exposures are in that range.
+    """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
     exposure, mean = noise.exposure[order], noise.photon_transfer_mean[order, channel]
@@ -303,7 +354,7 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
 
 
 def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Return the mean signal over the exposure time, with its line."""
+    """Plot the mean signal over the exposure time, with the fitted line."""
     every = [_lit(camera, noise, channel) for channel in range(len(camera.channels))]
     plot = Plot(
         spanning("exposure time (s)", noise.exposure, zero=True),
@@ -314,11 +365,11 @@ def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         inside = np.isfinite(line) & (line <= 1.1 * signal.max())
         plot.line(exposure[inside], line[inside], key.colour, key.mark, 1.2)
         plot.dots(exposure, signal, key.colour, colours.MARKS[key.mark], series=key.label)
-    return plot.figure("Linearity", "Lines are fitted over 5–95 % of saturation, relative deviations being least.", keys)
+    return plot.figure("Linearity", "The lines minimize relative deviations over 5–95 % of saturation.", keys)
 
 
 def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Return the relative deviation from that line over the signal."""
+    """Plot the relative deviation of the signal from the fitted line, over the signal."""
     keys, drawn = colours.channel_keys(camera), []
     for channel in range(len(keys)):
         _, signal, line = _lit(camera, noise, channel)
@@ -338,13 +389,17 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     )
     return plot.figure(
         "Deviation from linearity",
-        f"LE: {errors}, the lamp's drift taken off where a monitor states it; drawn it is not.",
+        f"LE: {errors}. LE is corrected for lamp drift if a monitor recorded it; the plot is not.",
         keys,
     )
 
 
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Return signal over noise over the signal: as measured, by the figures, and of photons alone."""
+    """Plot the signal-to-noise ratio over the signal in electrons.
+
+    Points are measured. Lines follow from the read noise and gain of each channel. The dotted line is an ideal sensor, which
+    is limited by photon noise.
+    """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SHOT_MOST, most, 60)
     plot = Plot(
@@ -361,4 +416,4 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         inside = (mean > 0) & (measured > 0) & (mean < LINEAR[1] * gain * noise.saturation_capacity[channel])
         snr = mean[inside] / np.sqrt(measured[inside])
         plot.dots(mean[inside] / gain, snr, key.colour, colours.MARKS[key.mark], series=key.label)
-    return plot.figure("Signal over noise", "Temporal noise alone; dotted: an ideal sensor, of photons' noise alone.", keys)
+    return plot.figure("Signal over noise", "Temporal noise only. Dotted: an ideal sensor with photon noise only.", keys)

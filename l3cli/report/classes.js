@@ -1,4 +1,4 @@
-// Lists all classes of a table, whether a pixel of the crop has them or not, and shows the one that is chosen (pixels.js).
+// Lists all classes of a table, including those that do not occur in the crop, and shows the selected class (see pixels.js).
 const share = (view, layer, index) => {
   const part = (100 * (layer.pixels[index] ?? 0)) / (view.frame[0] * view.frame[1]);
   return part && part < 0.01 ? "below 0.01 %" : `${part.toFixed(2)} %`;
@@ -10,7 +10,7 @@ function chosenFrom(title, names) {
   return [list, written("label", `${title} `, list)];
 }
 
-// What a class is listed as: its share of the frame, then its features but for those that all classes of the layer share.
+// Returns the list entry of a class: its fraction of the frame, then the features in which the classes of the layer differ.
 function listed(view, layer, index) {
   const words = Object.entries(layer.classes[index]).filter(([name]) => layer.varying.has(name));
   return [share(view, layer, index), ...words.map(([name, text]) => `${name} ${text}`)].join(" · ");
@@ -47,7 +47,7 @@ function browse(block, view) {
   places.addEventListener("change", list);
   classes.addEventListener("change", show);
   block.append(written("div", layerLabel, placeLabel, classLabel), reading);
-  // Thousands of lines: made when they are asked for.
+  // The list has thousands of lines, so it is built only when it is opened.
   block.addEventListener("toggle", list, { once: true });
   block.hidden = false;
 }

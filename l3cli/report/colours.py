@@ -1,4 +1,7 @@
-"""Colours and marks of channels, and chromaticities: from spectra and never from names."""
+"""Colours and marks of channels in drawings, and chromaticities.
+
+All colours are computed from spectra, never from channel names.
+"""
 
 from dataclasses import replace
 
@@ -13,14 +16,25 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-LINE_LUMINANCE = 0.18  # contrast over 4 to white and to the dark page alike
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # of a line → of a point
-ALIKE = 170  # sum of sRGB differences below which two colours are easily taken for one another
+LINE_LUMINANCE = 0.18  # relative to white; gives a contrast above 4 against both the white and the dark page
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark of a line → mark of the same channel's points
+ALIKE = 170  # two colours whose sRGB codes differ by less, summed over r, g and b, are easily confused
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
-    """Return linear sRGB (channel, 3), largest value 1, of the daylight that each channel takes in; grey where a channel
-    sees nothing visible."""
+    """Compute the display colour of each channel: daylight (D65) seen through its responsivity.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Supplies the responsivities.
+
+    Returns
+    -------
+    ndarray, (channel, 3)
+        Linear sRGB, scaled so that the largest of the three values is 1. A channel that responds to nothing visible is grey
+        (0.5).
+    """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
     linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
     top = linear.max(axis=1, keepdims=True)
@@ -28,8 +42,21 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
 
 
 def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return the key of each channel's line: its light at one luminance, distinct from white and from black paper, and of
-    channels of like colour the mark that fewest of those before have."""
+    """Choose the colour and the mark of each channel's line.
+
+    All colours get the same luminance, so that they are visible on a white and on a dark page. If the colours of several
+    channels are easily confused, the channels get different marks.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Supplies channel names and responsivities.
+
+    Returns
+    -------
+    tuple of Key
+        One legend entry per channel.
+    """
     keys: list[Key] = []
     for name, linear in zip(camera.channels, channel_light(camera), strict=True):
         stroke = hex_colour(_at_luminance(linear))
@@ -39,15 +66,17 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return the key of each channel's points."""
+    """Return a legend entry per channel for points instead of lines."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
 def _codes(colour: str) -> NDArray[np.int64]:
+    """Parse #rrggbb into its three sRGB codes."""
     return np.array([int(colour[start : start + 2], 16) for start in (1, 3, 5)])
 
 
 def _at_luminance(linear: Array) -> Array:
+    """Bring a linear sRGB colour to LINE_LUMINANCE: scale it down, or mix white into it."""
     luminance = float(linear @ LUMA)
     if luminance >= LINE_LUMINANCE:
         return linear * (LINE_LUMINANCE / luminance)
@@ -56,23 +85,31 @@ def _at_luminance(linear: Array) -> Array:
 
 
 def hex_colour(linear: Array) -> str:
-    """Return linear sRGB (3) as #rrggbb."""
+    """Format a linear sRGB colour (3) as #rrggbb."""
     return "#" + "".join(f"{code:02x}" for code in srgb_codes(linear))
 
 
 def ink_on(linear: Array) -> str:
-    """Return black or white, whichever reads better on linear sRGB (3)."""
+    """Choose black or white text, whichever is easier to read on a linear sRGB background (3)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 
 def spectral_locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the wavelengths in nm and chromaticities (wavelength, 2) of monochromatic light, CIE 1931."""
+    """Return the chromaticities of monochromatic light (CIE 1931).
+
+    Returns
+    -------
+    wavelength : ndarray, (wavelength,)
+        400 to 700 nm in steps of 5 nm.
+    chromaticity : ndarray, (wavelength, 2)
+        x and y.
+    """
     wavelength = np.arange(400.0, 701.0, 5.0)
     functions = spectra.colour_matching_functions(wavelength).T
     return wavelength, functions[:, :2] / functions.sum(axis=1, keepdims=True)
 
 
 def srgb_primaries() -> NDArray[np.float64]:
-    """Return the chromaticities (3, 2) of the primaries of sRGB."""
+    """Return the CIE 1931 chromaticities (primary, 2) of the sRGB primaries."""
     xyz = xyz_from_srgb_matrix().T
     return xyz[:, :2] / xyz.sum(axis=1, keepdims=True)

@@ -1,4 +1,8 @@
-"""A design as a section: a verdict, arrays with their curves, error over light and by group, what training measured."""
+"""A design in a report: the verdict, the best arrays and their filters, and the predicted errors.
+
+The errors are shown over the light level and by group of patches. If some arrays were trained, their measured errors and
+crops of their pictures follow.
+"""
 
 import base64
 import itertools
@@ -10,13 +14,28 @@ from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
-ROWS, DRAWN = 20, 5  # arrays in the table, and drawn
-ENLARGED = 4  # times, crops of what training gives
+ROWS, DRAWN = 20, 5  # number of arrays in the table and in drawings
+ENLARGED = 4  # factor by which crops of rendered pictures are enlarged
 MARKS = ("line", "dashed", "dotted", "line")
 
 
 def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
-    """Return the section of a design from the file `name`."""
+    """Build the section of a design.
+
+    Parameters
+    ----------
+    design : Design
+        The ranked arrays.
+    name : str
+        Name of the file.
+    jpeg : callable
+        JPEG encoder.
+
+    Returns
+    -------
+    Section
+        Its lead is the verdict.
+    """
     drawn = tuple(_figure(design, place) for place in design.best(DRAWN))
     library = design.camera(" ".join(design.filters), design.efficiency)
     parts = [
@@ -30,11 +49,12 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     if truth := design.truth:
         table = Table(" ".join(truth.agreement(design.levels)), *truth.table(design.levels))
         shown = (_pictures(design, truth, level, jpeg) for level in _two_levels(truth))
-        parts.append(Subsection("Trained and judged on the same unseen scenes", (table, *shown)))
+        parts.append(Subsection("Trained and evaluated on the same unseen scenes", (table, *shown)))
     return Section(f"Design: {design.name}", f"{' '.join(design.verdict)} From {name}.", tuple(parts))
 
 
 def _figure(design: Design, place: int) -> Figure:
+    """Draw an array with its rank and its predicted errors."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"
@@ -42,24 +62,26 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
+    """List how much the error of the best array changes if a filter is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
-    return Table("Change of the best array's error, %, if a filter lies 5 nm off", ("filter", "%"), rows)
+    return Table("Change of the best array's error if a filter is shifted by 5 nm", ("filter", "%"), rows)
 
 
 def _over_light(design: Design) -> Figure:
+    """Plot the predicted error of arrays over the product of luminance and exposure time."""
     plot = Plot(
         spanning("luminance of white × time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
     )
     series = {name: (design.dose, errors) for name, errors in zip(design.mapped, design.map_error, strict=True)}
     keys = plot.curves(series, MARKS, size=0)
-    return plot.figure("Error over light", " ".join(design.crossings) or "One array leads at every light.", keys)
+    return plot.figure("Error over light", " ".join(design.crossings) or "One array is the best at every light level.", keys)
 
 
 def _groups(design: Design) -> Table:
-    """Return the errors of the best array and Bayer's in the groups of each kind."""
+    """List the errors of the best array and of the Bayer array in the groups of patches of each kind."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -71,13 +93,13 @@ def _groups(design: Design) -> Table:
 
 
 def _two_levels(truth: Truth) -> list[int]:
-    """Return the levels with the least and the largest measured error."""
+    """Return the light levels with the smallest and the largest measured error."""
     errors = truth.measured[..., 0].mean(axis=0)
     return list(dict.fromkeys([int(errors.argmin()), int(errors.argmax())]))
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Return the crops of a level, enlarged: the ideal, the best arrays by what was measured, and Bayer's."""
+    """Show enlarged crops at a light level: the ideal, the arrays with the lowest measured error, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -1,4 +1,4 @@
-// Saves a plot with its legend as an SVG file of its own, in the colours for white paper. Without scripts there is the CSV file.
+// Saves a plot and its legend as an SVG file, in the colours for a white page. Without scripts, the page offers only the CSV file.
 {
   const [sheet] = document.styleSheets;
   const paper = sheet.cssRules[0].style;

@@ -1,5 +1,9 @@
-"""Plots as inline SVG, drawn here rather than by a plotting library: they take the page's colours and font, so that one
-drawing suits light, dark and paper, and the same numbers give the same bytes. Coordinates are pixels, sheets 440 px wide."""
+"""Plots as inline SVG.
+
+We draw plots here instead of with a plotting library for two reasons. The drawings use the colours and the font of the
+page, so the same drawing suits a light page, a dark page and print. And the same numbers always give the same bytes.
+Coordinates are pixels; a drawing is 440 px wide.
+"""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,25 +17,35 @@ from l3cli.report.parts import Data, Figure, Key
 from l3cli.system.text import superscript
 
 Array = NDArray[np.floating]
-WIDTH, HEIGHT = 440, 300
-LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44
+WIDTH, HEIGHT = 440, 300  # px, size of a plot
+LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px, margins around the axes
+# SVG path of each mark, relative to its point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
-SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # the page's colours for what has no colour itself
-GLYPH = 6.8  # px, mean width of a 12 px letter
-WIDE = 7.7  # px, that of figures with a unit in a wide font
-ABOVE, BELOW = 10.0, 3.5  # of a line of text about its baseline
-CLEAR = 2.5  # between a label and what is drawn
-SAMPLED = 1.5  # along curves
-REACH = (5.0, 7.0, 10.0, 16.0, 24.0)  # of a label from its point
-SIDES = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))  # tried in this order
-ANCHORS = {0: "middle", 1: "start", -1: "end"}
+SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours for series without a colour of their own
+GLYPH = 6.8  # px, mean width of a character at 12 px
+WIDE = 7.7  # px, mean width of a digit or unit in a wide font
+ABOVE, BELOW = 10.0, 3.5  # px, height of a text line above and below its baseline
+CLEAR = 2.5  # px, minimum distance between a label and anything drawn
+SAMPLED = 1.5  # px, spacing of the samples along curves with which overlaps are found
+REACH = (5.0, 7.0, 10.0, 16.0, 24.0)  # px, distances of a label from its point, tried in this order
+SIDES = (
+    (0, -1),
+    (1, 0),
+    (-1, 0),
+    (0, 1),
+    (1, -1),
+    (-1, -1),
+    (1, 1),
+    (-1, 1),
+)  # right and down, in the order tried
+ANCHORS = {0: "middle", 1: "start", -1: "end"}  # horizontal direction → text-anchor in SVG
 Place = tuple[float, float, str]  # x, y of the baseline, text-anchor
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Axis of a plot: label with unit, range, scale."""
+    """One axis of a plot: its label with the unit, its range and its scale."""
 
     label: str
     low: float
@@ -39,7 +53,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Return the values as shares of the axis, 0 at its low end."""
+        """Convert values to positions along the axis, from 0 at its lower end to 1 at its upper end."""
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
             return (values - self.low) / (self.high - self.low)
@@ -47,7 +61,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Return round numbers within the axis."""
+        """Choose round numbers within the range for the ticks."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -59,7 +73,24 @@ class Axis:
 
 
 def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
-    """Return an axis that holds all finite values with a small margin; with `zero` it begins there."""
+    """Make an axis that contains all finite values and a small margin.
+
+    Parameters
+    ----------
+    label : str
+        Label of the axis with its unit.
+    values : iterable of float
+        Values to be drawn. A logarithmic axis ignores values that are not positive.
+    zero : bool
+        Include zero in the range. If no value is negative, the axis begins at zero without a margin.
+    log : bool
+        Use a logarithmic scale.
+
+    Returns
+    -------
+    Axis
+        The axis; 0 to 1 (0.1 to 1 if logarithmic) if there are no values.
+    """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]
     low, high = (float(array.min()), float(array.max())) if array.size else (0.1 if log else 0.0, 1.0)
@@ -72,6 +103,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
 
 
 def _round_steps(low: float, high: float) -> list[float]:
+    """Return about five multiples of 1, 2 or 5 times a power of ten between two bounds."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -80,7 +112,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Return a tick's number: powers of ten far from one as powers."""
+    """Format the number at a tick. Numbers below 0.001 or from 100 000 are written as powers of ten."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -89,8 +121,11 @@ def tick_text(value: float) -> str:
 
 
 class Plot:
-    """Axes and what is drawn between them. Values outside the axes are cut off. What is drawn for a `series` of that name
-    is among the plot's data."""
+    """A pair of axes and the drawing between them, as SVG.
+
+    Anything outside the axes is cut off. If a method gets a `series` name, its values are added to the data of the figure
+    under that name, which the reader can save as CSV.
+    """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
         self._x, self._y = x, y
@@ -103,6 +138,7 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
+        """Draw a line through points. `mark` is a key of DASHES, `width` is in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)
@@ -114,11 +150,12 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """Return a histogram's outline: heights (bin) between edges (bin + 1). Its data are heights at the lower edges."""
+        """Draw the outline of a histogram, heights (bin) between edges (bin + 1). Its data list the lower edges."""
         self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
     def band(self, x: Array, low: Array, high: Array, colour: str) -> "Plot":
+        """Fill the area between two curves with a translucent colour."""
         points = [*self._points(x, high), *self._points(x[::-1], low[::-1])]
         self._places.take(points, joined=True)
         path = "M" + "L".join(f"{a:.1f},{b:.1f}" for a, b in points) + "z"
@@ -129,6 +166,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
+        """Draw points. `mark` is a key of MARKS; `size` is the diameter of dots in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
@@ -141,7 +179,10 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Add boxes of one size, in units of the axes, whose lower left corners are x, y."""
+        """Draw boxes of the same size.
+
+        `x` and `y` are the lower left corners; `width` and `height` are in units of the axes.
+        """
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -149,7 +190,10 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add text by a point, in the page's ink, where it lies on nothing that is drawn; none without such a place."""
+        """Add text near a point, in the page's text colour.
+
+        The text is placed where it covers nothing. If there is no such place near the point, the text is omitted.
+        """
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -161,7 +205,24 @@ class Plot:
         size: float = 6,
         width: float = 2,
     ) -> tuple[Key, ...]:
-        """Draw named series (x, y) in the page's colours, with dots of `size` where that is not 0; their keys."""
+        """Draw named series in the page's colours.
+
+        Parameters
+        ----------
+        series : mapping of str to (ndarray, ndarray)
+            x and y of each series. Empty series are skipped.
+        marks : sequence of str
+            Line styles, used in turn.
+        size : float
+            Diameter of the dots at the points in pixels; 0 draws none.
+        width : float
+            Width of the lines in pixels.
+
+        Returns
+        -------
+        tuple of Key
+            Legend entries of the series drawn.
+        """
         keys = []
         styles = zip(itertools.cycle(SERIES), itertools.cycle(marks), series.items(), strict=False)
         for colour, mark, (name, (x, y)) in styles:
@@ -173,25 +234,25 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points (…, channel) of each channel that are used."""
+        """Draw the points (…, channel) of each channel where `used` is true."""
         for channel, key in enumerate(keys):
             of_channel = used[..., channel]
             self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
-        """Return the drawing as a figure, with the numbers of all series."""
+        """Return the plot as a figure whose data contain the numbers of all named series."""
         data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
         return Figure(title, self._svg(finding), finding, keys, data=data)
 
     def _svg(self, finding: str) -> Markup:
-        """Return the drawing, which says `finding` to those who cannot see it."""
+        """Return the drawing as SVG, with `finding` as its text for screen readers."""
         width, height = self._inner
         drawn = "".join([*self._items, *self._placed_labels()])
         inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{drawn}</svg>'
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Return the labels, placed once all is drawn that they must keep clear of."""
+        """Place the labels. This runs last because labels must not cover anything drawn."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -204,13 +265,14 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
+        """Convert values to pixel coordinates inside the axes; values far outside are clipped."""
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
         return list(zip(across.ravel().tolist(), down.ravel().tolist(), strict=True))
 
     def _frame(self) -> str:
-        """Draw grid, ticks and labels of both axes."""
+        """Draw the grid, the ticks and the labels of both axes."""
         width, height = self._inner
         bottom, items = TOP + height, []
         for value in self._x.ticks():
@@ -228,7 +290,7 @@ class Plot:
 
 
 def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
-    """Draw the names of both axes, about `centre` and `middle`."""
+    """Draw the labels of both axes. `centre` and `middle` are the midpoints of the x and y axis in pixels."""
     turned = f'transform="rotate(-90 13 {middle:.0f})"'
     return (
         f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
@@ -237,14 +299,31 @@ def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: 
 
 
 def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
-    """Return a drawing of so many pixels, scaled to the page unless of its `fixed_size`; texts `inside` are escaped."""
+    """Wrap drawn items in an SVG element.
+
+    Parameters
+    ----------
+    width, height : float
+        Size in pixels.
+    inside : str
+        SVG markup. Text in it must already be escaped.
+    finding : str
+        Text for screen readers.
+    fixed_size : bool
+        Show the drawing at its size in pixels. Otherwise it is scaled to the width of its column on the page.
+
+    Returns
+    -------
+    Markup
+        The SVG element.
+    """
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
     return Markup(f'<svg viewBox="0 0 {width:g} {height:g}"{size} role="img" aria-label="{label}">{inside}</svg>')
 
 
 def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
-    """Return a filled rectangle."""
+    """Draw a filled rectangle. `extra` is added to its attributes."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
         f' fill-opacity="{opacity:g}"{extra}/>'
@@ -252,8 +331,24 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw cells (row, column) as dense as `shares`, 0 (empty) to 1, with a name for each row and, where they fit,
-    column."""
+    """Draw a matrix as cells whose opacity shows the value.
+
+    Parameters
+    ----------
+    shares : ndarray, (row, column)
+        Opacity of each cell, from 0 (empty) to 1.
+    rows, columns : sequence of str
+        Names of the rows and columns. Column names are thinned out if they do not fit.
+    x_label, y_label : str
+        Labels of the axes.
+    finding : str
+        Text for screen readers.
+
+    Returns
+    -------
+    Markup
+        The drawing as SVG.
+    """
     side = max(30.0, 8 + GLYPH * max(map(len, rows)))
     left = 18 + side
     width = (WIDTH - left - RIGHT) / shares.shape[1]
@@ -284,21 +379,34 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
 
 
 class Places:
-    """A plot of `width` × `height` pixels that fills with curves, dots and labels."""
+    """The parts of a plot that are already covered, used to find free places for labels. Sizes are in pixels."""
 
     def __init__(self, width: float, height: float) -> None:
         self._width, self._height = width, height
         self._taken: list[Array] = []  # points (point, 2)
 
     def take(self, points: list[tuple[float, float]], joined: bool) -> None:
-        """Note points that are drawn, `joined`: with straight lines between them."""
+        """Mark points as covered; if `joined`, also the straight lines between consecutive points."""
         array = np.asarray(points, np.float64).reshape(-1, 2)
         if joined and len(array) > 1:
             array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
         self._taken.append(array)
 
     def place(self, x: float, y: float, text: str) -> Place | None:
-        """Return the free place for `text` nearest to the point, and take it; None if none is near."""
+        """Find a free place for a label near a point and mark it as covered.
+
+        Parameters
+        ----------
+        x, y : float
+            The point in pixels.
+        text : str
+            Text of the label.
+
+        Returns
+        -------
+        tuple or None
+            x and y of the text's baseline and its text-anchor; None if there is no free place near the point.
+        """
         for reach in REACH:
             for across, down in SIDES:
                 left, top = self._corner(x, y, text, across * reach, down * reach)
@@ -310,13 +418,14 @@ class Places:
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
-        """Return the upper left corner of a label that lies so far beside and below its point."""
+        """Return the upper left corner of a label at a given offset from its point."""
         width, height = WIDE * len(text), ABOVE + BELOW
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
         return left, top
 
     def _free(self, box: tuple[float, float, float, float]) -> bool:
+        """Whether a box lies inside the plot and nothing is drawn in it."""
         left, top, right, bottom = box
         if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
             return False
@@ -334,5 +443,6 @@ class Places:
 
 
 def _between(start: Array, end: Array) -> Array:
+    """Return points on the line from start to end, at most SAMPLED apart."""
     count = int(np.ceil(np.hypot(*(end - start)) / SAMPLED)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

@@ -1,4 +1,8 @@
-"""An evaluation: the beginning of a page with its pictures and verdict, and a section of figures over lights and classes."""
+"""An evaluation in a report: the section at the top of the page, and the section with all metrics.
+
+The top section shows pictures of a few frames, the verdict and the main metrics. The other section lists the metrics over
+illuminants, levels, gains and classes. In both, "ours" is the table that is evaluated.
+"""
 
 from typing import Any
 
@@ -27,11 +31,24 @@ from l3cli.system.text import counted, tidy
 from l3cli.system.text import figure as number
 
 DIRECTIONS = {"rows": "along rows", "columns": "along columns"}
-NYQUIST = 0.5
+NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Return plots and a table of the part "standards" of an evaluation; `height`: rows of the camera's pictures."""
+    """Build the plots and the table of the metrics defined by standards (sharpness, signal-to-noise ratio).
+
+    Parameters
+    ----------
+    standards : dict
+        The entry "standards" of the document that `l3 evaluate --json` prints.
+    height : int
+        Rows of the camera's pictures, from which line widths per picture height follow.
+
+    Returns
+    -------
+    tuple of Block
+        MTF and SNR plots, a table, and a paragraph that explains the metrics.
+    """
     edges, grey = standards["edge"], standards["grey"]
     figures = [_edge_figure(edges[across], DIRECTIONS[across]) for across in edges]
     if grey:
@@ -52,28 +69,30 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
 
 
 def _meaning(standards: dict[str, Any], height: int) -> str:
+    """Explain the metrics of the standards and their conditions."""
     grey, chart = standards["grey"], standards["chart"]
     text = (
-        "MTF50: frequency at which the contrast of a slanted edge of 4:1, without noise, is halved (ISO 12233); a picture "
+        "MTF50: the frequency at which the contrast of a noise-free slanted edge of 4:1 is halved (ISO 12233). A picture "
         f"height is {height} rows."
     )
     if chart:
-        text += f" ΔE00 by the camera's uncertainty: mean of a chart by {chart['cameras']} cameras that its bands allow."
+        text += f" ΔE00 by the camera's uncertainty: mean over a chart for {chart['cameras']} cameras within its bands."
     if grey is None:
-        return f"{text} Curves of the camera are relative: nothing is known over lux."
+        return f"{text} The camera's responsivities are relative, so its noise at a given illuminance is unknown."
     raw = "; ".join(
         f"{name} {figure_text('snr10', grey['snr10']['closed_form'][name])} in closed form, "
         f"{figure_text('snr10', grey['snr10']['raw'][name])} measured"
         for name in grey["closed_form"]
     )
     return (
-        f"{text} SNR10: least illuminance at which the brightness of a grey of {100 * grey['reflectance']:.0f} % under "
+        f"{text} SNR10: the lowest illuminance at which the luminance of a {100 * grey['reflectance']:.0f} % grey under "
         f"{grey['light']} has a signal-to-noise ratio of 10 at f/{grey['f_number']:g}, {1000 * grey['exposure']:.0f} ms, "
-        f"pixels of {tidy(1e6 * grey['pixel_pitch'])} µm. Of raw values, in lux: {raw}."
+        f"pixels of {tidy(1e6 * grey['pixel_pitch'])} µm. SNR10 of raw values, in lux: {raw}."
     )
 
 
 def _edge_figure(edge: dict[str, Any], direction: str) -> Figure:
+    """Plot the MTF of each pipeline in one direction."""
     frequency = np.array(edge["frequency"])
     curves = {name: np.array(values) for name, values in edge["mtf"].items() if values}
     most = max(1.0, *(float(values.max()) for values in curves.values()))
@@ -83,10 +102,11 @@ def _edge_figure(edge: dict[str, Any], direction: str) -> Figure:
         {name: (frequency, values) for name, values in curves.items()}, ("dashed", "line", "dotted", "line"), size=0
     )
     halves = ", ".join(f"{name} {figure_text('mtf50_rows', value)}" for name, value in edge["mtf50"].items())
-    return plot.figure(f"Sharpness {direction}", f"MTF50 in cycles/pixel: {halves}. Dotted: what pixels can resolve.", keys)
+    return plot.figure(f"Sharpness {direction}", f"MTF50 in cycles/pixel: {halves}. Dotted: Nyquist.", keys)
 
 
 def _grey_figure(grey: dict[str, Any]) -> Figure:
+    """Plot the signal-to-noise ratio of a grey patch over illuminance, for each pipeline and for raw values."""
     lux = np.array(grey["lux"])
     best = max(grey["closed_form"], key=lambda name: grey["closed_form"][name][-1])
     curves = {name: np.array(values) for name, values in grey["pipelines"].items()}
@@ -103,39 +123,53 @@ def _grey_figure(grey: dict[str, Any]) -> Figure:
 
 OURS = "ours"
 MEANINGS = (
-    "ours is the table; basic is a pipeline that learns nothing (interpolation, white balance, colour matrix). Pictures are "
-    "compared as displayed: adapted to D65, the 99th percentile of the target's luminance shown white. ΔE00: CIEDE2000; "
-    "S-CIELAB: the same after the eye's blur; mottle: C*ab of blotches in plain patches, after a Gaussian of 4 pixels; "
-    "visual noise: standard deviations of L*, a* and b* there after the eye's blur, weighed 1, 0.852 and 0.323; PSNR "
-    "of sRGB, linear PSNR of XYZ."
+    "ours is the table. basic is a conventional pipeline without training (interpolation, white balance, colour matrix). "
+    "Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown as white. "
+    "ΔE00 is CIEDE2000. S-CIELAB is ΔE00 after the blur of the eye. Mottle is the C*ab of blotches in uniform patches, "
+    "after a Gaussian blur of 4 pixels. Visual noise is the sum of the standard deviations of L*, a* and b* in these "
+    "patches after the blur of the eye, with weights 1, 0.852 and 0.323. PSNR is computed from sRGB, linear PSNR from XYZ."
 )
 BAND_MEANINGS = (
-    "ours is the table; the other pipelines learn nothing but, of reflectances and radiances, linear estimates from "
-    "demosaicked bands: wiener and pinv (pseudo-inverse). The spectral angle is that between the outputs of a pixel and its "
-    "target's, GFC the mean of its cosine; RMSE is over all outputs, 1 a perfect white; PSNR is of 8-bit codes of which the "
-    "frame's white is 255, linear PSNR of the outputs as they are, 1 "
-    "being the 99th percentile of the target's mean output; SSIM is the mean over the outputs."
+    "ours is the table. The other pipelines are not trained, except that reflectances and radiances are estimated linearly "
+    "from demosaicked bands: wiener (Wiener estimate) and pinv (pseudo-inverse). The spectral angle is the angle between "
+    "the outputs of a pixel and its target; GFC is the mean of its cosine. RMSE is over all outputs, where 1 is a perfect "
+    "white. PSNR is computed from 8-bit codes in which the frame's white is 255. Linear PSNR is computed from the outputs "
+    "themselves, where 1 is the 99th percentile of the target's mean output. SSIM is the mean over the outputs."
 )
 GAIN_MEANING = (
-    "At these gains the noise of the table's camera is known. A few frames under each light are exposed again at each, as "
-    "much shorter as it is higher, with the camera's noise there."
+    "The noise of the table's camera is known at these gains. A few frames under each illuminant are exposed again at each "
+    "gain, with that gain's noise. The exposure time is shortened in proportion to the gain."
 )
 
-ERROR_KEY = (  # of the error map's colours, as evaluation draws them
+ERROR_KEY = (  # colour scale of the error maps that l3cli.evaluation draws
     Key("error map: ΔE00 0", "#000000", "box"),
     Key("2.5", "#460a6e", "box"),
     Key("5", "#be285a", "box"),
     Key("7.5", "#f58c1e", "box"),
     Key("10 and more", "#ffffff", "box"),
 )
-SAME_LUMINANCE = 0.01  # largest relative difference of luminances that are taken for one: users round lux
-SEEN = 3  # frames shown of an evaluation: the middle, the worst, the best
-Pictures = dict[int, dict[str, Pixels]]  # of some frames by index
+SAME_LUMINANCE = 0.01  # luminances within this relative difference count as equal, because users round lux
+SEEN = 3  # number of frames shown per evaluation: the median, the worst and the best
+Pictures = dict[int, dict[str, Pixels]]  # frame index → pipeline name, "ideal" or "error" → picture
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:
-    """Return the section of an evaluation. `document` is that of `l3 evaluate --json`, `names` the files of table and
-    frames, `height` the rows of the camera's pictures."""
+    """Build the section with all metrics of an evaluation.
+
+    Parameters
+    ----------
+    document : dict
+        The document that `l3 evaluate --json` prints.
+    names : tuple of str
+        File names of the table and of the frames.
+    height : int
+        Rows of the camera's pictures.
+
+    Returns
+    -------
+    Section
+        Metrics over all frames, by level, by class, by standards, and by gain if the noise at other gains is known.
+    """
     parts = [
         Subsection("Quality", _quality_blocks(document)),
         Subsection("Over light level", _level_blocks(document)),
@@ -150,8 +184,20 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
 def luminance_section(
     curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
-    """Compare cameras over the light on the scene: for each figure the name, luminances (cd/m²) and values of every camera,
-    and sentences on where the better one changes."""
+    """Build a section that compares cameras over the luminance of the scene.
+
+    Parameters
+    ----------
+    curves : dict of str to list of (name, luminances, values)
+        For each metric, the luminances in cd/m² and the values of every camera.
+    sentences : dict of str to list of str
+        For each metric, sentences that say at which luminances the better camera changes.
+
+    Returns
+    -------
+    Section
+        A plot and a table per metric.
+    """
     parts = []
     for figure, cameras in curves.items():
         heading = FIGURES[figure].heading if figure in FIGURES else figure
@@ -166,16 +212,18 @@ def luminance_section(
         )
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
         parts.append(Subsection(heading, (Figures((plot.figure(heading, finding, keys),)), table)))
-    return Section("Over the light on the scene", "Means over all frames of one luminance.", tuple(parts))
+    return Section(
+        "Over the light on the scene", "Each value is the mean over all frames of the same luminance.", tuple(parts)
+    )
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the figure that decides."""
+    """Return the key of the main metric: ΔE00 for pictures, the first metric otherwise."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
 def summary(document: dict[str, Any]) -> str:
-    """Return the evaluation in a sentence."""
+    """Summarize an evaluation in a sentence."""
     figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = FIGURES[figure].heading
@@ -183,7 +231,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """Return the main figure and, of pictures, the PSNR."""
+    """Format the main metric and, if it is known, the PSNR."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -234,7 +282,7 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Return the main figure of every pipeline in groups of `counts`, frames or pixels."""
+    """Make a table of the main metric per group and pipeline. `counts` is the key of the group size, frames or pixels."""
     figure, owners = main_of(document), document["pipelines"]
     rows = tuple(
         (name, str(of[counts]), *(figure_text(figure, of[owner][figure]) for owner in owners)) for name, of in entries
@@ -257,7 +305,11 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
-    """Return the error over analog gains: of ours under each of several lights, or of each pipeline under the only one."""
+    """Plot the error over analog gain.
+
+    With several illuminants, there is one curve of ours per illuminant. With one illuminant, there is one curve per
+    pipeline.
+    """
     groups, figure = document["by_gain"], main_of(document)
     lights = tuple(dict.fromkeys(group["illuminant"] for group in groups))
     gains = np.array(list(dict.fromkeys(group["gain"] for group in groups)))
@@ -284,11 +336,12 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
-    """Return a level within the bounds of each entry, fit for a logarithmic axis."""
+    """Return a representative level inside the bounds of each entry. It is positive, for a logarithmic axis."""
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
+    """Plot the main metric of every pipeline over a level."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
@@ -322,22 +375,34 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Return whether a frame of some luminance (cd/m²) is among those that are asked for: all without `at`."""
+    """Whether a frame's luminance (cd/m²) matches `at` within SAME_LUMINANCE. Always true if `at` is None."""
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Return the light on the scene of a frame of an evaluation, in words; nothing where it is not known."""
+    """Describe a frame's luminance for its caption, with a leading comma. Empty if the luminance is unknown."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
 
 
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
-    """Return the indices of the frames worth showing.
+    """Choose the frames of an evaluation to show.
 
-    The frame of median quality, by the main figure of ours, comes first. After it come the others if there are few, else the
-    worst and the best. Only frames `at` a luminance in cd/m² count, if one is given.
+    The first is the frame with the median of the main metric of ours. If there are at most SEEN frames, the others follow;
+    otherwise the worst and the best follow.
+
+    Parameters
+    ----------
+    document : dict
+        The document that `l3 evaluate --json` prints.
+    at : float, optional
+        Choose only from frames of this luminance in cd/m².
+
+    Returns
+    -------
+    list of int
+        Indices of the frames.
     """
     figure = main_of(document)
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]
@@ -350,9 +415,30 @@ def front_section(
     document: dict[str, Any], pictures: Pictures, title: str, anchor: str, limit: int, jpeg: Jpeg,
     below: tuple[Subsection, ...], at: float | None = None,
 ) -> Section:  # fmt: skip
-    """Return the first section of a page. `document` is that of `l3 evaluate --json`, `pictures` those of the frames of
-    `shown_frames` in that order, of which `limit` bytes is what they may take; `below` is shown after the first of them.
-    `at`: the luminance (cd/m²) that they were chosen by."""
+    """Build the section at the top of a page.
+
+    Parameters
+    ----------
+    document : dict
+        The document that `l3 evaluate --json` prints.
+    pictures : dict
+        Pictures of the frames chosen by `shown_frames`, in that order.
+    title, anchor : str
+        Title of the section and prefix of the anchors of its comparisons.
+    limit : int
+        Maximum size of all pictures together, in bytes.
+    jpeg : callable
+        JPEG encoder.
+    below : tuple of Subsection
+        Subsections to put after the first comparison.
+    at : float, optional
+        Luminance in cd/m² by which the frames were chosen.
+
+    Returns
+    -------
+    Section
+        The median frame with the verdict and the mean metrics, `below`, and the other frames.
+    """
     count, figure = len(document["frames"]), main_of(document)
     among = sum(lit_as(frame["luminance"], at) for frame in document["frames"])
     each = limit // sum(len(frame) for frame in pictures.values())
@@ -376,7 +462,7 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Return the pipeline that is nearer to the ideal, in words."""
+    """Say in words whether ours or each other pipeline is nearer to the ideal."""
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():
@@ -401,6 +487,7 @@ def _in_frames(figure: str, won: int, count: int) -> str:
 def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
+    """Build the comparison of a frame. The order is ours, the ideal, the other pipelines, and the error map."""
     frame = document["frames"][index]
     light = f"{frame['illuminant']}{brightness(frame)}"
     title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"
@@ -411,13 +498,14 @@ def _comparison(
 
 
 def _picture(frame: dict[str, Any], name: str, pixels: Pixels, figure: str, limit: int, jpeg: Jpeg) -> Picture:
+    """Encode one picture of a frame with its caption."""
     uri, (rows, cols) = fitted(pixels, limit, jpeg)
     scale = pixels.shape[0] // rows
     reduced = f", shown at 1/{scale} of its size" if scale > 1 else ""
     if name == "ideal":
         shows = "the target"
     elif name == "error":
-        shows = f"ΔE00 of ours at every pixel, mean {figure_text(figure, frame[OURS][figure])}"
+        shows = f"ΔE00 of ours at each pixel, mean {figure_text(figure, frame[OURS][figure])}"
     else:
         shows = f"{FIGURES[figure].heading} {main_figure(frame[name], figure)}"
     caption = f"{name}: {shows}{reduced}"

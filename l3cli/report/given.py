@@ -1,4 +1,4 @@
-"""Artifacts that a report is given, and how they belong together."""
+"""The artifacts that a report is made from, and which tables are evaluated on which frames."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ A = TypeVar("A", bound=Artifact)
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of a report: how the page calls it, and what it holds; of a training set its head."""
+    """A file of a report, with its name on the page and its contents. For a training set, these are only its metadata."""
 
     name: str
     path: Path
@@ -26,7 +26,7 @@ class Entry:
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Return the key that distinguishes colour filter arrays; empty of a design, which holds many."""
+        """Key that identifies the colour filter array. Empty for a design, which contains many arrays."""
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
@@ -34,7 +34,7 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and frames of its array that it was not trained on: what is evaluated."""
+    """A table and a training set of the same array that the table was not trained on. Each pair is evaluated."""
 
     table: Entry
     transforms: TransformTable
@@ -44,19 +44,19 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """The artifacts of a report in the order in which they were given, and evaluations of sequences."""
+    """The artifacts of a report in the order given, and the evaluations of sequences."""
 
     entries: list[Entry]
-    sequences: dict[str, dict[str, Any]]  # by name what `l3 evaluate --sequence` printed as JSON
-    sequence_sums: dict[str, str]  # their SHA-256
+    sequences: dict[str, dict[str, Any]]  # file name → document printed by `l3 evaluate --sequence --json`
+    sequence_sums: dict[str, str]  # file name → SHA-256
 
     def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return the artifacts of a kind."""
+        """Return the entries whose artifact is of a given type, each with its artifact."""
         return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
 
     @property
     def pairs(self) -> list[Pair]:
-        """Return each table with each training set of its array that it was not trained on."""
+        """Every table with every training set of the same array that it was not trained on."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -66,18 +66,18 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """Return the artifacts of each colour filter array, without sequences."""
+        """The artifacts split by colour filter array, without the sequences."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Return whether the table's history names the training set's file."""
+    """Whether the table's history lists the file of this training set."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 
 def role_of(given: Given, frames: Entry) -> str:
-    """Return the relation of the report's tables to a training set."""
+    """Say in words which tables were trained and which were evaluated on a training set."""
     roles = []
     for text, wanted in (("Trained on it", True), ("Evaluated on it", False)):
         names = [entry.name for entry, table in given.of(TransformTable) if trained_on(table, frames) is wanted]
@@ -86,7 +86,7 @@ def role_of(given: Given, frames: Entry) -> str:
 
 
 def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return the different cameras of the training sets."""
+    """Return the distinct cameras stored in the training sets, each with the name of the first file that contains it."""
     cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.of(TrainingSet):
         if not any(equal(head.camera, camera) for _, camera in cameras):
@@ -95,12 +95,15 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
+    """Write the lead of a report in which no table could be evaluated, and say what to add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):
         return f"{counted(len(given.entries), 'artifact')}, without a transform table: nothing is evaluated."
     if len(given.arrays) > 1:
-        return "Add, for each table, frames of its colour filter array that it has not seen to have it evaluated."
+        return "To have each table evaluated, add frames of its colour filter array that it was not trained on."
     if given.of(TrainingSet):
-        return "The table was trained on every training set given: add frames that it has not seen to have it evaluated."
-    return "Add a training set that the table was not trained on to have it evaluated."
+        return (
+            "The table was trained on every training set given. To have it evaluated, add frames that it was not trained on."
+        )
+    return "To have the table evaluated, add a training set that it was not trained on."

@@ -1,5 +1,9 @@
-"""Parts of a report as plain data: sections of tables, figures and pictures, these small enough, as data URIs. page.html
-lays them out as one page that needs nothing but itself; a script (downloads.js) turns what drawings offer into pictures."""
+"""The parts of a report as plain data, and the page made from them.
+
+A report is a list of sections. A section contains tables, figures and pictures; pictures are data URIs that fit a byte
+limit. The template page.html turns the sections into one self-contained HTML page. A script (downloads.js) lets the reader
+save a drawing as an SVG file.
+"""
 
 import base64
 import csv
@@ -16,12 +20,13 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
+# A cell that holds a number or a range of numbers: the column is then aligned to the right.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text below headings; the first cell of a row is its heading."""
+    """A table of text cells with column headings. The first cell of each row is the heading of the row."""
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -30,15 +35,17 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Return which columns beside the first hold nothing but numbers, to be set flush right."""
+        """Whether each column contains only numbers and is aligned to the right. Always false for the first column."""
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 
 
 @dataclass(frozen=True)
 class Key:
-    """One entry of a figure's legend: what a colour (CSS) and a mark stand for, which is "line", "dashed", "dotted", "box",
-    "dot", "plus" or "cross"."""
+    """One entry of a figure's legend.
+
+    `colour` is a CSS colour. `mark` is "line", "dashed", "dotted", "box", "dot", "plus" or "cross".
+    """
 
     label: str
     colour: str
@@ -48,7 +55,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Data:
-    """The numbers of a drawing: rows below headings."""
+    """The numbers behind a drawing, as rows below column headings."""
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str | float, ...], ...]
@@ -56,19 +63,22 @@ class Data:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its title and what it shows; `finding`, with figures, is also read out in its place."""
+    """A drawing with its title, its legend and a sentence about what it shows.
+
+    `finding` is that sentence. It quotes numbers, and screen readers read it in place of the drawing.
+    """
 
     title: str
     svg: Markup
     finding: str
     legend: tuple[Key, ...] = ()
     narrow: bool = False  # a small drawing that should not be blown up
-    data: Data | None = None  # to be taken from the page as a file
+    data: Data | None = None  # the page offers these numbers as a CSV file
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures side by side, as many as the page is wide."""
+    """Figures side by side, as many per line as the width of the page allows."""
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
@@ -76,7 +86,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI with its size in pixels, its caption and what stands in its place."""
+    """A picture as a data URI, with its size in pixels, its caption and its alternative text."""
 
     uri: str
     rows: int
@@ -91,47 +101,51 @@ class Gallery:
 
     kind: ClassVar[str] = "gallery"
     pictures: tuple[Picture, ...]
-    wide: bool = False  # pictures as large as the page lets them be
+    wide: bool = False  # show the pictures as large as the page allows
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One frame: ours first, or another that is named, then what it is compared with, behind a slider where scripts run."""
+    """Pictures of one frame that can be compared with a slider.
+
+    The first picture is usually the table's rendering; a selector names the picture it is compared with. Without scripts the
+    pictures are shown side by side.
+    """
 
     kind: ClassVar[str] = "comparison"
     anchor: str
     title: str
     pictures: tuple[Picture, ...]
-    key: tuple[Key, ...] = ()  # of the error map
-    size: tuple[int, int] = (0, 0)  # rows and columns of the frame
+    key: tuple[Key, ...] = ()  # colour scale of the error map
+    size: tuple[int, int] = (0, 0)  # rows and columns of the whole frame, before any reduction
 
     @property
     def width(self) -> int:
-        """Return the pixels on the screen beyond which a small frame would only be blurred."""
+        """Maximum width on the screen, in pixels. A small frame enlarged further would only look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
 @dataclass(frozen=True)
 class Front:
-    """A comparison with the verdict and the figures beside it."""
+    """A comparison with the verdict and a table of metrics beside it."""
 
     kind: ClassVar[str] = "front"
     comparison: Comparison
-    score: str  # the main figure of ours, as a number
-    meaning: str  # what that number is
+    score: str  # value of the main metric for the table, formatted
+    meaning: str  # sentence that explains the score
     verdict: str
     table: Table
 
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """Part of a frame in which a script shows any pixel's classes and transforms."""
+    """A crop of a frame in which a script shows the classes and transforms of any pixel."""
 
     kind: ClassVar[str] = "pixels"
-    anchor: str  # that of the comparison which shows the whole frame
+    anchor: str  # anchor of the comparison that shows the whole frame
     text: str
     pictures: tuple[Picture, ...]
-    packed: str  # as pixels.packed has it
+    packed: str  # classes and transforms, encoded by pixels.packed
 
 
 @dataclass(frozen=True)
@@ -144,7 +158,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Details:
-    """A long text, such as a recipe, folded away."""
+    """A long text, such as a recipe, that is collapsed until the reader opens it."""
 
     kind: ClassVar[str] = "details"
     title: str
@@ -156,7 +170,7 @@ Block = Table | Figures | Gallery | Comparison | Front | PixelPicker | Text | De
 
 @dataclass(frozen=True)
 class Subsection:
-    """Blocks below a heading of the third level."""
+    """Blocks under a third-level heading."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -164,7 +178,7 @@ class Subsection:
 
 @dataclass(frozen=True)
 class Section:
-    """Subsections below a heading of the second level; `lead` says the most important in a sentence or two."""
+    """Subsections under a second-level heading. `lead` summarizes the section in a sentence or two."""
 
     title: str
     lead: str
@@ -174,19 +188,46 @@ class Section:
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
 Jpeg = Callable[[Pixels, int], bytes]  # (row, col, 3) encoded sRGB and quality 1…100 → a JPEG file
-TRIED = ((1, 92), (1, 85), (1, 75), (2, 90), (2, 75), (4, 85), (8, 80), (16, 75))  # reduction and quality, best first
-THUMBNAIL = 160  # px, longest side
+TRIED = ((1, 92), (1, 85), (1, 75), (2, 90), (2, 75), (4, 85), (8, 80), (16, 75))  # (reduction, JPEG quality), best first
+THUMBNAIL = 160  # px, maximum length of the longer side
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
-    """Return sRGB (row, col, 3), at most THUMBNAIL long, of XYZ planes (3, row, col), `white` (3) adapted to D65."""
+    """Make an sRGB thumbnail from a target in XYZ.
+
+    Parameters
+    ----------
+    target : ndarray, (3, row, col)
+        XYZ planes.
+    white : ndarray, (3,)
+        XYZ of the white, which is adapted to D65.
+
+    Returns
+    -------
+    ndarray of uint8, (row, col, 3)
+        sRGB codes. The longer side has at most THUMBNAIL pixels.
+    """
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
     return srgb_codes(displayed(np.moveaxis(np.asarray(small, np.float64), -1, 0), white, white_luminance(target[1])))
 
 
 def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
-    """Return the means (row, col, channel) of squares of `step` pixels; what does not fill a square is cut off."""
+    """Reduce a picture by averaging squares of pixels.
+
+    Parameters
+    ----------
+    pixels : ndarray, (row, col, channel)
+        The picture.
+    step : int
+        Side of the squares in pixels. Rows and columns that do not fill a whole square are cut off. A picture smaller than
+        one square is returned unchanged.
+
+    Returns
+    -------
+    ndarray, (row, col, channel)
+        Mean of each square.
+    """
     rows, cols = (max(1, length // step) for length in pixels.shape[:2])
     if step == 1 or min(pixels.shape[:2]) < step:
         return pixels
@@ -194,7 +235,26 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 
 
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
-    """Return a data URI of at most about `limit` bytes and the size (rows, cols) of its picture."""
+    """Encode a picture as a JPEG data URI that fits a size limit.
+
+    The pairs of reduction and quality in TRIED are tried in turn. If none of them fits, the last one is used.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, (row, col, 3)
+        sRGB codes.
+    limit : int
+        Maximum length of the base64 text in bytes.
+    jpeg : callable
+        JPEG encoder: pixels and quality in, bytes out.
+
+    Returns
+    -------
+    uri : str
+        The data URI.
+    size : tuple of int
+        Rows and columns of the encoded picture.
+    """
     for step, quality in TRIED:
         small = np.rint(reduced(pixels, step)).astype(np.uint8)
         coded = base64.b64encode(jpeg(small, quality))
@@ -203,13 +263,28 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
     return "data:image/jpeg;base64," + coded.decode(), (small.shape[0], small.shape[1])
 
 
-LIMIT = 10_000_000  # bytes of a page
-FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # with which spreadsheets take a text for something to compute
-LONGEST = 60  # letters of a file's name
+LIMIT = 10_000_000  # bytes, approximate maximum size of a page
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet takes a cell that begins with one of these for a formula
+LONGEST = 60  # characters, maximum length of a file name
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
-    """Return the page; every text is escaped, drawings and pictures lie inside."""
+    """Render a report as one self-contained HTML page.
+
+    All text is escaped. Drawings, pictures and scripts are embedded in the page.
+
+    Parameters
+    ----------
+    title, lead : str
+        Heading of the page and the paragraph below it.
+    sections : list of Section
+        Contents, in order.
+
+    Returns
+    -------
+    str
+        The HTML document.
+    """
     import jinja2
 
     environment = jinja2.Environment(
@@ -224,13 +299,15 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 
 def file_stem(title: str) -> str:
-    """Return a title as the name of a file on any system."""
+    """Turn a title into a file name, without extension, that is valid on any operating system."""
     return re.sub("[^a-z0-9]+", "-", title.lower())[:LONGEST].strip("-") or "figure"
 
 
 def csv_uri(data: Data) -> str:
-    """Return the data of a drawing as a CSV file inside a data URI. Texts that a spreadsheet would compute begin with a
-    space."""
+    """Encode the numbers behind a drawing as a CSV file in a data URI.
+
+    A space is put before text that a spreadsheet would otherwise evaluate as a formula.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in (data.headings, *data.rows):
@@ -243,11 +320,22 @@ def _harmless(text: str) -> str:
 
 
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
-    """Return the origin of everything: `files` are name, kind, SHA-256 and stages, oldest first."""
+    """Build the section that lists the files of a report and the stages that made them.
+
+    Parameters
+    ----------
+    files : list of (name, kind, SHA-256, stages)
+        One entry per file. Stages are in the order in which they ran.
+
+    Returns
+    -------
+    Section
+        A table of the files, then a subsection per file with recorded stages.
+    """
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
     parts = [Subsection("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
-    return Section("History", "What was run on what, as the artifacts record it.", tuple(parts))
+    return Section("History", "The commands that made each artifact and their inputs, as recorded in it.", tuple(parts))
 
 
 def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
@@ -263,6 +351,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """Return a role and its files by the first digits of their SHA-256."""
+    """Name a role and the first four files that had it, each by the first 12 digits of its SHA-256."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

@@ -1,4 +1,5 @@
-// Shows the classes of the pixel that is clicked, or reached by arrow keys, and their transforms (packed by pixels.py).
+// Shows the classes of the selected pixel and their transforms. A pixel is selected by a click or with the arrow keys. The data
+// are encoded by pixels.py.
 const drawn = (name, attributes, ...inside) => {
   const node = document.createElementNS(document.querySelector("svg").namespaceURI, name);
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -36,7 +37,7 @@ async function unpacked(text) {
 const PANEL = 117; // pixels of a window's side, about
 const rounded = (value) => Number(value.toPrecision(2)).toString().replace("-", "−");
 
-// A square of taps with its name above; `fill` gives colour, opacity and words of each.
+// Draws a square of taps below its name. `fill` returns the colour, the opacity and the text of each tap.
 function panel(side, name, x, y, fill) {
   const cell = Math.round(PANEL / side);
   const group = drawn("g", { transform: `translate(${x} ${y})` });
@@ -52,7 +53,7 @@ function panel(side, name, x, y, fill) {
   return [group, side * cell];
 }
 
-// The transform of a class: a row for each output, or one row where a single plane is read.
+// Draws the transform of a class: one row per output, or a single row if the layer has one input plane.
 function transform(view, layer, index, site) {
   const { side, planes } = layer;
   const [mosaic, gap, items, findings] = [planes.length === 1, 12, [], []];
@@ -92,19 +93,19 @@ function transform(view, layer, index, site) {
     });
   });
   const box = { viewBox: `0 0 ${wide - gap + 2} ${y + size + 2}`, width: wide - gap + 2, height: y + size + 2 };
-  const finding = `${findings.join("; ")}. Orange adds, blue subtracts, as dense as the square root of the weight.`;
+  const finding = `${findings.join("; ")}. Orange is positive, blue negative. The opacity is the square root of the weight.`;
   return [drawn("svg", { ...box, role: "img", "aria-label": `Weights of the taps. ${finding}` }, ...items), finding];
 }
 
 const layerTitle = (number) => (number ? `Layer ${number + 1}, reads the outputs of layer ${number}` : "Layer 1, reads the mosaic");
 
-// A class in words, and its transform as far as the page holds it.
+// Describes a class in words and shows its transform, if the page contains it.
 function classed(view, number, index, site) {
   const layer = view.layers[number];
   const list = document.createElement("dl");
   const words = { ...layer.classes[index], frame: `${share(view, layer, index)} of its pixels` };
   for (const [name, text] of Object.entries(words)) list.append(written("dt", name), written("dd", text));
-  let figure = written("p", "This page does not hold the transform: the class is too rare in the frame, or does not occur.");
+  let figure = written("p", "This page does not contain the transform, because the class is rare in the frame or does not occur.");
   if (index < layer.with_weights) {
     const [drawing, finding] = transform(view, layer, index, site);
     figure = written("figure", drawing, written("figcaption", finding));
@@ -162,7 +163,7 @@ async function pick(block) {
       move(row + step * way[0], col + step * way[1]);
     });
   }
-  // In the picture of the whole frame the crop is outlined, and clicks within it choose as well.
+  // The picture of the whole frame shows an outline of the crop. A click inside it also selects a pixel.
   const whole = document.getElementById(`with-${block.dataset.frame}`).closest(".comparison");
   const [height, width] = whole.dataset.size.split(" ").map(Number);
   for (const each of whole.querySelectorAll(".view")) {

@@ -1,10 +1,16 @@
-"""Pixels of a crop with their classes and transforms, packed into the page for scripts that show them (pixels.js), and
-what other classes the table has (classes.js).
+"""A crop of a frame whose classes and transforms the reader can inspect pixel by pixel.
 
-What is packed is deflated and in base64: the length of the head in four bytes, the head as JSON padded to a multiple of
-four bytes; then for each layer the largest weight of every class and output (float32), the class of every pixel as an index
-into the head's classes (uint16), and the weights (int8) as 127 times the signed square root of their share of the largest.
-Weights are those of the first classes of the head, as many as its `with_weights`. All numbers are little-endian.
+The data are embedded in the page, where pixels.js shows them and classes.js lists the other classes of the table.
+
+The data are compressed with deflate and encoded as base64. Uncompressed, they begin with the length of the header in bytes
+(uint32). Then comes the header as JSON, padded with spaces to a multiple of four bytes. For each layer there follow three
+arrays, each padded to a multiple of four bytes:
+
+1. The largest absolute weight of each class and output (float32).
+2. The class of each pixel, as an index into the classes of the header (uint16).
+3. The weights (int8): 127 times the signed square root of the weight divided by the largest weight.
+
+Weights are stored only for the first `with_weights` classes of the header. All numbers are little-endian.
 """
 
 import base64
@@ -26,55 +32,78 @@ from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
 SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # rows and columns of crops, tried in this order
-QUALITY = 95  # of the crop's pictures
-PLACES = 8  # of crops along each side of a frame
-STEPS = 127  # of the square root of a weight's share of the largest
-PLANES = ("X − aY", "Y", "Z − bY")  # that refinement layers read
-COMPONENTS = ("first component", "mean", "second component")  # the same of bands
+QUALITY = 95  # JPEG quality of the pictures of the crop
+PLACES = 8  # steps along each side of a frame at which crops are tried
+STEPS = 127  # integer that encodes the largest weight
+PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
+COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a table at the pixels of a crop: first the classes that occur there, then others."""
+    """A layer of a table at the pixels of a crop. Its classes begin with those that occur in the crop."""
 
-    side: int  # of the windows
-    planes: tuple[str, ...]  # names of what is read, in the order of the taps; one: the mosaic
-    labels: NDArray[np.integer]  # (row, col) index into what follows
-    words: tuple[dict[str, str], ...]  # (class) where each applies
-    patches: Array  # (class) that it was trained on; 0: filled from a neighbour
-    pixels: NDArray[np.integer]  # (class) of the frame
-    weights: Array  # (class, output, tap) of the first classes
+    side: int  # pixels, side of the window
+    planes: tuple[str, ...]  # names of the input planes in the order of the taps; only "mosaic" in the first layer
+    labels: NDArray[np.integer]  # (row, col), index into the classes below
+    words: tuple[dict[str, str], ...]  # (class), description of each class by feature
+    patches: Array  # (class), number of training patches; 0 if the class was filled from a neighbour
+    pixels: NDArray[np.integer]  # (class), number of pixels in the whole frame
+    weights: Array  # (class, output, tap), only for the first classes
 
     @property
     def cropped(self) -> int:
-        """Return the number of classes in the crop."""
+        """Number of classes that occur in the crop."""
         return int(self.labels.max()) + 1
 
 
 @dataclass(frozen=True)
 class Crop:
-    """Part of a frame: its first row and column, and what stands there."""
+    """A crop of a frame: its first row and column, the size of the frame, and the layers of the table."""
 
     corner: tuple[int, int]
-    frame: tuple[int, int]  # its rows and columns
+    frame: tuple[int, int]  # rows and columns of the whole frame
     layers: tuple[Layer, ...]
 
 
 @dataclass(frozen=True)
 class Sites:
-    """The colour filter array that the crop was seen through."""
+    """The colour filter array of the frame."""
 
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col), channel of each site
     channels: tuple[str, ...]
-    colours: tuple[str, ...]  # CSS, (channel)
+    colours: tuple[str, ...]  # (channel), CSS colours
 
 
 def crop_of(
     table: TransformTable, camera: CameraModel, labels: list[NDArray[np.integer]], limit: int, more: int = 0
 ) -> tuple[Crop, str]:
-    """Return the crop of most classes, and it packed as text: the largest of SIZES that takes at most `limit` letters, else
-    the smallest; then the table's other classes, the most frequent first, in at most `more` letters. `labels` (row, col)
-    are the classes of the frame in each layer."""
+    """Choose the crop of a frame with the most classes, and encode it for the page.
+
+    The crop has the largest of SIZES whose encoding fits `limit`, or the smallest if none fits. Classes that do not occur in
+    the crop are added in the order of their frequency in the frame, as far as `more` allows: all classes of the table, or
+    only those of the frame, with the weights of as many as possible.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+    camera : CameraModel
+        Supplies the colours of the channels.
+    labels : list of ndarray, (row, col)
+        Class of every pixel of the frame, per layer.
+    limit : int
+        Maximum length of the encoded crop, in characters.
+    more : int
+        Maximum number of additional characters for classes outside the crop.
+
+    Returns
+    -------
+    crop : Crop
+        The crop.
+    text : str
+        The crop as encoded by `packed`.
+    """
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
     words = [_words(table, layer) for layer in table.layers]
     for size in SIZES:
@@ -100,8 +129,11 @@ def _crop(
     others: str = "none",
     letters: int = 0,
 ) -> Crop:
-    """Return part of a frame, with the classes that do not occur there, those of most pixels of the frame first: "none",
-    those of the "frame" or "all", with as many of their weights as `letters` for each layer hold."""
+    """Cut out a part of a frame and add classes that do not occur in it.
+
+    `others` says which classes to add: "none", those of the "frame", or "all". They are ordered by their frequency in the
+    frame. Their weights are included as far as `letters` characters per layer allow.
+    """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
         read = COMPONENTS if table.components else PLANES
@@ -111,7 +143,9 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))  # weights are hardly deflated
+        room = (
+            letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
+        )  # base64 makes 4 letters from 3 bytes; compression hardly reduces weights
         classes = np.concatenate([seen, order])
         layers.append(
             Layer(
@@ -128,10 +162,10 @@ def _crop(
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
-    """Return a function of a class of the layer that describes it in words."""
+    """Return a function that describes a class of the layer in words, given its index."""
     every = np.arange(len(layer.weights))
     sites = layer.rule.split(every).site.tolist()
-    # In the first layer a class has the same words at every site.
+    # In the first layer, the description of a class is the same at every site.
     within = layer.rule.within_site(every).tolist() if isinstance(layer, MosaicLayer) else every.tolist()
 
     @functools.cache
@@ -148,8 +182,20 @@ def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
-    """Return the corner of the crop of at most `size` that shows most classes of `labels` (row, col), the first if
-    several."""
+    """Find the crop with the most classes.
+
+    Parameters
+    ----------
+    labels : ndarray, (row, col)
+        Class of every pixel.
+    size : tuple of int
+        Rows and columns of the crop. It is smaller if the frame is smaller.
+
+    Returns
+    -------
+    tuple of int
+        First row and column. If several crops have the same number of classes, it is the first of them.
+    """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
     tops, lefts = (sorted({length * step // PLACES for step in range(PLACES + 1)}) for length in room)
@@ -162,7 +208,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
 
 
 def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
-    """Return all of it as text."""
+    """Encode a crop as base64 text in the format that is described at the top of this module."""
     head: dict[str, Any] = {
         "corner": crop.corner,
         "size": crop.layers[0].labels.shape,
@@ -192,6 +238,7 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
 
 
 def _numbers(layer: Layer) -> bytes:
+    """Encode the arrays of a layer, each padded to a multiple of four bytes."""
     largest = np.abs(layer.weights).max(axis=2).astype("<f4")
     share = layer.weights / np.where(largest > 0, largest, 1.0)[..., None]
     weights = np.rint(STEPS * np.sign(share) * np.sqrt(np.abs(share))).astype(np.int8)
@@ -200,7 +247,28 @@ def _numbers(layer: Layer) -> bytes:
 
 
 def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
-    """Return the block of a page: `pictures` of the whole frame by name, `text` what `packed` has made of the crop."""
+    """Build the block of the page in which a pixel can be picked.
+
+    Parameters
+    ----------
+    anchor : str
+        Anchor of the comparison that shows the whole frame.
+    crop : Crop
+        The crop.
+    text : str
+        The crop as encoded by `packed`.
+    pictures : dict of str to ndarray
+        Pictures of the whole frame by name, from which the crop is cut.
+    scene : str
+        Name of the scene, for the alternative texts.
+    jpeg : callable
+        JPEG encoder.
+
+    Returns
+    -------
+    PixelPicker
+        The block.
+    """
     (top, left), (rows, cols) = crop.corner, crop.layers[0].labels.shape
     where = f"{cols} × {rows} pixels from row {top}, column {left}"
     shown = []

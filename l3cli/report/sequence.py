@@ -1,4 +1,4 @@
-"""Rendered sequences as a section: noise, flicker and errors over their frames."""
+"""Rendered sequences in a report: noise, flicker and errors over their frames."""
 
 from typing import Any
 
@@ -9,8 +9,8 @@ from l3cli.report.parts import Figure, Figures, Section, Subsection, Table, Text
 from l3cli.system.text import figure as number
 from l3cli.system.text import tidy
 
-Documents = dict[str, dict[str, Any]]  # by the name of its file what `l3 evaluate --sequence` printed as JSON
-WHOLE = {  # of a sequence: heading with unit
+Documents = dict[str, dict[str, Any]]  # file name → document of `l3 evaluate --sequence --json`
+WHOLE = {  # metric of a whole sequence → heading with unit
     "temporal_sigma": "temporal σ of L*",
     "patch_sigma": "σ of patch means (L*)",
     "still_share": "still patches (share)",
@@ -20,7 +20,7 @@ WHOLE = {  # of a sequence: heading with unit
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_FIGURES = {  # figure of a frame: title, axis, whether that begins at 0
+FRAME_FIGURES = {  # metric of a frame → title, label of the axis, whether the axis begins at 0
     "step_sigma": ("Noise over time", "σ of the change of L* on still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the frame before", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -29,15 +29,26 @@ FRAME_FIGURES = {  # figure of a frame: title, axis, whether that begins at 0
     "mean_lightness": ("Brightness over time", "mean L*", False),
 }
 MEANINGS = (
-    "L* is the CIE lightness of what is displayed, 0 to 100. Temporal σ is the standard deviation over time of a pixel on "
-    "patches of 8 × 8 pixels that show the same all the time; that of the patches' means is what is seen as flickering "
-    "blotches. A jump is the change of a frame's mean beyond that of the ideal's. The warped error is how much the error "
-    "of a frame differs from that of the frame before, followed along the known motion."
+    "L* is the CIE lightness of the displayed picture, 0 to 100. Temporal σ is the standard deviation of a pixel over time, "
+    "on patches of 8 × 8 pixels whose content stays still. The σ of the patch means is visible as flickering blotches. A "
+    "jump is the change of a frame's mean L* minus the change of the ideal's mean. The warped error is the difference "
+    "between the errors of a frame and of the frame before, compared along the known motion."
 )
 
 
 def sequence_section(documents: Documents) -> Section:
-    """Return all sequences side by side: one line for each in every plot, the table of their figures before."""
+    """Build the section that compares evaluated sequences.
+
+    Parameters
+    ----------
+    documents : dict of str to dict
+        File name and document of `l3 evaluate --sequence --json` for each sequence.
+
+    Returns
+    -------
+    Section
+        A table of the metrics of whole sequences, and plots over the frames with one line per sequence.
+    """
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in WHOLE))
         for name, document in documents.items()
@@ -45,14 +56,12 @@ def sequence_section(documents: Documents) -> Section:
     table = Table("Whole sequences", ("evaluation", "frames", *WHOLE.values()), rows)
     drawn = tuple(_curves(documents, figure) for figure in FRAME_FIGURES if _known(documents, figure))
     parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Over the frames", (Figures(drawn),)))
-    lead = (
-        "How much the lightness of what stands still changes from frame to frame, and how far pictures are from ideal ones."
-    )
+    lead = "How much the lightness of still areas changes from frame to frame, and how far the pictures are from the ideal."
     return Section("Sequences over time", lead, parts)
 
 
 def summary(documents: Documents) -> str:
-    """Return the noise and largest jump of every sequence in a sentence."""
+    """State the temporal noise and the largest jump of every sequence in a sentence each."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 
@@ -71,11 +80,12 @@ def _cell(figure: str, value: float | None) -> str:
 
 
 def _known(documents: Documents, figure: str) -> bool:
+    """Whether any frame of any sequence has this metric."""
     return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
 
 
 def _curves(documents: Documents, figure: str) -> Figure:
-    """Return a figure of a frame over the frames of every sequence that has it."""
+    """Plot a metric over the frames of every sequence that has it."""
     title, label, zero = FRAME_FIGURES[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
@@ -91,6 +101,7 @@ def _curves(documents: Documents, figure: str) -> Figure:
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of the frames that have a metric, and its values."""
     known = [(frame["frame"], frame[figure]) for frame in document["frames"] if frame[figure] is not None]
     at, values = np.array(known, np.float64).reshape(-1, 2).T
     return at, values

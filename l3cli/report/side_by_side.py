@@ -1,4 +1,7 @@
-"""Tables side by side, of one or several arrays: the same frame, their figures, their errors over light level."""
+"""Several tables compared side by side in a report, for one or several colour filter arrays.
+
+The section shows the same frame rendered with each table, the metrics, and the error over the level.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,15 +32,15 @@ from l3cli.report.parts import (
 )
 from l3cli.system.text import counted
 
-CAVEAT = "Scenes and lights are the same; each camera exposes them as its own training set says."
-UNKNOWN = "Scenes and lights have the same names; frames of older versions, and real ones, do not say what they show."
+CAVEAT = "Scenes and lights are the same; each camera uses the exposure times of its own training set."
+UNKNOWN = "Scenes and lights have the same names, but real frames and frames from older versions do not say what they show."
 OTHERS = "frames of one name show other scenes or lights; simulate all with one recipe and seed"
-Place = tuple[str, str, str]  # scene, light and luminance: frames of several sets that are called alike
+Place = tuple[str, str, str]  # scene, illuminant and luminance, by which frames of several sets are matched
 
 
 @dataclass(frozen=True)
 class Side:
-    """A table judged on frames; `document` is that of `l3 evaluate --json`."""
+    """A table evaluated on a set of frames. `document` is the output of `l3 evaluate --json`."""
 
     name: str
     frames: str
@@ -46,7 +49,7 @@ class Side:
 
     @property
     def places(self) -> dict[Place, int]:
-        """Return the number of each frame by what it is called, the first of equal ones."""
+        """Map each scene, illuminant and luminance to the index of the first frame that has them."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
@@ -54,31 +57,57 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Return the scenes and lights that frames of all sides show, in the order of the first side."""
+    """Return the scenes, illuminants and luminances for which every side has a frame.
+
+    Frames with the same names are left out if their fingerprints show different scenes.
+
+    Parameters
+    ----------
+    sides : list of Side
+        The evaluated tables.
+
+    Returns
+    -------
+    list of (scene, illuminant, luminance)
+        In the order of the first side.
+    """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the scenes and lights that frames of all sides name, in the order of the first side."""
+    """Return the scenes, illuminants and luminances that frames of all sides name, in the order of the first side."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return the fingerprints of the scenes of the sides at a place; None where there are none."""
+    """Return each side's fingerprint of the scene of a frame; None where the frame has no fingerprint."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Return whether all known fingerprints are of one scene."""
+    """Whether all known fingerprints belong to the same scene."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 
 
 def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
-    """Return the number in each side of the frame that all sides have, of several the one of median quality in the first
-    side; none if there is none, or if the outputs are no pictures. Only frames `at` a luminance in cd/m² count, if one is
-    given."""
+    """Choose the frame to show side by side.
+
+    Among the frames that all sides have, this is the one with the median ΔE00 in the first side.
+
+    Parameters
+    ----------
+    sides : list of Side
+        The evaluated tables.
+    at : float, optional
+        Choose only from frames of this luminance in cd/m².
+
+    Returns
+    -------
+    list of int
+        Index of the frame in each side. Empty if the sides have no frame in common or the outputs are not pictures.
+    """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
         place for place in shared_places(sides) if lit_as(first.document["frames"][first.places[place]]["luminance"], at)
@@ -93,8 +122,26 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
 def side_by_side_section(
     sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg
 ) -> Section:
-    """Return the section of several tables. `pictures` are those of frame `index` of every side, none if they have none in
-    common, of which `limit` bytes is what they may take."""
+    """Build the section that compares several tables.
+
+    Parameters
+    ----------
+    sides : list of Side
+        The evaluated tables.
+    index : list of int
+        Index of the common frame in each side, from `shared_frame`.
+    pictures : list of dict
+        Pictures of that frame for each side; empty if there is no common frame.
+    limit : int
+        Maximum size of all pictures together, in bytes.
+    jpeg : callable
+        JPEG encoder.
+
+    Returns
+    -------
+    Section
+        The common frame, the metrics, and the cameras if they differ. Its lead is the ranking of the tables.
+    """
     parts = []
     if pictures:
         parts.append(Subsection("The same frame", (_frame_block(sides, index, pictures, limit, jpeg),)))
@@ -106,16 +153,18 @@ def side_by_side_section(
 
 
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
-    """Return the figures of the frames that show `places`; of all frames if there are none."""
+    """Return the metrics of the frames at the given places, or of all frames if no places are given."""
     frames = side.document["frames"]
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
+    """Average a metric over frames; None if no frame has it."""
     return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
+    """Rank the tables in words, or say why they cannot be compared."""
     if len({main_of(side.document) for side in sides}) > 1:
         return "The tables have different outputs: their figures are not comparable."
     others = len(_alike(sides)) - len(shared)
@@ -130,7 +179,7 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
     frames = "the frame" if len(shared) == 1 else counted(len(shared), "frame")
     known = all(all(_shown(sides, place)) for place in shared)
     caveat = f" {CAVEAT if known else UNKNOWN}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
-    caveat += f" Left out are {counted(others, 'frame')}: {OTHERS}." if others else ""
+    caveat += f" {counted(others, 'frame')} left out: {OTHERS}." if others else ""
     often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
     best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
     name = FIGURES[figure].heading
@@ -138,13 +187,13 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Return a side's table, with its frames where the same table stands on several sets."""
+    """Name a side by its table, and also by its frames if the same table is evaluated on several sets."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show ours of every side and the ideal: one upon another if they are of one size."""
+    """Show each side's rendering and the ideal, with a slider if all pictures have the same size."""
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
@@ -180,7 +229,7 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Return the error of ours over the class's level, a line for each side."""
+    """Plot the error of ours over the level of the class, one line per side; None if there are too few levels."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None
@@ -199,7 +248,7 @@ def _level_figure(sides: list[Side]) -> Figure | None:
 
 
 def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
-    """Return the array and responsivities of every camera, once each."""
+    """Draw the array and the responsivities of each distinct camera."""
     drawn: dict[bytes, Side] = {}
     for side in sides:
         drawn.setdefault(side.camera.cfa.tobytes() + side.camera.responsivity.tobytes(), side)

@@ -1,4 +1,4 @@
-// Lays the pictures of a frame upon one another and lets a slider divide them. Without scripts they stand side by side.
+// Overlays two pictures of a frame, with a slider between them. Without scripts, the pictures are shown side by side.
 for (const block of document.querySelectorAll(".comparison")) {
   const [other, cut] = block.querySelectorAll("select, input");
   const panes = [...block.querySelectorAll(".panes figure")];

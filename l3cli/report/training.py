@@ -1,4 +1,4 @@
-"""A training set as a section: its scenes, lights, levels and colours."""
+"""A training set in a report: its scenes, illuminants, levels and colours."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -30,17 +30,17 @@ from l3cli.report.parts import (
 from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
-SHOWN = 24  # scenes with a picture
-LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # of the raw signal, share of full scale
-SATURATED = 0.985  # share of full scale, as in docs/method.md#saturation-cases
-GRID = 0.01  # of the chromaticity diagram
-CELLS = 100
-DARKEST = 1e-4  # share of white's luminance below which a chromaticity is not computed
+SHOWN = 24  # maximum number of frames shown as pictures
+LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
+SATURATED = 0.985  # fraction of full scale, as in docs/method.md#saturation-cases
+GRID = 0.01  # side of a cell of the chromaticity diagram, in x and y
+CELLS = 100  # number of cells along x and along y
+DARKEST = 1e-4  # darker pixels, relative to the luminance of white, have no reliable chromaticity
 
 
 @dataclass
 class Survey:
-    """Statistics gathered in one pass over the frames."""
+    """Statistics of a training set, collected in one pass over its frames."""
 
     pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)  # caption, alt, sRGB (row, col, 3)
     levels: list[Array] = field(default_factory=list)  # (channel, bin) counts
@@ -48,14 +48,32 @@ class Survey:
     saturated: int = 0
     pixels: int = 0
     sizes: Counter = field(default_factory=Counter)
-    lights: dict = field(default_factory=dict)  # illuminant → frames, whites, luminances, exposures
+    lights: dict = field(default_factory=dict)  # illuminant → list of (white, luminance in cd/m², exposure in s)
     chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS, CELLS)))
     pairs: int = 0
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
-    """Return the section of a training set. `role` says what the set was used for; `name` is the file it comes from, `limit`
-    bytes what its pictures may take."""
+    """Build the section of a training set.
+
+    Parameters
+    ----------
+    reader : TrainingSetReader
+        The open training set; its frames are read one by one.
+    name : str
+        Name of the file.
+    role : str
+        Sentence that says which tables were trained or evaluated on the set. May be empty.
+    limit : int
+        Maximum size of all pictures together, in bytes.
+    jpeg : callable
+        JPEG encoder.
+
+    Returns
+    -------
+    Section
+        Scenes with pictures of their targets, illuminants, raw levels, and chromaticities.
+    """
     head = reader.head
     survey = survey_of(reader)
     about = f"{counted(len(reader), 'frame')}, {survey.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
@@ -67,7 +85,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Return counts over all frames of a set, read one by one."""
+    """Collect the statistics of all frames. Frames are read one by one, so that only one is in memory."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -92,6 +110,7 @@ def survey_of(reader: TrainingSetReader) -> Survey:
 
 
 def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> None:
+    """Add the raw values of a frame to the histogram of each channel."""
     signal = (frame.raw.astype(np.float64) - camera.black_level) / (camera.white_level - camera.black_level)
     rows, cols = camera.cfa.shape
     for (row, col), channel in np.ndenumerate(camera.cfa):
@@ -103,6 +122,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
+    """Add the chromaticities of a frame's target to the histogram. Very dark pixels are left out."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > DARKEST * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
@@ -118,13 +138,13 @@ def _scene_blocks(reader: TrainingSetReader, survey: Survey, limit: int, jpeg: J
     rows += [("Outputs", ", ".join(reader.head.outputs)), ("Target", reader.head.target_description)]
     table = Table("What is in the set", ("quantity", "value"), tuple(rows))
     if not survey.pictures:
-        return (table, Text("The targets are not XYZ: there are no pictures to show."))
+        return (table, Text("The targets are not XYZ, so there are no pictures to show."))
     pictures = []
     for caption, alt, pixels in survey.pictures:
         uri, size = fitted(pixels, limit // SHOWN, jpeg)
         pictures.append(Picture(uri, *size, caption, alt))
     chosen = f"{len(pictures)} of {len(reader)} frames, evenly spaced" if len(pictures) < len(reader) else "All frames"
-    shown = f"{chosen}: the targets as sRGB, each frame's white adapted to D65."
+    shown = f"{chosen}. The pictures are the targets as sRGB, with each frame's white adapted to D65."
     return (table, Text(shown), Gallery(tuple(pictures)))
 
 
@@ -141,11 +161,13 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
+    """Format the minimum and maximum of values, as one number if they are equal."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
 
 def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
+    """Plot a histogram of the raw signal of each channel."""
     keys = colours.channel_keys(camera)
     shares = [100 * counts / max(counts.sum(), 1) for counts in survey.levels]
     plot = Plot(
@@ -161,13 +183,16 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
             medians.append(f"{key.label} {tidy(float(middle), 2)}")
     finding = (
         f"Median signal as a share of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % of "
-        f"all pixels are saturated, {100 * survey.below / survey.pixels:.2g} % lie below a thousandth of full scale."
+        f"all pixels are saturated; {100 * survey.below / survey.pixels:.2g} % are below a thousandth of full scale."
     )
     return plot.figure("Levels", finding, keys)
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
-    """Return the figure of the targets within the spectral locus; the denser, the darker, a step for each factor of ten."""
+    """Plot the chromaticities of the targets in the CIE 1931 diagram.
+
+    Opacity increases with the fraction of pixels in a cell, one step per factor of ten.
+    """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
     closed = np.concatenate([locus, locus[:1]])
@@ -194,7 +219,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
     inside, covered = _cover(shares, primaries)
     finding = (
         f"Targets reach {100 * covered:.0f} % of the area of the sRGB triangle (cells of {GRID}); "
-        f"{100 * inside:.3g} % of all pixels lie within it. "
+        f"{100 * inside:.3g} % of all pixels are inside it. "
         f"Crosses are the whites of {counted(len(survey.lights), 'illuminant')}."
     )
     keys += [
@@ -209,7 +234,22 @@ def _chromaticity_figure(survey: Survey) -> Figure:
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
-    """Return the share of pixels inside a triangle (3, 2), and share of its cells that hold any pixel."""
+    """Compare the chromaticities with a triangle, such as the sRGB gamut.
+
+    Parameters
+    ----------
+    shares : ndarray, (x, y)
+        Fraction of pixels in each cell of the diagram.
+    triangle : ndarray, (3, 2)
+        Corners in x and y.
+
+    Returns
+    -------
+    inside : float
+        Fraction of pixels inside the triangle.
+    covered : float
+        Fraction of the triangle's cells that contain any pixel.
+    """
     centre = (np.arange(CELLS) + 0.5) * GRID
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)
     sides = np.roll(triangle, -1, axis=0) - triangle

@@ -1,4 +1,4 @@
-"""A transform table as a section: how its classes are filled, pictures of some transforms, how they treat noise."""
+"""A transform table in a report: how its classes are filled, some of its transforms, and how they amplify noise."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,25 +15,42 @@ from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subse
 from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
-DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of 1–9, 10–99… patches
-LONGEST = 22  # letters of a name beside a drawing
-MAPS = 3  # outputs drawn of a transform
+DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99… patches
+LONGEST = 22  # characters; longer names do not fit beside a drawing and are replaced by numbers
+MAPS = 3  # maximum number of outputs for which the weights of a transform are drawn
 
 
 def transform_section(
     table: TransformTable, light: Array | None, insight: dict[str, Any], class_name: Callable[[int], str], name: str
 ) -> Section:
-    """Return the section of a transform table. `insight` is what `l3 info --json` says of the table, `class_name` says where
-    a class applies, `light` (channel, 3) is linear sRGB of the channels, None where no camera is given; `name` is the file
-    the table comes from."""
+    """Build the section of a transform table.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+    light : ndarray, (channel, 3), optional
+        Display colours of the channels in linear sRGB. None if the report contains no camera.
+    insight : dict
+        The document that `l3 info --json` prints for the table.
+    class_name : callable
+        Returns a description of a class, given its index.
+    name : str
+        Name of the file.
+
+    Returns
+    -------
+    Section
+        Class population, selected transforms, noise gains and, if there are any, refinement layers.
+    """
     classes = insight["classes"]
     lead = (
         f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
-        f"{classes['trained']} are trained on patches of their own, {classes['filled']} filled from their neighbours. "
+        f"{classes['trained']} were trained on their own patches, {classes['filled']} were filled from their neighbours. "
         f"For {table.camera_name}. From {name}."
     )
     if lights := ", ".join(light["name"] for light in insight.get("lights", ())):
-        lead += f" Shown are the transforms for all its lights in common; it has others for each: {lights}."
+        lead += f" The transforms shown are common to all its lights. It also has transforms for each light: {lights}."
     parts: tuple[Subsection, ...] = (
         Subsection("Class population", _population_blocks(table, insight)),
         Subsection("Transforms", _transform_blocks(table, light, class_name)),
@@ -45,7 +62,7 @@ def transform_section(
 
 
 def _refinement_table(insight: dict[str, Any]) -> Table:
-    """Return a row for each layer after the first."""
+    """Make a table with a row per refinement layer."""
     gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
     rows = tuple(
         (
@@ -59,18 +76,18 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
         for number, layer in enumerate(insight["later"], 2)
     )
     headings = ("layer", "classes", "trained", "filled", "taps", "levels", "structures", *gains)
-    return Table("Layers that read the outputs of the layer before", headings, rows)
+    return Table("Layers that refine the outputs of the previous layer", headings, rows)
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Return the features by which a refinement layer distinguishes pixels where nothing is saturated."""
+    """Describe the features by which a refinement layer classifies unsaturated pixels."""
     if "leaves" in layer:
         return f"leaves of a tree, depth {layer['depth']}: {layer['leaves']}"
     return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"
 
 
 def level_middles(table: TransformTable) -> Array:
-    """Return a level of each class of the rule, share of full scale, fit for a logarithmic axis."""
+    """Return a representative level of each level class as a fraction of full scale. It is positive, for a log axis."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -80,6 +97,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
+    """Draw how many training patches each class has, by level, contrast, kind and site."""
     samples = table.first.rule.by_axis(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -98,28 +116,30 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
         )
     by_site = samples.sum(axis=(2, 3, 4))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
-    empty = Text("An empty cell has no patches of its own and took its transform from a neighbour.")
+    empty = Text("Classes in an empty cell had no training patches. They took their transforms from neighbours.")
     return (empty, Figures(tuple(figures)), _kinds_table(insight), *_further_tables(insight))
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds, with a number before each where some are too long to stand beside a drawing."""
+    """Return the names of the kinds. If some are too long for a drawing, each is preceded by its number."""
     names = [kind["name"] for kind in insight["kinds"]]
     return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
+    """Describe the flattest and the most textured contrast class, with a leading comma."""
     if table.first.rule.contrasts == 1:
         return ""
     return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
+    """Draw the number of patches per row and level as cells whose opacity increases with each factor of ten."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADES)[decade], 0.0)
     filled = int((counts > 0).sum())
     median = float(np.median(counts[counts > 0])) if filled else 0.0
-    finding = f"{filled} of {counts.size} cells hold patches; the median of these holds {tidy(median)}."
+    finding = f"{filled} of {counts.size} cells contain patches. The median of these cells is {tidy(median)} patches."
     svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding)
     used = np.unique(decade[counts > 0])
     names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADES) - 1)] + [f"{10 ** (len(DECADES) - 1)} or more"]
@@ -135,6 +155,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _further_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
+    """Make a table of the patches per value of each further class feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("further", {}).items()
@@ -149,17 +170,31 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
     if not chosen:
         return (Text("No class has been trained on patches of its own."),)
     text = (
-        "Weights of a patch's taps for each output, as in the paper's Figure 3, beside the colour filters under the patch. "
-        "Orange adds, blue subtracts; a tap is as dense as the square root of its weight over the map's largest. "
-        "Classes were chosen for their many patches: one site of each channel, "
-        "dark and bright, flat and textured."
+        "The weights of the taps of a patch for each output, as in Figure 3 of the paper, beside the colour filters of the "
+        "patch. Orange weights are positive, blue weights are negative. The opacity is the square root of the weight relative "
+        "to the largest weight of the map. The classes shown have many training patches. They cover one site of each channel, "
+        "dark and bright levels, and flat and textured areas."
     )
     return (Text(text), Figures(tuple(_maps(table, light, index, class_name(index)) for index in chosen)))
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Return the classes worth showing: of the commonest channel's first site dark and bright, flat and textured; then a
-    textured class of middling level for each other channel. Of each the unsaturated kind of most patches."""
+    """Choose the classes whose transforms are drawn.
+
+    For the first site of the most frequent channel, these are dark and bright levels with the lowest and highest contrast.
+    For up to seven other channels, it is a medium level with the highest contrast. Among the unsaturated kinds of each, the
+    one with the most training patches is taken. Classes without patches are omitted.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table.
+
+    Returns
+    -------
+    list of int
+        Indices of classes of the first layer.
+    """
     rule = table.first.rule
     sites = table.cfa.ravel()
     common = int(np.bincount(sites).argmax())
@@ -180,7 +215,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Return filters under a patch and, for each of the first outputs, its weights: blue below zero, orange above."""
+    """Draw the filters of a patch and, for the first outputs, the weights: blue if negative, orange if positive."""
     patch, outputs = table.first.rule.patch, min(MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -211,7 +246,7 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """Return every weight of a class with its place in the patch."""
+    """List every weight of a class with its position in the patch."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -221,6 +256,7 @@ def _weights_data(table: TransformTable, index: int) -> Data:
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
+    """Draw the weights of one output as cells."""
     largest = float(np.abs(weights).max()) or 1.0
     items = []
     for (row, col), weight in np.ndenumerate(weights):
@@ -234,7 +270,7 @@ def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[st
 
 
 def taps(table: TransformTable, index: int) -> Integers:
-    """Return the channel of each tap of a class's patch."""
+    """Return the channel of each tap in the window of a class."""
     return window_channels(table.cfa, table.first.rule.patch)[table.first.rule.split(index).site]
 
 
@@ -242,7 +278,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Return the noise gain over level: median over trained unsaturated classes."""
+    """Plot the noise gain over the level, as the median over trained unsaturated classes."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -269,20 +305,23 @@ def _noise_figures(table: TransformTable) -> Figures:
         ranges.append(f"{name} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (
         f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(ranges)}. "
-        "1 hands a single tap's noise on."
+        "A gain of 1 passes on the noise of a single tap."
     )
     return Figures((plot.figure("Noise gain", finding, tuple(keys)),))
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median over sites, further features and kinds of (site, level, further, kind) where chosen; NaN for levels
-    without any."""
+    """Return the median per level of values (site, level, further, kind) where `chosen` is true.
+
+    Levels without chosen values give NaN.
+    """
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
+    """List noise gains, gains for flat areas, and the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )

@@ -1,5 +1,8 @@
-"""Predictions of charts by a camera model: in the lab with the choice of its smoothing, or in photos with their
-reliability; and the patches of a chart side by side: what each should be, what it became, and how far that is."""
+"""How well a camera model predicts the charts it was fitted to, and drawings of chart patches.
+
+For lab measurements, this includes the choice of the smoothing. For photos, it includes how reliable the curves and colours
+are. A chart is drawn patch by patch: the ideal colour, the actual colour, and the difference.
+"""
 
 from typing import Any
 
@@ -18,14 +21,31 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Key, Subse
 from l3cli.system.text import counted, tidy, unit
 
 Array = NDArray[np.floating]
-COLUMNS = 6
-CHARTS = 4  # of a calibration that are drawn
-GAP, LINE = 10.0, 18.0  # between patches, and below them for their ΔE00
+COLUMNS = 6  # patches per row
+CHARTS = 4  # maximum number of charts drawn for a calibration
+GAP, LINE = 10.0, 18.0  # px, between patches, and height of the ΔE00 below each patch
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Return the patches of a chart, row by row, each in two halves: `pair` are linear sRGB (patch, 3) of what `names` call
-    them, the first on the left; `errors` (patch) are ΔE00 of the second from the first, and below it of others."""
+    """Draw the patches of a chart in rows, each split into two halves, with the ΔE00 below.
+
+    Parameters
+    ----------
+    title : str
+        Title of the figure.
+    names : tuple of str
+        Names of the left and the right halves.
+    pair : tuple of ndarray, (patch, 3)
+        Linear sRGB of the left and the right halves.
+    errors : dict of str to ndarray, (patch,)
+        ΔE00 per patch from the left half. The entry `names[1]` is written below the patches; other entries, such as other
+        pipelines, appear in the finding and the data.
+
+    Returns
+    -------
+    Figure
+        The drawing, with mean and worst ΔE00 in its finding.
+    """
     side = (WIDTH - 2 - GAP * (COLUMNS - 1)) / COLUMNS
     main, items = errors[names[1]], []
     for patch, error in enumerate(main.tolist()):
@@ -39,7 +59,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     worst = int(np.argmax(main))
     means = ", ".join(f"{name} {error.mean():.2f}" for name, error in errors.items())
     finding = (
-        f"Left half: {names[0]}; right half: {names[1]}; below: ΔE00 between them. "
+        f"Left half: {names[0]}. Right half: {names[1]}. Below: ΔE00 between them. "
         f"Mean ΔE00 of {len(main)} patches: {means}; worst of {names[1]}: {PATCH_NAMES[worst]}, {main[worst]:.2f}."
     )
     drawing = sheet(WIDTH, round(rows * (side + LINE + GAP / 2) + 1), "".join(items), finding)
@@ -54,14 +74,29 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Return ΔE00 (patch) of every pipeline, patch by patch."""
+    """List the ΔE00 of every pipeline for each patch. `errors` is as for `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
 
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
-    """Return the patches of the first of a calibration's charts as measured beside as the model predicts them, in the
-    colours into which one matrix turns the channels; none of charts under lights without a standard's name."""
+    """Draw the charts of a calibration as measured, beside the prediction of the model.
+
+    Channels are converted to colours with one matrix per chart. Charts whose illuminant is not a named standard illuminant
+    are omitted, because their ideal colours are unknown.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Supplies the wavelengths.
+    fit : ChartFit
+        Measured and predicted values. The first CHARTS charts are drawn.
+
+    Returns
+    -------
+    tuple of Figure
+        One figure per chart.
+    """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:CHARTS], fit.measured, fit.predicted, strict=False):
         try:
@@ -81,21 +116,39 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 
 
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
-    """Return (channel, 3) that turns `predicted` (patch, channel) into `ideal` (patch, 3) with the least error of what is
-    measured, `residual` (patch, channel) apart: channels that are alike are not played off against one another."""
+    """Fit the matrix (channel, 3) from channels to XYZ.
+
+    The residuals between measurement and prediction act as noise in the least squares. They keep the matrix from amplifying
+    the difference of two similar channels.
+    """
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
     return matrix
 
 
-BANDS = {  # column of calibration's figures: heading here
+BANDS = {  # key in the document of `l3 calibrate --json` → heading in the report
     "curve ± 95 % (% of peak)": "curve ± 95 % (% of peak)",
     "colours ± 95 % (% of most)": "colours ± 95 % (% of the brightest)",
 }
 
 
 def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) -> tuple[Block, ...]:
-    """Return plots and tables of a camera's `fit`; `figures` as for `camera_section`."""
+    """Build the plots and tables that validate a fitted camera.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    fit : Fit
+        Its fit to measurements.
+    figures : dict
+        The document that `l3 calibrate --json` prints.
+
+    Returns
+    -------
+    tuple of Block
+        Prediction, residuals and smoothing, charts, and tables per chart and per band, as far as the fit has them.
+    """
     graphs: list[Figure] = []
     if fit.validation is not None:
         graphs += _prediction_figures(camera, fit)
@@ -112,7 +165,7 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Return the rows of numbers by name, as calibration's figures hold them."""
+    """Make a table from named rows of numbers, as `l3 calibrate --json` prints them."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
@@ -122,6 +175,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
+    """Plot measured against predicted values, and the residuals."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -138,7 +192,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
     rest.line(np.array([low, 1.04 * top]), np.zeros(2), "var(--muted)", "dashed", 1)
     rest.points(keys, predicted, error, used)
     fits = ", ".join(f"{n} {float(r):.5f}" for n, r in zip(camera.channels, fit.validation.r_squared, strict=True))
-    scatter = f"{int(used.sum())} values, one for each {what} and channel. R²: {fits}."
+    scatter = f"{int(used.sum())} values, one per {what} and channel. R²: {fits}."
     rmse = ", ".join(
         f"{n} {tidy(100 * float(r), 2)} %" for n, r in zip(camera.channels, fit.validation.relative_rmse, strict=True)
     )
@@ -147,6 +201,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
+    """Plot the cross-validated error over the smoothing δ. Empty if fewer than two values were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -158,8 +213,8 @@ def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
     nearest = int(np.argmin(np.abs(np.log(delta / chosen)))) if chosen > 0 else int(np.argmin(error))
     plot.dots(delta[nearest : nearest + 1], error[nearest : nearest + 1], "var(--two)", size=10, opacity=1, series="chosen")
     finding = (
-        f"δ = {tidy(chosen)} was chosen, the middle of the plateau; its cross-validated RMSE is "
-        f"{tidy(float(error[nearest]))} %, the least of all tried {tidy(float(error.min()))} %."
+        f"δ = {tidy(chosen)} was chosen, which is the middle of the plateau. Its cross-validated RMSE is "
+        f"{tidy(float(error[nearest]))} %; the lowest RMSE of all δ tried is {tidy(float(error.min()))} %."
     )
     keys = (Key("tried", "var(--one)", "dot"), Key("chosen", "var(--two)", "dot"))
     return [plot.figure("Choice of the smoothing", finding, keys)]
@@ -169,7 +224,22 @@ def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
 
 
 def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any]) -> tuple[Subsection, ...]:
-    """Return the parts of a camera made from photos; `figures` as for `camera_section`."""
+    """Build the subsections of a camera fitted to photos of a chart.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    fit : PhotoFit
+        Measured and predicted patches of each photo.
+    figures : dict
+        The document that `l3 calibrate --json` prints.
+
+    Returns
+    -------
+    tuple of Subsection
+        The photos, how reliable curves and colours are, and the patches of each photo.
+    """
     keys = point_keys(camera)
     return (
         Subsection("Photos of a chart", (_photos(figures), _lights(figures), *_left_out(figures))),
@@ -179,12 +249,12 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """Return the uncertainties in a sentence."""
+    """Summarize the uncertainty of curves and colours in a sentence."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
     many = "a photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
-        f"Estimated from {many} of a chart: its curves stay uncertain (95 % within ± {tidy(curve, 2)} % of their peak), its "
-        f"colours do not (± {tidy(colours, 2)} % of the brightest)."
+        f"Estimated from {many} of a chart: its curves stay uncertain (95 % within ± {tidy(curve, 2)} % of their peak), but "
+        f"its colours do not (± {tidy(colours, 2)} % of the brightest)."
     )
 
 
@@ -201,26 +271,25 @@ def _photos(figures: dict[str, Any]) -> Table:
         for name, photo in figures["photos"].items()
     ]
     units = ("uneven light (%)", "glare (% of the brightest)", "residual RMS (% of the brightest)")
-    return Table(
-        "Photos; glare and residual are those of the worst channel", ("photo", "chart", "light", *units), tuple(rows)
-    )
+    return Table("Photos, with glare and residual of the worst channel", ("photo", "chart", "light", *units), tuple(rows))
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """Return whether the stated lights are those that the patches look like, in words."""
+    """Say for each photo whether the illuminant that was given fits its patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: its light was not named, and is {guessed_light(photo['probable lights'])}; the bands include what "
-                "these lights allow."
+                f"{name}: the illuminant was not given; it is {guessed_light(photo['probable lights'])}. The bands "
+                "include the uncertainty of the illuminant."
             )
         elif photo["deficit"] > 0:
             words.append(
-                f"{name}: of the usual lights, {photo['nearest']} explains its patches best; {photo['light']} was named."
+                f"{name}: {photo['nearest']} explains its patches best among the common illuminants; "
+                f"{photo['light']} was given."
             )
         else:
-            words.append(f"{name}: no usual light explains its patches better than {photo['light']}, which was named.")
+            words.append(f"{name}: no common illuminant explains its patches better than {photo['light']}, which was given.")
     return Text(" ".join(words))
 
 
@@ -237,23 +306,24 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
+    """Explain how to read the bands, and which further photo would help most."""
     further = figures["next light"]
     source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (
         Text(
-            "Curves stay uncertain, colours do not: the patches say little of a curve's details, which are filled in from "
-            f"{source}, but much of the responses to other surfaces under other lights, of which pictures are made. The "
-            "first column is the band drawn about the curves above."
+            "Curves stay uncertain, colours do not. The patches determine the responses to other surfaces under other "
+            "illuminants well, and these make the colours of pictures. They determine the details of a curve only roughly; "
+            f"these are filled in from {source}. The first column is the band drawn around the curves above."
         ),
         Text(
-            f"One more photo of the chart would help most under {further['light']}: it would leave "
-            f"{tidy(further['remaining %'], 2)} % of the error of the colours."
+            f"Another photo of the chart would help most under {further['light']}. It would reduce the error of the colours "
+            f"to {tidy(further['remaining %'], 2)} % of its present value."
         ),
     )
 
 
 def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Draw measured against predicted patches of one photo, and the difference of each."""
+    """Plot measured against predicted patches of one photo, and the residual of each patch."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)
@@ -270,6 +340,9 @@ def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, 
     left.points(keys, np.indices(used.shape)[0] + 1.0, rest, used)
     patch, worst = map(int, np.unravel_index(int(np.abs(rest).argmax()), rest.shape))
     rms = ", ".join(f"{key.label} {tidy(100 * float(m), 2)} %" for key, m in zip(keys, fit.misfit[index], strict=True))
-    fits = f"{int(used.sum())} values of {len(used)} patches, uneven light and glare in the prediction. Residual RMS: {rms}."
+    fits = (
+        f"{int(used.sum())} values of {len(used)} patches. The prediction includes uneven light and glare. "
+        f"Residual RMS: {rms}."
+    )
     largest = f"Largest: patch {patch + 1} in {keys[worst].label}, {tidy(float(rest[patch, worst]), 2)} %."
     return one.figure(f"Patches of {fit.names[index]}", fits, keys), left.figure("Residuals", largest, keys)

@@ -20,9 +20,9 @@ from tests.helpers.calls import L3, Refused
     ("names", "sections", "lead"),
     [
         (["camera"], ["Camera", "History"], "nothing is evaluated"),
-        (["table"], ["Table", "History"], "Add a training set that the table was not trained on"),
+        (["table"], ["Table", "History"], "add a training set that it was not trained on"),
         (["training"], ["Camera", "Training set", "History"], "without a transform table"),
-        (["training", "table"], ["Camera", "Training set", "Table", "History"], "add frames that it has not seen"),
+        (["training", "table"], ["Camera", "Training set", "Table", "History"], "add frames that it was not trained on"),
         (
             ["table", "unseen"],
             ["Pictures", "Camera", "Training set", "Table", "Evaluation", "History"],
@@ -80,7 +80,7 @@ def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: 
     text = (tmp_path / "report.html").read_text()
     assert "It falls short: channel g is predicted with" in text
     assert "No white frame saturates" in text
-    assert " 1 saturated point, of less variance, lies below them." in text
+    assert " 1 saturated point with less variance lies below the lines." in text
     assert l3("report", pipeline / "camera.h5", "-o", tmp_path / "sound.html")[0] == 0
     assert "falls short" not in (tmp_path / "sound.html").read_text()
 
@@ -157,9 +157,9 @@ def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L
     assert f"its curves stay uncertain (95 % within ± {curve:.1f} % of their peak)" in plain
     assert "its colours do not (± 0.6 % of the brightest)" in plain
     assert "Curves stay uncertain, colours do not" in plain
-    assert "would help most under LED-B3: it would leave 61 % of the error of the colours" in plain
+    assert "would help most under LED-B3. It would reduce the error of the colours to 61 % of its present value" in plain
     assert re.search(r"classic\s+A\s+9.5\s+1\s+0.63", plain)  # uneven by 0.1 of 1.05, glare, residual RMS
-    assert "of the usual lights, 3200K explains its patches best; A was named" in plain
+    assert "3200K explains its patches best among the common illuminants; A was given" in plain
     assert "69 values of 24 patches" in plain
     assert "Largest: patch 1 in r, 3 %" in plain
     assert "1 value of patches left out" in plain

@@ -112,7 +112,7 @@ def test_tables_of_two_arrays_stand_side_by_side(both: Path) -> None:
     first = side_by_side(text)
     assert re.search(r"(<i>bayer|quad)\.h5 is nearest to the ideal, in [12] of 2 frames\.", first)
     assert "over 2 frames that all have" in first
-    assert "each camera exposes them as its own training set says" in first
+    assert "each camera uses the exposure times of its own training set" in first
     captions = re.findall("<figcaption>(.*?): (?:mean|the)", first)
     assert captions == ["<i>bayer.h5", "quad.h5", "ideal"]
     assert "2 × 2, 3 channels" in first
@@ -181,7 +181,7 @@ def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
     assert "nearest" not in first
     assert "Scenes and lights are the same" not in first
     text = page(*one, *write(tmp_path, "older", other, (2,), light=None))[0]
-    assert "frames of older versions, and real ones, do not say what they show" in side_by_side(text)
+    assert "real frames and frames from older versions do not say what they show" in side_by_side(text)
     assert "Scenes and lights are the same" not in text
     assert "Colour filter array: small Bayer (older.h5)" in side_by_side(text)
     assert {"Camera: small Bayer (<i>bayer unseen.h5)", "Camera: small Bayer (older unseen.h5)"} <= {*sections(text)}
@@ -199,7 +199,7 @@ def test_frames_of_other_sizes_stand_next_to_one_another(
 def test_frames_of_an_array_without_a_table_are_reported_to_be_left_out(files: list[Path], page: Callable) -> None:
     text, err = page(files[0], files[3])
     assert "quad unseen.h5 is of another colour filter array than <i>bayer.h5: nothing is evaluated on it" in err
-    assert "Add, for each table, frames of its colour filter array" in text
+    assert "To have each table evaluated, add frames of its colour filter array" in text
     assert "Side by side" not in sections(text)
 
 
