@@ -14,15 +14,17 @@ from l3cli.artifacts.camera import QUANTISATION, CameraModel, sensitivity_thresh
 from l3cli.artifacts.fit import NoiseFit
 from l3cli.frames.frame import array_rows
 from l3cli.report import colours
-from l3cli.report.drawing import GLYPH, Plot, box, escape, sheet, spanning
+from l3cli.report.drawing import CHARACTER_WIDTH, Plot, box, escape, sheet, spanning
 from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
 
-CELL, WIDEST = 44, 104  # px, height and maximum width of a filter in the drawing of the array
+CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # px, height and maximum width of a filter in the drawing of the array
 HEADROOM = 1.06  # top of the axis relative to the highest curve, so that there is space for labels
-LABELLED = 24  # characters; if all channel names together are longer, the curves get no labels
-NEARLY = 0.9  # a point with less than this fraction of the variance on the photon transfer line counts as saturated
+MAX_LABEL_CHARACTERS = 24  # characters; if all channel names together are longer, the curves get no labels
+SATURATED_VARIANCE = (
+    0.9  # a point with less than this fraction of the variance on the photon transfer line counts as saturated
+)
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
@@ -97,23 +99,24 @@ def array_figure(camera: CameraModel) -> Figure:
     """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
-    wide = float(np.clip(GLYPH * max(map(len, camera.channels)) + 8, CELL, WIDEST))
-    fits = round((wide - 8) / GLYPH)
+    wide = float(np.clip(CHARACTER_WIDTH * max(map(len, camera.channels)) + 8, CELL_HEIGHT, MAX_CELL_WIDTH))
+    fits = round((wide - 8) / CHARACTER_WIDTH)
     items = []
     for (row, col), channel in np.ndenumerate(camera.cfa):
         fill, ink = colours.hex_colour(light[channel]), colours.ink_on(light[channel])
-        x, y = 1 + col * wide, 1 + row * CELL
-        items.append(box(x, y, wide, CELL, fill, extra=' stroke="currentColor" stroke-width="1"'))
+        x, y = 1 + col * wide, 1 + row * CELL_HEIGHT
+        items.append(box(x, y, wide, CELL_HEIGHT, fill, extra=' stroke="currentColor" stroke-width="1"'))
         label = camera.channels[channel]
         shown = label if len(label) <= fits else label[: fits - 1] + "…"
         items.append(
-            f'<text x="{x + wide / 2:g}" y="{y + CELL / 2 + 5:g}" text-anchor="middle" style="fill:{ink}" data-on="{fill}">'
+            f'<text x="{x + wide / 2:g}" y="{y + CELL_HEIGHT / 2 + 5:g}" text-anchor="middle" style="fill:{ink}" '
+            f'data-on="{fill}">'
             f"{escape(shown)}</text>"
         )
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
     finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours show daylight through each channel."
-    svg = sheet(cols * wide + 2, rows * CELL + 2, "".join(items), finding, fixed_size=True)
+    svg = sheet(cols * wide + 2, rows * CELL_HEIGHT + 2, "".join(items), finding, fixed_size=True)
     sites = tuple((str(row), str(col), camera.channels[channel]) for (row, col), channel in np.ndenumerate(camera.cfa))
     return Figure("Colour filter array", svg, finding, narrow=True, data=Data(("row", "column", "channel"), sites))
 
@@ -158,7 +161,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
         if measured:
             plot.band(camera.wavelength, np.maximum(curve - half, 0), curve + half, key.colour)
         plot.line(camera.wavelength, curve, key.colour, key.mark, series=key.label)
-        if sum(map(len, camera.channels)) <= LABELLED:
+        if sum(map(len, camera.channels)) <= MAX_LABEL_CHARACTERS:
             plot.label(float(camera.wavelength[peak]), float(curve[peak]), key.label)
         peaks.append(f"{key.label} {tidy(float(curve[peak]))} at {tidy(float(camera.wavelength[peak]), 4)} nm")
     curves = plot.figure("Responsivities", f"Peaks: {', '.join(peaks)}.", keys)
@@ -230,15 +233,15 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         for name, k, e in zip(camera.channels, noise.conversion_gain, noise.conversion_gain_error, strict=True)
     )
     line = noise.conversion_gain * mean + (noise.conversion_gain * noise.read_noise) ** 2
-    full = int((variance < NEARLY * line).sum())
+    full = int((variance < SATURATED_VARIANCE * line).sum())
     finding = f"The slope is the system gain K in DN/e⁻: {gains}. Each line is K times the signal plus the dark variance."
     points = f"{counted(full, 'saturated point')} with less variance {'lies' if full == 1 else 'lie'} below the lines."
     return plot.figure("Photon transfer", f"{finding} {points}" if full else finding, keys)
 
 
 Array = NDArray[np.floating]
-LINEAR = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
-SHOT_MOST = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
+LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
+SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
 
 
 def data_sheet(camera: CameraModel) -> Section:
@@ -340,14 +343,14 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
     signal : ndarray, (exposure,)
         Mean signal above the dark signal, in DN.
     line : ndarray, (exposure,)
-        Line fitted over LINEAR with relative weights, in DN; NaN if fewer than two exposures are in that range.
+        Line fitted over LINEAR_RANGE with relative weights, in DN; NaN if fewer than two exposures are in that range.
     """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
     exposure, mean = noise.exposure[order], noise.photon_transfer_mean[order, channel]
     signal = mean - gain * noise.dark_current[channel] * exposure
     share = mean / (gain * noise.saturation_capacity[channel])
-    chosen = (share >= LINEAR[0]) & (share <= LINEAR[1]) & (signal > 0)
+    chosen = (share >= LINEAR_RANGE[0]) & (share <= LINEAR_RANGE[1]) & (signal > 0)
     if chosen.sum() < 2:
         return exposure, signal, np.full(exposure.size, np.nan)
     return exposure, signal, np.polyval(np.polyfit(exposure[chosen], signal[chosen], 1, w=1 / signal[chosen]), exposure)
@@ -374,7 +377,7 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel in range(len(keys)):
         _, signal, line = _lit(camera, noise, channel)
         share = signal / (noise.conversion_gain[channel] * noise.saturation_capacity[channel])
-        inside = np.isfinite(line) & (share >= LINEAR[0]) & (share <= LINEAR[1])
+        inside = np.isfinite(line) & (share >= LINEAR_RANGE[0]) & (share <= LINEAR_RANGE[1])
         drawn.append((100 * share[inside], 100 * (signal[inside] / line[inside] - 1)))
     plot = Plot(
         spanning("mean signal (% of saturation)", np.concatenate([share for share, _ in drawn]), zero=True),
@@ -401,7 +404,7 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     is limited by photon noise.
     """
     most = float(noise.saturation_capacity.max())
-    electrons = np.geomspace(most * SHOT_MOST, most, 60)
+    electrons = np.geomspace(most * SNR_CURVE_START, most, 60)
     plot = Plot(
         spanning("signal (e⁻)", electrons, log=True),
         spanning("signal over noise (1)", np.sqrt(electrons[[0, -1]]) * (0.3, 1.0), log=True),
@@ -413,7 +416,7 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         variance = electrons + dark**2 + QUANTISATION / gain**2
         plot.line(electrons, electrons / np.sqrt(variance), key.colour, key.mark, 1.2)
         mean, measured = noise.photon_transfer_mean[:, channel], noise.photon_transfer_variance[:, channel]
-        inside = (mean > 0) & (measured > 0) & (mean < LINEAR[1] * gain * noise.saturation_capacity[channel])
+        inside = (mean > 0) & (measured > 0) & (mean < LINEAR_RANGE[1] * gain * noise.saturation_capacity[channel])
         snr = mean[inside] / np.sqrt(measured[inside])
         plot.dots(mean[inside] / gain, snr, key.colour, colours.MARKS[key.mark], series=key.label)
     return plot.figure("Signal over noise", "Temporal noise only. Dotted: an ideal sensor with photon noise only.", keys)

@@ -18,7 +18,7 @@ Array = NDArray[np.floating]
 
 LINE_LUMINANCE = 0.18  # relative to white; gives a contrast above 4 against both the white and the dark page
 MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark of a line → mark of the same channel's points
-ALIKE = 170  # two colours whose sRGB codes differ by less, summed over r, g and b, are easily confused
+CONFUSABLE_DIFFERENCE = 170  # two colours whose sRGB codes differ by less, summed over r, g and b, are easily confused
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
@@ -60,7 +60,7 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
     keys: list[Key] = []
     for name, linear in zip(camera.channels, channel_light(camera), strict=True):
         stroke = hex_colour(_at_luminance(linear))
-        alike = [key.mark for key in keys if np.abs(_codes(key.colour) - _codes(stroke)).sum() < ALIKE]
+        alike = [key.mark for key in keys if np.abs(_codes(key.colour) - _codes(stroke)).sum() < CONFUSABLE_DIFFERENCE]
         keys.append(Key(name, stroke, min(MARKS, key=alike.count)))
     return tuple(keys)
 

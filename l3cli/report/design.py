@@ -14,8 +14,8 @@ from l3cli.report.camera import array_figure, responsivity_figures
 from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
-ROWS, DRAWN = 20, 5  # number of arrays in the table and in drawings
-ENLARGED = 4  # factor by which crops of rendered pictures are enlarged
+TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # number of arrays in the table and in drawings
+ENLARGEMENT = 4  # factor by which crops of rendered pictures are enlarged
 MARKS = ("line", "dashed", "dotted", "line")
 
 
@@ -36,10 +36,10 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     Section
         Its lead is the verdict.
     """
-    drawn = tuple(_figure(design, place) for place in design.best(DRAWN))
+    drawn = tuple(_figure(design, place) for place in design.best(DRAWN_ARRAYS))
     library = design.camera(" ".join(design.filters), design.efficiency)
     parts = [
-        Subsection("Arrays", (Table(design.caption, *design.table(ROWS)), Figures(drawn))),
+        Subsection("Arrays", (Table(design.caption, *design.table(TABLE_ROWS)), Figures(drawn))),
         Subsection("Filters", (Figures(responsivity_figures(library)), _sensitivity(design))),
         Subsection("Error over light", (Figures((_over_light(design),)),)),
         Subsection("Error by group", (_groups(design),)),
@@ -103,12 +103,12 @@ def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}
-    for place in (*errors.argsort(kind="stable").tolist()[:DRAWN], *bayer):
+    for place in (*errors.argsort(kind="stable").tolist()[:DRAWN_ARRAYS], *bayer):
         crops[f"{truth.trained[place]}, ΔE00 {errors[place]:.2f}"] = truth.crops[place, level]
     pictures = []
     for name, crop in crops.items():
-        large = np.ascontiguousarray(crop.repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1))
+        large = np.ascontiguousarray(crop.repeat(ENLARGEMENT, axis=0).repeat(ENLARGEMENT, axis=1))
         coded, caption = base64.b64encode(jpeg(large, 90)).decode(), f"{design.levels[level]}: {name}"
         rows, cols = large.shape[:2]
-        pictures.append(Picture(f"data:image/jpeg;base64,{coded}", rows, cols, caption, f"{caption}, at {ENLARGED}×"))
+        pictures.append(Picture(f"data:image/jpeg;base64,{coded}", rows, cols, caption, f"{caption}, at {ENLARGEMENT}×"))
     return Gallery(tuple(pictures), wide=True)

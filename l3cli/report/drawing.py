@@ -23,22 +23,14 @@ LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px, margins around the axes
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours for series without a colour of their own
-GLYPH = 6.8  # px, mean width of a character at 12 px
-WIDE = 7.7  # px, mean width of a digit or unit in a wide font
-ABOVE, BELOW = 10.0, 3.5  # px, height of a text line above and below its baseline
-CLEAR = 2.5  # px, minimum distance between a label and anything drawn
-SAMPLED = 1.5  # px, spacing of the samples along curves with which overlaps are found
-REACH = (5.0, 7.0, 10.0, 16.0, 24.0)  # px, distances of a label from its point, tried in this order
-SIDES = (
-    (0, -1),
-    (1, 0),
-    (-1, 0),
-    (0, 1),
-    (1, -1),
-    (-1, -1),
-    (1, 1),
-    (-1, 1),
-)  # right and down, in the order tried
+CHARACTER_WIDTH = 6.8  # px, mean width of a character at 12 px
+WIDE_CHARACTER_WIDTH = 7.7  # px, mean width of a digit or unit in a wide font
+ASCENT, DESCENT = 10.0, 3.5  # px, height of a text line above and below its baseline
+LABEL_CLEARANCE = 2.5  # px, minimum distance between a label and anything drawn
+SAMPLE_SPACING = 1.5  # px, spacing of the samples along curves with which overlaps are found
+LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px, distances of a label from its point, tried in this order
+# directions of a label from its point, right and down, in the order tried
+LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
 ANCHORS = {0: "middle", 1: "start", -1: "end"}  # horizontal direction → text-anchor in SVG
 Place = tuple[float, float, str]  # x, y of the baseline, text-anchor
 
@@ -349,7 +341,7 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
     Markup
         The drawing as SVG.
     """
-    side = max(30.0, 8 + GLYPH * max(map(len, rows)))
+    side = max(30.0, 8 + CHARACTER_WIDTH * max(map(len, rows)))
     left = 18 + side
     width = (WIDTH - left - RIGHT) / shares.shape[1]
     height = min(max(width, 13.0), 22.0)
@@ -367,7 +359,7 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
     for index, name in enumerate(rows):
         y = TOP + (index + 0.5) * height + 4
         items.append(f'<text x="{left - 5:.1f}" y="{y:.1f}" text-anchor="end">{escape(name)}</text>')
-    every = max(1, int(np.ceil((GLYPH * max(map(len, columns)) + 6) / width)))
+    every = max(1, int(np.ceil((CHARACTER_WIDTH * max(map(len, columns)) + 6) / width)))
     for index in range(0, len(columns), every):
         x = left + (index + 0.5) * width
         items.append(f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{escape(columns[index])}</text>')
@@ -407,19 +399,19 @@ class Places:
         tuple or None
             x and y of the text's baseline and its text-anchor; None if there is no free place near the point.
         """
-        for reach in REACH:
-            for across, down in SIDES:
+        for reach in LABEL_DISTANCES:
+            for across, down in LABEL_DIRECTIONS:
                 left, top = self._corner(x, y, text, across * reach, down * reach)
-                box = (left, top, left + WIDE * len(text), top + ABOVE + BELOW)
+                box = (left, top, left + WIDE_CHARACTER_WIDTH * len(text), top + ASCENT + DESCENT)
                 if self._free(box):
                     self._take_box(box)
                     at = {0: (box[0] + box[2]) / 2, 1: box[0], -1: box[2]}[across]
-                    return at, top + ABOVE, ANCHORS[across]
+                    return at, top + ASCENT, ANCHORS[across]
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
         """Return the upper left corner of a label at a given offset from its point."""
-        width, height = WIDE * len(text), ABOVE + BELOW
+        width, height = WIDE_CHARACTER_WIDTH * len(text), ASCENT + DESCENT
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
         return left, top
@@ -431,18 +423,25 @@ class Places:
             return False
         for points in self._taken:
             x, y = points.T
-            inside = (x > left - CLEAR) & (x < right + CLEAR) & (y > top - CLEAR) & (y < bottom + CLEAR)
+            inside = (
+                (x > left - LABEL_CLEARANCE)
+                & (x < right + LABEL_CLEARANCE)
+                & (y > top - LABEL_CLEARANCE)
+                & (y < bottom + LABEL_CLEARANCE)
+            )
             if inside.any():
                 return False
         return True
 
     def _take_box(self, box: tuple[float, float, float, float]) -> None:
         left, top, right, bottom = box
-        x, y = np.meshgrid(np.arange(left, right + SAMPLED, SAMPLED), np.arange(top, bottom + SAMPLED, SAMPLED))
+        x, y = np.meshgrid(
+            np.arange(left, right + SAMPLE_SPACING, SAMPLE_SPACING), np.arange(top, bottom + SAMPLE_SPACING, SAMPLE_SPACING)
+        )
         self._taken.append(np.stack([x.ravel(), y.ravel()], axis=1))
 
 
 def _between(start: Array, end: Array) -> Array:
-    """Return points on the line from start to end, at most SAMPLED apart."""
-    count = int(np.ceil(np.hypot(*(end - start)) / SAMPLED)) + 1
+    """Return points on the line from start to end, at most SAMPLE_SPACING apart."""
+    count = int(np.ceil(np.hypot(*(end - start)) / SAMPLE_SPACING)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

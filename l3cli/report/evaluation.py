@@ -149,7 +149,7 @@ ERROR_KEY = (  # colour scale of the error maps that l3cli.evaluation draws
     Key("10 and more", "#ffffff", "box"),
 )
 SAME_LUMINANCE = 0.01  # luminances within this relative difference count as equal, because users round lux
-SEEN = 3  # number of frames shown per evaluation: the median, the worst and the best
+FRAMES_SHOWN = 3  # number of frames shown per evaluation: the median, the worst and the best
 Pictures = dict[int, dict[str, Pixels]]  # frame index → pipeline name, "ideal" or "error" → picture
 
 
@@ -389,8 +389,8 @@ def brightness(frame: dict[str, Any]) -> str:
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
     """Choose the frames of an evaluation to show.
 
-    The first is the frame with the median of the main metric of ours. If there are at most SEEN frames, the others follow;
-    otherwise the worst and the best follow.
+    The first is the frame with the median of the main metric of ours. If there are at most FRAMES_SHOWN frames, the others
+    follow; otherwise the worst and the best follow.
 
     Parameters
     ----------
@@ -408,7 +408,7 @@ def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]
     among = [number for number, frame in enumerate(document["frames"]) if lit_as(frame["luminance"], at)]
     order = sorted(among, key=lambda number: -document["frames"][number][OURS][figure])
     middle = order.pop(len(order) // 2)
-    return [middle, *(order if len(order) < SEEN else (order[0], order[-1]))]
+    return [middle, *(order if len(order) < FRAMES_SHOWN else (order[0], order[-1]))]
 
 
 def front_section(
@@ -454,7 +454,7 @@ def front_section(
     score = figure_text(figure, document["mean"][OURS][figure])
     parts = [Subsection("Ours beside the ideal", (Front(comparisons[0], score, meaning, verdict(document), table),)), *below]
     if comparisons[1:]:
-        title_of_others = "The worst and the best frame" if among > SEEN else "Other frames"
+        title_of_others = "The worst and the best frame" if among > FRAMES_SHOWN else "Other frames"
         parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
     of = f"{count} frames" if at is None else f"{counted(among, 'frame')} at {tidy(at)} cd/m² ({tidy(np.pi * at)} lux)"
     which = "" if count == 1 else f"The first is, of {of}, the one of median {FIGURES[figure].heading}."

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# A cell that holds a number or a range of numbers: the column is then aligned to the right.
+# A cell with a number or a range of numbers. Columns with only such cells are aligned to the right.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
@@ -188,7 +188,16 @@ class Section:
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
 Jpeg = Callable[[Pixels, int], bytes]  # (row, col, 3) encoded sRGB and quality 1…100 → a JPEG file
-TRIED = ((1, 92), (1, 85), (1, 75), (2, 90), (2, 75), (4, 85), (8, 80), (16, 75))  # (reduction, JPEG quality), best first
+JPEG_ATTEMPTS = (
+    (1, 92),
+    (1, 85),
+    (1, 75),
+    (2, 90),
+    (2, 75),
+    (4, 85),
+    (8, 80),
+    (16, 75),
+)  # (reduction, JPEG quality), best first
 THUMBNAIL = 160  # px, maximum length of the longer side
 
 
@@ -237,7 +246,7 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
     """Encode a picture as a JPEG data URI that fits a size limit.
 
-    The pairs of reduction and quality in TRIED are tried in turn. If none of them fits, the last one is used.
+    The pairs of reduction and quality in JPEG_ATTEMPTS are tried in turn. If none of them fits, the last one is used.
 
     Parameters
     ----------
@@ -255,7 +264,7 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
     size : tuple of int
         Rows and columns of the encoded picture.
     """
-    for step, quality in TRIED:
+    for step, quality in JPEG_ATTEMPTS:
         small = np.rint(reduced(pixels, step)).astype(np.uint8)
         coded = base64.b64encode(jpeg(small, quality))
         if len(coded) <= limit:
@@ -264,8 +273,8 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
 
 
 LIMIT = 10_000_000  # bytes, approximate maximum size of a page
-FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet takes a cell that begins with one of these for a formula
-LONGEST = 60  # characters, maximum length of a file name
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet takes a cell that begins with one of these for a formula
+MAX_FILE_NAME = 60  # characters, maximum length of a file name
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
@@ -300,7 +309,7 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 def file_stem(title: str) -> str:
     """Turn a title into a file name, without extension, that is valid on any operating system."""
-    return re.sub("[^a-z0-9]+", "-", title.lower())[:LONGEST].strip("-") or "figure"
+    return re.sub("[^a-z0-9]+", "-", title.lower())[:MAX_FILE_NAME].strip("-") or "figure"
 
 
 def csv_uri(data: Data) -> str:
@@ -316,7 +325,7 @@ def csv_uri(data: Data) -> str:
 
 
 def _harmless(text: str) -> str:
-    return f" {text}" if text.startswith(FORMULAS) else text
+    return f" {text}" if text.startswith(FORMULA_STARTS) else text
 
 
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:

@@ -31,10 +31,17 @@ from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels
 
 Array = NDArray[np.floating]
-SIZES = ((192, 256), (144, 192), (96, 128), (72, 96), (48, 64), (24, 32))  # rows and columns of crops, tried in this order
-QUALITY = 95  # JPEG quality of the pictures of the crop
-PLACES = 8  # steps along each side of a frame at which crops are tried
-STEPS = 127  # integer that encodes the largest weight
+CROP_SIZES = (
+    (192, 256),
+    (144, 192),
+    (96, 128),
+    (72, 96),
+    (48, 64),
+    (24, 32),
+)  # rows and columns of crops, tried in this order
+JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
+CROP_STEPS = 8  # steps along each side of a frame at which crops are tried
+WEIGHT_SCALE = 127  # integer that encodes the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
 
@@ -80,9 +87,9 @@ def crop_of(
 ) -> tuple[Crop, str]:
     """Choose the crop of a frame with the most classes, and encode it for the page.
 
-    The crop has the largest of SIZES whose encoding fits `limit`, or the smallest if none fits. Classes that do not occur in
-    the crop are added in the order of their frequency in the frame, as far as `more` allows: all classes of the table, or
-    only those of the frame, with the weights of as many as possible.
+    The crop has the largest of CROP_SIZES whose encoding fits `limit`, or the smallest if none fits. Classes that do not
+    occur in the crop are added in the order of their frequency in the frame, as far as `more` allows: all classes of the
+    table, or only those of the frame, with the weights of as many as possible.
 
     Parameters
     ----------
@@ -106,7 +113,7 @@ def crop_of(
     """
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
     words = [_words(table, layer) for layer in table.layers]
-    for size in SIZES:
+    for size in CROP_SIZES:
         corner = richest(labels[0], size)
         area = tuple(slice(start, start + length) for start, length in zip(corner, size, strict=True))
         crop = _crop(table, words, labels, area)
@@ -143,9 +150,8 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        room = (
-            letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
-        )  # base64 makes 4 letters from 3 bytes; compression hardly reduces weights
+        # Base64 makes 4 letters from 3 bytes. Weights hardly compress.
+        room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
         classes = np.concatenate([seen, order])
         layers.append(
             Layer(
@@ -198,7 +204,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
-    tops, lefts = (sorted({length * step // PLACES for step in range(PLACES + 1)}) for length in room)
+    tops, lefts = (sorted({length * step // CROP_STEPS for step in range(CROP_STEPS + 1)}) for length in room)
     for top in tops:
         for left in lefts:
             count = len(np.unique(labels[top : top + size[0], left : left + size[1]]))
@@ -241,7 +247,7 @@ def _numbers(layer: Layer) -> bytes:
     """Encode the arrays of a layer, each padded to a multiple of four bytes."""
     largest = np.abs(layer.weights).max(axis=2).astype("<f4")
     share = layer.weights / np.where(largest > 0, largest, 1.0)[..., None]
-    weights = np.rint(STEPS * np.sign(share) * np.sqrt(np.abs(share))).astype(np.int8)
+    weights = np.rint(WEIGHT_SCALE * np.sign(share) * np.sqrt(np.abs(share))).astype(np.int8)
     parts = (largest.tobytes(), layer.labels.astype("<u2").tobytes(), weights.tobytes())
     return b"".join(part + b"\0" * (-len(part) % 4) for part in parts)
 
@@ -273,7 +279,9 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     where = f"{cols} × {rows} pixels from row {top}, column {left}"
     shown = []
     for name, picture in pictures.items():
-        coded = base64.b64encode(jpeg(np.ascontiguousarray(picture[top : top + rows, left : left + cols]), QUALITY)).decode()
+        coded = base64.b64encode(
+            jpeg(np.ascontiguousarray(picture[top : top + rows, left : left + cols]), JPEG_QUALITY)
+        ).decode()
         shown.append(Picture("data:image/jpeg;base64," + coded, rows, cols, name, f"{scene}, {name}: {where}"))
     counts = ", ".join(f"{layer.cropped} of layer {number}" for number, layer in enumerate(crop.layers, 1))
     return PixelPicker(anchor, f"{where}, enlarged. Classes that occur in it: {counts}.", tuple(shown), text)

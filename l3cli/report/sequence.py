@@ -10,7 +10,7 @@ from l3cli.system.text import figure as number
 from l3cli.system.text import tidy
 
 Documents = dict[str, dict[str, Any]]  # file name → document of `l3 evaluate --sequence --json`
-WHOLE = {  # metric of a whole sequence → heading with unit
+SEQUENCE_METRICS = {  # metric of a whole sequence → heading with unit
     "temporal_sigma": "temporal σ of L*",
     "patch_sigma": "σ of patch means (L*)",
     "still_share": "still patches (share)",
@@ -20,7 +20,7 @@ WHOLE = {  # metric of a whole sequence → heading with unit
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_FIGURES = {  # metric of a frame → title, label of the axis, whether the axis begins at 0
+FRAME_METRICS = {  # metric of a frame → title, label of the axis, whether the axis begins at 0
     "step_sigma": ("Noise over time", "σ of the change of L* on still patches", True),
     "jump": ("Flicker over time", "jump of mean L* since the frame before", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
@@ -50,11 +50,11 @@ def sequence_section(documents: Documents) -> Section:
         A table of the metrics of whole sequences, and plots over the frames with one line per sequence.
     """
     rows = tuple(
-        (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in WHOLE))
+        (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in SEQUENCE_METRICS))
         for name, document in documents.items()
     )
-    table = Table("Whole sequences", ("evaluation", "frames", *WHOLE.values()), rows)
-    drawn = tuple(_curves(documents, figure) for figure in FRAME_FIGURES if _known(documents, figure))
+    table = Table("Whole sequences", ("evaluation", "frames", *SEQUENCE_METRICS.values()), rows)
+    drawn = tuple(_curves(documents, figure) for figure in FRAME_METRICS if _known(documents, figure))
     parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Over the frames", (Figures(drawn),)))
     lead = "How much the lightness of still areas changes from frame to frame, and how far the pictures are from the ideal."
     return Section("Sequences over time", lead, parts)
@@ -86,7 +86,7 @@ def _known(documents: Documents, figure: str) -> bool:
 
 def _curves(documents: Documents, figure: str) -> Figure:
     """Plot a metric over the frames of every sequence that has it."""
-    title, label, zero = FRAME_FIGURES[figure]
+    title, label, zero = FRAME_METRICS[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
     y = spanning(label, np.concatenate([values for _, values in series.values()]), zero=zero)

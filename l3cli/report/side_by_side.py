@@ -33,8 +33,10 @@ from l3cli.report.parts import (
 from l3cli.system.text import counted
 
 CAVEAT = "Scenes and lights are the same; each camera uses the exposure times of its own training set."
-UNKNOWN = "Scenes and lights have the same names, but real frames and frames from older versions do not say what they show."
-OTHERS = "frames of one name show other scenes or lights; simulate all with one recipe and seed"
+UNKNOWN_SCENES = (
+    "Scenes and lights have the same names, but real frames and frames from older versions do not say what they show."
+)
+DIFFERENT_SCENES = "frames of one name show other scenes or lights; simulate all with one recipe and seed"
 Place = tuple[str, str, str]  # scene, illuminant and luminance, by which frames of several sets are matched
 
 
@@ -169,7 +171,7 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
         return "The tables have different outputs: their figures are not comparable."
     others = len(_alike(sides)) - len(shared)
     if not shared:
-        cause = f" ({OTHERS})" if others else ""
+        cause = f" ({DIFFERENT_SCENES})" if others else ""
         return f"The tables were evaluated on different frames{cause}: their figures are not comparable."
     figure = main_of(sides[0].document)
     ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure) or 0.0)
@@ -178,8 +180,10 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
     won = int((errors[0] <= errors.min(axis=0)).sum())
     frames = "the frame" if len(shared) == 1 else counted(len(shared), "frame")
     known = all(all(_shown(sides, place)) for place in shared)
-    caveat = f" {CAVEAT if known else UNKNOWN}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
-    caveat += f" {counted(others, 'frame')} left out: {OTHERS}." if others else ""
+    caveat = (
+        f" {CAVEAT if known else UNKNOWN_SCENES}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
+    )
+    caveat += f" {counted(others, 'frame')} left out: {DIFFERENT_SCENES}." if others else ""
     often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
     best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
     name = FIGURES[figure].heading

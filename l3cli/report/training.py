@@ -30,12 +30,12 @@ from l3cli.report.parts import (
 from l3cli.system.text import counted, tidy
 
 Array = NDArray[np.floating]
-SHOWN = 24  # maximum number of frames shown as pictures
+MAX_PICTURES = 24  # maximum number of frames shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
 SATURATED = 0.985  # fraction of full scale, as in docs/method.md#saturation-cases
-GRID = 0.01  # side of a cell of the chromaticity diagram, in x and y
+CELL_SIZE = 0.01  # side of a cell of the chromaticity diagram, in x and y
 CELLS = 100  # number of cells along x and along y
-DARKEST = 1e-4  # darker pixels, relative to the luminance of white, have no reliable chromaticity
+MIN_RELATIVE_LUMINANCE = 1e-4  # darker pixels, relative to the luminance of white, have no reliable chromaticity
 
 
 @dataclass
@@ -87,7 +87,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 def survey_of(reader: TrainingSetReader) -> Survey:
     """Collect the statistics of all frames. Frames are read one by one, so that only one is in memory."""
     head, survey = reader.head, Survey()
-    chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(SHOWN, len(reader))).round().astype(int)).tolist())
+    chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(MAX_PICTURES, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
     survey.pairs = len(reader) - reader.simulated
     for index, frame in enumerate(map(reader.pair, range(len(reader)))):
@@ -124,9 +124,9 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
     """Add the chromaticities of a frame's target to the histogram. Very dark pixels are left out."""
     total = frame.target.sum(axis=0)
-    bright = (frame.target[1] > DARKEST * frame.white[1]) & (total > 0)
+    bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
-    edges = np.linspace(0, CELLS * GRID, CELLS + 1)
+    edges = np.linspace(0, CELLS * CELL_SIZE, CELLS + 1)
     survey.chromaticity += np.histogram2d(x, y, (edges, edges))[0]
 
 
@@ -141,7 +141,7 @@ def _scene_blocks(reader: TrainingSetReader, survey: Survey, limit: int, jpeg: J
         return (table, Text("The targets are not XYZ, so there are no pictures to show."))
     pictures = []
     for caption, alt, pixels in survey.pictures:
-        uri, size = fitted(pixels, limit // SHOWN, jpeg)
+        uri, size = fitted(pixels, limit // MAX_PICTURES, jpeg)
         pictures.append(Picture(uri, *size, caption, alt))
     chosen = f"{len(pictures)} of {len(reader)} frames, evenly spaced" if len(pictures) < len(reader) else "All frames"
     shown = f"{chosen}. The pictures are the targets as sRGB, with each frame's white adapted to D65."
@@ -202,7 +202,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         low, high = 10.0**power, (10.0 ** (power + 1) if power > -6 else 1e-5)
         col, row = np.nonzero((shares >= low) & (shares < (high if power < -2 else 2)))
         if col.size:
-            plot.cells(col * GRID, row * GRID, GRID, GRID, "var(--one)", opacity)
+            plot.cells(col * CELL_SIZE, row * CELL_SIZE, CELL_SIZE, CELL_SIZE, "var(--one)", opacity)
             name = f"over {100 * low:g} % of pixels" if power > -6 else "less"
             keys.append(Key(name, "var(--one)", "box", opacity))
     plot.line(closed[:, 0], closed[:, 1], "currentColor", width=1.2)
@@ -218,7 +218,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         plot.dots(white[:1], white[1:2], "var(--two)", "cross", opacity=1)
     inside, covered = _cover(shares, primaries)
     finding = (
-        f"Targets reach {100 * covered:.0f} % of the area of the sRGB triangle (cells of {GRID}); "
+        f"Targets reach {100 * covered:.0f} % of the area of the sRGB triangle (cells of {CELL_SIZE}); "
         f"{100 * inside:.3g} % of all pixels are inside it. "
         f"Crosses are the whites of {counted(len(survey.lights), 'illuminant')}."
     )
@@ -228,7 +228,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         Key("white of an illuminant", "var(--two)", "cross"),
     ]
     col, row = np.nonzero(shares)
-    cells = zip((col * GRID).tolist(), (row * GRID).tolist(), shares[col, row].tolist(), strict=True)
+    cells = zip((col * CELL_SIZE).tolist(), (row * CELL_SIZE).tolist(), shares[col, row].tolist(), strict=True)
     data = Data(("CIE 1931 x (1)", "CIE 1931 y (1)", "pixels (share)"), tuple(cells))
     return replace(plot.figure("Chromaticities of the targets", finding, tuple(keys)), data=data)
 
@@ -250,7 +250,7 @@ def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
     covered : float
         Fraction of the triangle's cells that contain any pixel.
     """
-    centre = (np.arange(CELLS) + 0.5) * GRID
+    centre = (np.arange(CELLS) + 0.5) * CELL_SIZE
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)
     sides = np.roll(triangle, -1, axis=0) - triangle
     rel = points[:, :, None] - triangle

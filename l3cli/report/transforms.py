@@ -15,9 +15,9 @@ from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subse
 from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
-DECADES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99… patches
-LONGEST = 22  # characters; longer names do not fit beside a drawing and are replaced by numbers
-MAPS = 3  # maximum number of outputs for which the weights of a transform are drawn
+DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99… patches
+MAX_NAME_CHARACTERS = 22  # characters; longer names do not fit beside a drawing and are replaced by numbers
+MAX_MAPS = 3  # maximum number of outputs for which the weights of a transform are drawn
 
 
 def transform_section(
@@ -104,9 +104,9 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
         kind_names(insight),
         [f"{r},{c} {table.channels[channel]}" for (r, c), channel in np.ndenumerate(table.cfa)],
     )
-    by_number = max(map(len, kinds)) > LONGEST
+    by_number = max(map(len, kinds)) > MAX_NAME_CHARACTERS
     kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
-    sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > LONGEST else sites
+    sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > MAX_NAME_CHARACTERS else sites
     kind = "kind (number in the table)" if by_number else "kind"
     figures = []
     for contrast in range(table.first.rule.contrasts):
@@ -123,7 +123,9 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 def kind_names(insight: dict[str, Any]) -> list[str]:
     """Return the names of the kinds. If some are too long for a drawing, each is preceded by its number."""
     names = [kind["name"] for kind in insight["kinds"]]
-    return [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > LONGEST else names
+    return (
+        [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > MAX_NAME_CHARACTERS else names
+    )
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
@@ -135,15 +137,17 @@ def _contrast(table: TransformTable, contrast: int) -> str:
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
     """Draw the number of patches per row and level as cells whose opacity increases with each factor of ten."""
-    decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADES) - 1).astype(int)
-    shares = np.where(counts > 0, np.array(DECADES)[decade], 0.0)
+    decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
+    shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
     median = float(np.median(counts[counts > 0])) if filled else 0.0
     finding = f"{filled} of {counts.size} cells contain patches. The median of these cells is {tidy(median)} patches."
     svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding)
     used = np.unique(decade[counts > 0])
-    names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADES) - 1)] + [f"{10 ** (len(DECADES) - 1)} or more"]
-    keys = tuple(Key(f"{names[d]} patches", "var(--one)", "box", DECADES[d]) for d in used)
+    names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADE_OPACITIES) - 1)] + [
+        f"{10 ** (len(DECADE_OPACITIES) - 1)} or more"
+    ]
+    keys = tuple(Key(f"{names[d]} patches", "var(--one)", "box", DECADE_OPACITIES[d]) for d in used)
     data = Data((y_label, *levels), tuple((name, *map(float, row)) for name, row in zip(rows, counts, strict=True)))
     return Figure(title, svg, finding, keys, data=data)
 
@@ -171,9 +175,9 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
         return (Text("No class has been trained on patches of its own."),)
     text = (
         "The weights of the taps of a patch for each output, as in Figure 3 of the paper, beside the colour filters of the "
-        "patch. Orange weights are positive, blue weights are negative. The opacity is the square root of the weight relative "
-        "to the largest weight of the map. The classes shown have many training patches. They cover one site of each channel, "
-        "dark and bright levels, and flat and textured areas."
+        "patch. Orange weights are positive, blue weights are negative. The opacity is the square root of the weight "
+        "relative to the largest weight of the map. The classes shown have many training patches. They cover one site of "
+        "each channel, dark and bright levels, and flat and textured areas."
     )
     return (Text(text), Figures(tuple(_maps(table, light, index, class_name(index)) for index in chosen)))
 
@@ -216,7 +220,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
     """Draw the filters of a patch and, for the first outputs, the weights: blue if negative, orange if positive."""
-    patch, outputs = table.first.rule.patch, min(MAPS, len(table.outputs))
+    patch, outputs = table.first.rule.patch, min(MAX_MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
     cell = side / patch
@@ -283,7 +287,7 @@ def _noise_figures(table: TransformTable) -> Figures:
     gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
-    for output in range(min(MAPS, len(table.outputs))):
+    for output in range(min(MAX_MAPS, len(table.outputs))):
         for contrast in sorted({0, table.first.rule.contrasts - 1}):
             curves.append((output, contrast, _medians(gain[:, :, contrast, ..., output], trained[:, :, contrast])))
     known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])

@@ -21,9 +21,9 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Key, Subse
 from l3cli.system.text import counted, tidy, unit
 
 Array = NDArray[np.floating]
-COLUMNS = 6  # patches per row
-CHARTS = 4  # maximum number of charts drawn for a calibration
-GAP, LINE = 10.0, 18.0  # px, between patches, and height of the ΔE00 below each patch
+PATCHES_PER_ROW = 6  # patches per row
+MAX_CHARTS = 4  # maximum number of charts drawn for a calibration
+PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px, between patches, and height of the ΔE00 below each patch
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
@@ -46,23 +46,26 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     Figure
         The drawing, with mean and worst ΔE00 in its finding.
     """
-    side = (WIDTH - 2 - GAP * (COLUMNS - 1)) / COLUMNS
+    side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW
     main, items = errors[names[1]], []
     for patch, error in enumerate(main.tolist()):
-        x, y = 1 + patch % COLUMNS * (side + GAP), 1 + patch // COLUMNS * (side + LINE + GAP / 2)
+        x, y = (
+            1 + patch % PATCHES_PER_ROW * (side + PATCH_GAP),
+            1 + patch // PATCHES_PER_ROW * (side + TEXT_HEIGHT + PATCH_GAP / 2),
+        )
         items.append(box(round(x, 1), round(y, 1), round(side, 1), round(side, 1), hex_colour(pair[0][patch])))
         half = round(x + side / 2, 1), round(y, 1), round(side / 2, 1), round(side, 1)
         items.append(box(*half, hex_colour(pair[1][patch])))
         items.append(f'<path class="axis" d="M{x:.1f},{y:.1f}h{side:.1f}v{side:.1f}h{-side:.1f}z"/>')
         items.append(f'<text x="{x + side / 2:.1f}" y="{y + side + 14:.1f}" text-anchor="middle">{error:.1f}</text>')
-    rows = -(-len(main) // COLUMNS)
+    rows = -(-len(main) // PATCHES_PER_ROW)
     worst = int(np.argmax(main))
     means = ", ".join(f"{name} {error.mean():.2f}" for name, error in errors.items())
     finding = (
         f"Left half: {names[0]}. Right half: {names[1]}. Below: ΔE00 between them. "
         f"Mean ΔE00 of {len(main)} patches: {means}; worst of {names[1]}: {PATCH_NAMES[worst]}, {main[worst]:.2f}."
     )
-    drawing = sheet(WIDTH, round(rows * (side + LINE + GAP / 2) + 1), "".join(items), finding)
+    drawing = sheet(WIDTH, round(rows * (side + TEXT_HEIGHT + PATCH_GAP / 2) + 1), "".join(items), finding)
     data = Data(
         ("patch", f"sRGB, {names[0]}", f"sRGB, {names[1]}", *(f"ΔE00 of {name}" for name in errors)),
         tuple(
@@ -90,7 +93,7 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
     camera : CameraModel
         Supplies the wavelengths.
     fit : ChartFit
-        Measured and predicted values. The first CHARTS charts are drawn.
+        Measured and predicted values. The first MAX_CHARTS charts are drawn.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
         One figure per chart.
     """
     figures = []
-    for light, measured, predicted in zip(fit.illuminants[:CHARTS], fit.measured, fit.predicted, strict=False):
+    for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):
         try:
             radiance = spectra.illuminant(light, camera.wavelength)
         except RecipeError:
