@@ -1,4 +1,4 @@
-"""Artifacts with some value in every field, for what is written and read back."""
+"""Example artifacts with a value in every field, for tests that write and read them."""
 
 import dataclasses
 from typing import Any
@@ -16,12 +16,13 @@ from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
 
 def a_fit(channels: int) -> Fit:
-    """A fit with some number in every field, whatever its fields are."""
+    """Return a fit with a number in every field, whichever fields it has."""
     parts = (a_part(part, channels) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit))
     return Fit(*parts)
 
 
 def a_part(part: type, channels: int) -> Any:
+    """Return one part of a fit, such as NoiseFit, with consecutive numbers in every field."""
     lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
     lengths |= {"left_out": 1, "odd": 1, "band": 2, "capture": 3}
     values: dict = {}
@@ -36,11 +37,13 @@ def a_part(part: type, channels: int) -> Any:
 
 
 def a_camera(camera: CameraModel) -> CameraModel:
+    """Return the camera with a complete fit and a history."""
     history = (Stage("calibrate", {"accept": True}, 'name = "µ"', {"frames": ["ab", "cd"]}),)
     return dataclasses.replace(camera, fit=a_fit(len(camera.channels)), history=history)
 
 
 def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
+    """Return a small training frame of random values."""
     rng = np.random.default_rng(seed)
     return TrainingFrame(
         electrons=rng.random((channels, 20, 24), dtype=np.float32),
@@ -56,6 +59,7 @@ def a_frame(seed: int = 0, channels: int = 5) -> TrainingFrame:
 
 
 def a_table(camera: CameraModel) -> TransformTable:
+    """Return a small table of random weights for the camera."""
     rule = ClassRule(
         patch=3,
         shift=0,
@@ -94,6 +98,7 @@ def a_table(camera: CameraModel) -> TransformTable:
 
 
 def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
+    """Return sums of a refinement layer from a training shard, with their metadata."""
     table = dataclasses.replace(a_table(camera), camera=camera)
     rule = StructureRule(
         level_step=1,
@@ -119,6 +124,7 @@ def some_layer_sums(camera: CameraModel) -> tuple[PartialLayerSums, LayerSums]:
 
 
 def some_sums(camera: CameraModel) -> tuple[PartialSums, ClassSums]:
+    """Return sums of the first layer from a training shard, with their metadata."""
     rule = a_table(camera).first.rule
     head = PartialSums(
         shard=1,

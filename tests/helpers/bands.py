@@ -1,4 +1,4 @@
-"""Scenes, beyond leaves, that tables of bands and reflectances are judged on."""
+"""Real scenes on which tables with spectral outputs are evaluated."""
 
 from pathlib import Path
 
@@ -8,6 +8,7 @@ BORDER = 10  # pixels
 
 
 def unseen_scenes(data: Path) -> str:
+    """Return a scene recipe with spectral cubes and faces from the data folder."""
     head = 'illuminants = ["D65"]\nexposure_share = [0.9]\n[target]\noutputs = "camera"\n'
     cubes = [
         f'[[scene]]\nsource = "cube"\nfile = "{data}/scenes/multispectral_day{day}.mat"\nwavelengths_nm = {NANOMETRES}\n'

@@ -1,4 +1,4 @@
-"""Headless Chromium over the DevTools pipe: pages as they are painted, and what their scripts say."""
+"""Headless Chromium controlled over the DevTools pipe, to check how pages look and what their scripts report."""
 
 import base64
 import json
@@ -31,7 +31,7 @@ FLAGS = (
 
 
 class Browser:
-    """One tab of a browser with an empty profile; `with Browser() as tab`."""
+    """One browser tab with an empty profile. Use it as `with Browser() as tab`."""
 
     def __enter__(self) -> "Browser":
         assert CHROMIUM
@@ -66,7 +66,7 @@ class Browser:
         self._profile.cleanup()
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """The result of a DevTools command; events that arrive meanwhile are kept."""
+        """Return the result of a DevTools command. Events that arrive in the meantime are kept."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": parameters}
         message |= {"sessionId": self._session} if self._session else {}
@@ -88,7 +88,7 @@ class Browser:
         return json.loads(message)
 
     def open(self, page: Path, width: int = 1200, dark: bool = False, scripts: bool = True) -> None:
-        """Show a file at a width in CSS pixels and wait until it is loaded."""
+        """Open a file in a window of a given width in CSS pixels, and wait until it is loaded."""
         self.events.clear()
         self.call("Emulation.setScriptExecutionDisabled", value=not scripts)
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
@@ -99,7 +99,7 @@ class Browser:
             self.events.append(self._next())
 
     def complaints(self) -> list[str]:
-        """Errors of scripts and of the page since it was opened, and requests for anything but itself and data URIs."""
+        """Return errors of scripts and of the page since it was opened, and URLs it requested that are not files or data."""
         errors = []
         for event in self.events:
             method, about = event["method"], event.get("params", {})
@@ -112,13 +112,13 @@ class Browser:
         return errors
 
     def run(self, script: str) -> Any:
-        """The value of a JavaScript expression."""
+        """Return the value of a JavaScript expression."""
         result = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
     def screenshot(self, path: Path, area: dict[str, float] | None = None) -> Path:
-        """The whole page, or an area (x, y, width, height), as PNG."""
+        """Save the whole page, or an area (x, y, width, height), as PNG."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
         clip = {**(area or size), "scale": 1}
         shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip)
@@ -126,7 +126,7 @@ class Browser:
         return path
 
     def pdf(self, path: Path) -> Path:
-        """The page as it is printed."""
+        """Save the printed page as PDF."""
         path.write_bytes(base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"]))
         return path
 
@@ -144,7 +144,7 @@ UNPACKED = """new Promise((done) => {
 
 
 def painted(tab: Browser, path: Path) -> dict[str, np.ndarray]:
-    """Pixels of every figure and picture on the page by what it says."""
+    """Return the pixels of every figure and picture of a page, by alternative text."""
     tab.run(UNPACKED)
     areas = tab.run(AREAS)
     assert areas

@@ -1,4 +1,4 @@
-"""The types of the fixtures that run commands (conftest.py)."""
+"""Types of the fixtures in conftest.py that run commands."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Small cameras: as recipes, and as objects of any colour filter array."""
+"""Small cameras: as recipes, and as camera models with any colour filter array."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,7 +7,7 @@ from l3cli.artifacts.camera import CameraModel, Noise, Optics
 
 
 def bayer_camera(bits: int = 12, pattern: tuple[str, ...] = ("r g", "g b")) -> str:
-    """The text of a small Bayer camera recipe."""
+    """Return the text of a recipe for a small Bayer camera."""
     rows = ", ".join(f'"{row}"' for row in pattern)
     return f"""
 name = "small Bayer"
@@ -42,6 +42,7 @@ f_number = 2.8
 
 
 def random_camera(cfa: ArrayLike, channels: int, bits: int, black_level: float) -> CameraModel:
+    """Return a small camera model with this colour filter array and uniform responsivities."""
     top = 2**bits - 1
     return CameraModel(
         name="random",

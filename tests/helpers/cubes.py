@@ -1,4 +1,4 @@
-"""Spectral cubes and the files they are kept in."""
+"""Spectral cubes and files that contain them."""
 
 from pathlib import Path
 
@@ -10,11 +10,15 @@ WAVELENGTH = np.arange(400.0, 701.0, 10.0)
 
 
 def a_cube(shape: tuple[int, int] = (20, 24)) -> np.ndarray:
+    """Return a random cube (row, col, wavelength)."""
     return np.random.default_rng(0).random((*shape, 31)).astype(np.float32)
 
 
 def basis_file(path: Path, illuminant: object = None, mean: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """A file of coefficients as ISET's sceneToFile writes it; its photons and their light."""
+    """Write a file of basis coefficients in the format of ISET's sceneToFile.
+
+    Returns the photons (row, col, wavelength) and the illuminant (wavelength) that the file describes.
+    """
     from scipy.io import savemat
 
     rng = np.random.default_rng(1)

@@ -1,4 +1,7 @@
-"""Stand-ins for decoders of foreign files, that fail variously. A light module: the process that decodes imports it."""
+"""Fake decoders of foreign files that fail in various ways.
+
+The decoding process imports this module, so it imports little itself.
+"""
 
 import errno
 import importlib
@@ -20,38 +23,45 @@ from l3cli.io.isolated import isolated
 
 @isolated()
 def crash(path: Path) -> None:
+    """Crash with a segmentation fault."""
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
 @isolated()
 def work(path: Path) -> None:
+    """Compute forever."""
     while True:
         pass
 
 
 @isolated()
 def sleep(path: Path) -> None:
+    """Wait far longer than any decoder may take."""
     time.sleep(600)
 
 
 @isolated()
 def hoard(path: Path) -> None:
+    """Allocate more memory than is allowed."""
     hoarded = [np.empty(1 << 28, np.uint8) for _ in range(1000)]
     assert hoarded
 
 
 @isolated()
 def abort(path: Path) -> None:
+    """Abort the process."""
     os.abort()
 
 
 @isolated()
 def stumble(path: Path) -> None:
+    """Raise an error whose message has two lines."""
     raise IndexError("list index\nout of range")
 
 
 @isolated()
 def write_much(path: Path) -> None:
+    """Try to extend every inherited file beyond its size limit."""
     for inherited in range(3, 64):
         try:
             os.posix_fallocate(inherited, 0, 1 << 40)
@@ -62,12 +72,13 @@ def write_much(path: Path) -> None:
 
 @isolated()
 def limits(path: Path) -> list[tuple[int, int]]:
-    """Return the limits of address space and of files."""
+    """Return the limits of the address space and of the file size."""
     return [resource.getrlimit(what) for what in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE)]
 
 
 @isolated()
 def echo(path: Path, text: str, number: int | None) -> dict[str, Any]:
+    """Return the arguments and arrays of several layouts."""
     ordered = np.asfortranarray(np.arange(6, dtype=">u2").reshape(2, 3))
     return {
         "process": os.getpid(),
@@ -120,7 +131,7 @@ BY_SECCOMP = (
 
 @isolated()
 def reach(path: Path, what: str, other: str) -> str:
-    """Try to reach something beyond the file; return the name of the error, or none."""
+    """Try an operation that a decoder is not allowed to do. Return the name of the error, or an empty string."""
     try:
         REACHES[what](path, other)
     except OSError as error:
@@ -130,7 +141,7 @@ def reach(path: Path, what: str, other: str) -> str:
 
 @isolated()
 def read(path: Path) -> tuple[int, int]:
-    """Return the length of the file, read by a thread, and the number of modules of an import."""
+    """Return the length of the file, read in a thread, and the number of names that an imported module exports."""
     made: list[int] = []
     thread = threading.Thread(target=lambda: made.append(len(path.read_bytes())))
     thread.start()
@@ -143,7 +154,7 @@ _calls = 0
 
 @isolated()
 def count(path: Path) -> int:
-    """Return how many times this process has been asked."""
+    """Return how often this process has been called."""
     global _calls
     _calls += 1
     return _calls

@@ -1,4 +1,4 @@
-"""DNG files of any packing and compression, byte by byte: what cameras and converters write and our writer does not."""
+"""DNG files in packings and compressions that cameras and converters write but l3 does not."""
 
 import struct
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ Tags = dict[int, tuple[int, list[int]]]
 
 
 def packed(values: np.ndarray, bits: int, order: str) -> bytes:
-    """Rows of `bits` bits a value, upper bits first; whole bytes and words as TIFF stores them."""
+    """Pack rows of values with `bits` bits each, most significant bit first. Whole bytes and words are stored as in TIFF."""
     if bits in (8, 16):
         return values.astype(f"{order}u{bits // 8}").tobytes()
     ones = (values[..., None] >> np.arange(bits - 1, -1, -1, dtype=np.uint16)) & 1
@@ -21,7 +21,10 @@ def packed(values: np.ndarray, bits: int, order: str) -> bytes:
 
 
 def lossless_jpeg(values: np.ndarray, components: int = 1, predictor: int = 1, bits: int = 16) -> bytes:
-    """`components` values a pixel (ITU-T T.81, process 14); small differences have codes of 2 bits, others of 6."""
+    """Encode values as lossless JPEG (ITU-T T.81, process 14) with `components` values per pixel.
+
+    Small differences have codes of 2 bits, other differences have codes of 6 bits.
+    """
     rows, cols = values.shape
     wanted = values.astype(np.int64)
     left, above, beyond = (np.roll(wanted, by, (0, 1)) for by in ((0, components), (1, 0), (1, components)))
@@ -51,8 +54,11 @@ def write_dng(
     path: Path, values: np.ndarray, pattern: np.ndarray, bits: int = 16, order: str = "<",
     strips: list[bytes] | None = None, gap: int = 0, tags: Tags | None = None, drop: Sequence[int] = (),
 ) -> Path:  # fmt: skip
-    """`values` (row, col) whose CFA has the codes `pattern`; `tags` add to or replace what a DNG needs, `drop` are left
-    out. Strips lie `gap` bytes apart."""
+    """Write values (row, col) as a DNG file whose CFA pattern has the codes `pattern`.
+
+    `tags` are added to the tags that a DNG needs or replace them, and tags in `drop` are omitted. Strips are `gap` bytes
+    apart.
+    """
     rows, cols = values.shape
     strips = strips or [packed(values, bits, order)]
     base: Tags = {
@@ -84,7 +90,7 @@ def write_dng(
 
 
 def opcode_list(*opcodes: tuple[int, int, bytes]) -> tuple[int, list[int]]:
-    """The value of an opcode list: number, flags and content of each."""
+    """Encode an opcode list from the number, flags and content of each opcode."""
     entries = [struct.pack(">IIII", number, 0x01030000, flags, len(content)) + content for number, flags, content in opcodes]
     return UNDEFINED, list(struct.pack(">I", len(opcodes)) + b"".join(entries))
 
@@ -92,7 +98,10 @@ def opcode_list(*opcodes: tuple[int, int, bytes]) -> tuple[int, list[int]]:
 def gain_map(
     gains: np.ndarray, area: tuple[int, ...], plane: tuple[int, int] = (0, 1), pitch: tuple[int, int] = (1, 1)
 ) -> bytes:
-    """A GainMap of gains (row, col[, plane]) from edge to edge, of `area` (top, left, bottom, right); plane, count."""
+    """Encode a GainMap opcode.
+
+    The gains (row, col[, plane]) extend from edge to edge of `area` (top, left, bottom, right).
+    """
     gains = gains.reshape(*gains.shape[:2], -1)
     rows, cols, planes = gains.shape
     spacing = [1 / max(rows - 1, 1), 1 / max(cols - 1, 1)]

@@ -1,5 +1,4 @@
-"""A sensor with flaws: defective pixels, clusters and lines, and a lens that gives its corners less light, of each channel
-another share."""
+"""A sensor with defective pixels, clusters and lines, and a lens with a different fall-off for each channel."""
 
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ HOT, DEAD = 1, 2
 
 @dataclass(frozen=True)
 class Flaws:
-    """What is wrong with the pixels of one sensor."""
+    """The flaws of the pixels of one sensor."""
 
     light: NDArray[np.float64]  # (row, col) share that the lens lets through
     kind: NDArray[np.uint8]  # (row, col) 0, HOT or DEAD
@@ -22,7 +21,7 @@ class Flaws:
 
 
 def shading(camera: CameraModel, corners: tuple[float, ...]) -> NDArray[np.float64]:
-    """(row, col) cos⁴-like fall-off to a share of `corners` (channel) in the corners of a mosaic."""
+    """Return a cos⁴-like fall-off (row, col) that reaches the given fraction (channel) in the corners."""
     rows, cols = camera.rows, camera.cols
     y, x = np.linspace(-1, 1, rows)[:, None], np.linspace(-1, 1, cols)
     down, across = camera.cfa.shape
@@ -32,7 +31,10 @@ def shading(camera: CameraModel, corners: tuple[float, ...]) -> NDArray[np.float
 
 
 def flaws(camera: CameraModel, corners: tuple[float, ...], share: float = 0.001, lines: bool = True, seed: int = 0) -> Flaws:
-    """About `share` of the pixels defective: alone, in pairs, in clusters of 3 × 3; with `lines` a column and a row, too."""
+    """Draw defects for about the fraction `share` of the pixels.
+
+    Defects are single pixels, pairs, and clusters of 3 × 3 pixels. With `lines`, there is also a column and a row.
+    """
     rng = np.random.default_rng(seed)
     shape = (camera.rows, camera.cols)
     kind = np.zeros(shape, np.uint8)
@@ -50,6 +52,6 @@ def flaws(camera: CameraModel, corners: tuple[float, ...], share: float = 0.001,
 def seen(
     camera: CameraModel, wrong: Flaws, electrons: NDArray[np.floating], rng: np.random.Generator, noises: str = "all"
 ) -> NDArray[np.uint16]:
-    """A raw frame (row, col) of mean photo-electrons by a sensor with flaws, exposed for 10 ms."""
+    """Simulate a raw frame (row, col) with flaws from mean photoelectrons, exposed for 10 ms."""
     values = expose(camera, electrons * wrong.light * (wrong.kind != DEAD), 0.01, rng, noises).astype(np.float64)
     return np.minimum(values + wrong.offset * (wrong.kind == HOT), camera.white_level).astype(np.uint16)

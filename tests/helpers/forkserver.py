@@ -35,7 +35,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run ended: exit code, or minus the signal; what it said; what lay in its output folder, by name."""
+    """Result of a run: exit code (or minus the signal), output, and the files in its output folder by name."""
 
     code: int
     out: str
@@ -44,7 +44,10 @@ class Ended:
 
 
 class ForkServer:
-    """Starts runs in `folder`, one at a time. With `private_disks` in a mount namespace, which may mount small disks."""
+    """Starts runs of l3 in `folder`, one at a time.
+
+    With `private_disks` it has its own mount namespace, in which small disks can be mounted.
+    """
 
     def __init__(self, folder: Path, private_disks: bool = False) -> None:
         self.folder, self._child = folder, 0
@@ -58,8 +61,11 @@ class ForkServer:
         )
 
     def start(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> int:
-        """Begin `l3 ARGUMENTS`; the number of its process. `disk`: mount options of a tmpfs laid over the folder "out";
-        `kill`: seconds after which it gets a signal."""
+        """Start `l3 ARGUMENTS` and return its process ID.
+
+        `disk` gives mount options of a tmpfs over the folder "out". `kill` is a time in seconds and the signal sent after
+        it.
+        """
         assert self._server.stdin is not None
         if self._child:  # of a test that failed
             os.kill(self._child, signal.SIGKILL)
@@ -72,7 +78,7 @@ class ForkServer:
         return self._child
 
     def wait(self) -> Ended:
-        """How the run ended that was started last."""
+        """Wait for the run that was started last and return its result."""
         answer = self._answer()
         self._child = 0
         return Ended(**answer)
@@ -130,7 +136,7 @@ def _send(answer: Any) -> None:
 
 
 def _become(arguments: list[str]) -> None:
-    """The run, in the forked process, which ends with it; its words go to files called after the server's number."""
+    """Run l3 in the forked process and exit. Its output goes to files named after the server's process ID."""
     from l3cli import cli
     from l3cli.system import signals
 
@@ -154,7 +160,7 @@ def _become(arguments: list[str]) -> None:
 
 
 def _code_of(main: Callable[[], None]) -> int:
-    """Exit code of a program, which says what it is not made for."""
+    """Return the exit code of a program. Unexpected exceptions are printed."""
     try:
         main()
     except SystemExit as end:
@@ -166,8 +172,10 @@ def _code_of(main: Callable[[], None]) -> int:
 
 
 def _end(code: int) -> None:
-    """End the process as Python does, but leave its memory to the kernel: to take apart every module that `serve` has
-    imported takes longer than most runs."""
+    """End the process as Python does, but without freeing memory.
+
+    Unloading all modules that `serve` imported would take longer than most runs.
+    """
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

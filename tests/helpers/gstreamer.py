@@ -1,4 +1,4 @@
-"""GStreamer for tests: it runs the system's Python, here with this environment's packages before its own."""
+"""GStreamer for tests. It uses the Python of the system, with the packages of this environment."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ assert Gst.ElementFactory.find("rawvideoparse")
 
 
 def environment() -> dict[str, str]:
-    """That of a program of the system that is to find this environment's packages."""
+    """Return environment variables with which the system's Python finds the packages of this environment."""
     packages = [path for path in sys.path if path.endswith("-packages")]
     left = {name: value for name, value in os.environ.items() if not name.startswith(("VIRTUAL_ENV", "GST_"))}
     plugins = {"GST_PLUGIN_PATH": str(ROOT / "l3cli/video_hosts/plugins")}
@@ -29,7 +29,7 @@ def environment() -> dict[str, str]:
 
 
 def require_gstreamer() -> None:
-    """Skip a test where there is no GStreamer that can use this environment."""
+    """Skip the test if there is no GStreamer that can use this environment."""
     if not Path(PYTHON).exists():
         pytest.skip(f"no {PYTHON}, for which GStreamer's Python is made")
     probe = subprocess.run([PYTHON, "-c", PROBE], env=environment(), capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""Lenses that lose light towards the corners, by channel."""
+"""Lenses whose brightness falls off towards the corners, differently for each channel."""
 
 import numpy as np
 
@@ -6,8 +6,11 @@ from l3cli.artifacts.camera import CameraModel, FlatField
 
 
 def gain(camera: CameraModel, rows: np.ndarray, cols: np.ndarray, corner: float = 2.0) -> np.ndarray:
-    """(channel, row, col) of what undoes a lens that leaves 1/`corner` of the light in the corners, as cos⁴ falls; of the
-    first channel still less, of the last more, askew."""
+    """Return the gains (channel, row, col) that correct a lens with cos⁴-like fall-off.
+
+    The corners receive 1/`corner` of the light, slightly less in the first channel and slightly more in the last,
+    asymmetrically.
+    """
     y, x = rows - (camera.rows - 1) / 2, cols - (camera.cols - 1) / 2
     far = (y[:, None] ** 2 + x**2) / (y[:, None] ** 2 + x**2).max().clip((camera.rows**2 + camera.cols**2) / 4)
     each = np.linspace(0.06, -0.04, len(camera.channels))[:, None, None]
@@ -15,6 +18,6 @@ def gain(camera: CameraModel, rows: np.ndarray, cols: np.ndarray, corner: float 
 
 
 def flat_field(camera: CameraModel, corner: float = 2.0) -> FlatField:
-    """The flat field of a camera with such a lens."""
+    """Return the flat field of a camera with this lens."""
     rows, cols = np.linspace(0, camera.rows - 1, 33), np.linspace(0, camera.cols - 1, 49)
     return FlatField(rows, cols, gain(camera, rows, cols, corner))

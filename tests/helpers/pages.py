@@ -1,4 +1,4 @@
-"""A report's page, taken apart."""
+"""The tags and text of a report page."""
 
 import base64
 import csv
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Tags(html.parser.HTMLParser):
-    """Start tags with their attributes in order, and all text."""
+    """Start tags in order, with their attributes, and all text of a page."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()
@@ -22,11 +22,12 @@ class Tags(html.parser.HTMLParser):
         self.text += data
 
     def all(self, *tags: str) -> list[dict[str, str | None]]:
+        """Return the attributes of all tags with these names."""
         return [attributes for tag, attributes in self.starts if tag in tags]
 
 
 def csv_rows(uri: str) -> list[list[str]]:
-    """The rows of a table in a data URI."""
+    """Return the rows of a CSV file in a data URI."""
     head, _, body = uri.partition(",")
     assert head == "data:text/csv;charset=utf-8;base64"
     return list(csv.reader(base64.b64decode(body).decode().splitlines()))

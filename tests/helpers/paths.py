@@ -1,4 +1,4 @@
-"""Where the project lies, of which these tests are a part."""
+"""Paths of the project."""
 
 from pathlib import Path
 

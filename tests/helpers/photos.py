@@ -1,4 +1,4 @@
-"""Simulated patches of a chart, from cameras drawn out of the curve statistics that come with l3 or given."""
+"""Simulated photos of a chart, taken by cameras that are drawn from curve statistics."""
 
 import functools
 import hashlib
@@ -30,7 +30,10 @@ SMALL = (200, 250)  # pixels
 
 
 def chart_mosaic(camera: CameraModel, light: str, share: float = 0.8) -> np.ndarray:
-    """A ColorChecker before a paler wall with stripes; white fills the brightest channel to `share`."""
+    """Simulate a raw frame of a ColorChecker in front of a lighter, striped wall.
+
+    White reaches the fraction `share` of full scale in the brightest channel.
+    """
     reflectance = charts.chart("classic", camera.wavelength)[1]
     radiance = spectra.illuminant(light, camera.wavelength)
     surfaces = np.vstack([reflectance, np.full_like(radiance, 0.03), np.full_like(radiance, 0.4), reflectance[4] * 1.2])
@@ -52,7 +55,7 @@ known_cameras = functools.cache(shipped_statistics)
 
 
 def locating_once() -> Callable[..., Any]:
-    """Return `locate` of frames.chart, which searches the same pixels once."""
+    """Return a `frames.chart.locate` that remembers its results, so that each frame is searched only once."""
     known: dict[bytes, Any] = {}
 
     def once(*arguments: Any) -> Any:
@@ -65,7 +68,7 @@ def locating_once() -> Callable[..., Any]:
 
 
 def drawn(seed: int) -> Array:
-    """The responsivities (channel, wavelength) per photon of a camera that resembles measured ones."""
+    """Draw the responsivities (channel, wavelength) per photon of a camera similar to the measured cameras."""
     known, rng = known_cameras(), np.random.default_rng([seed, 1])
     shape = known.mean + np.tensordot(rng.standard_normal(len(known.modes)), known.modes, axes=1)
     shape = np.maximum(shape, 0.0)
@@ -75,7 +78,7 @@ def drawn(seed: int) -> Array:
 def photograph(
     corners: np.ndarray, rng: np.random.Generator, cfa: np.ndarray = BAYER, turns: int = 0, light_name: str = "D65"
 ) -> np.ndarray:
-    """A mosaic (row, col) of DN above black: a chart, black between its patches, before blotches of all colours."""
+    """Simulate a mosaic (row, col) in DN above black: a chart with black gaps in front of random colour blotches."""
     camera = drawn(1)
     light = spectra.illuminant(light_name, WAVELENGTH)
     values = REFLECTANCE * light @ camera.T
@@ -100,8 +103,11 @@ def shot(
     camera: Array, light: str, rng: np.random.Generator, *, noise: float = 0.005, glare: float = 0.0, uneven: float = 0.0,
     named: str | None = None,
 ) -> Shot:  # fmt: skip
-    """A ColorChecker under a light, which is perhaps named otherwise; noise and glare are shares of the brightest patch and
-    of the mean, `uneven` what the light falls by over the chart."""
+    """Simulate the patches of a ColorChecker.
+
+    `noise` is relative to the brightest patch, `glare` to the mean. `uneven` is the relative fall of the light over the
+    chart. `named` is the illuminant that the photo states, if it differs from `light`.
+    """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     values = reflectance * spectra.illuminant(light, WAVELENGTH) @ camera.T
     values = values / values.max() * BRIGHTEST
@@ -117,8 +123,11 @@ def shot(
 
 
 def response_figures(camera: Array, posterior: Posterior, light: str, surfaces: Array) -> tuple[Array, Array]:
-    """Of the responses to surfaces (surface, wavelength) under a light, their mean known: RMS error (channel) over the
-    largest response, and the share (channel) of the errors that lies within the 95 % band."""
+    """Evaluate the responses to surfaces (surface, wavelength) under a light, scaled to the true mean.
+
+    Returns the RMS error (channel) relative to the largest response, and the fraction (channel) of errors within the 95 %
+    band.
+    """
     stimuli = surfaces * spectra.illuminant(light, WAVELENGTH)
     size, errors, shares = WAVELENGTH.size, [], []
     for channel, (truth, curve) in enumerate(zip(camera, posterior.responsivity, strict=True)):
@@ -134,7 +143,10 @@ def response_figures(camera: Array, posterior: Posterior, light: str, surfaces: 
 
 
 def curve_figures(camera: Array, posterior: Posterior) -> tuple[Array, Array]:
-    """Of curves scaled to equal areas: RMS error (channel) over the peak, and the share (channel) of it within the band."""
+    """Evaluate curves that are scaled to equal areas.
+
+    Returns the RMS error (channel) relative to the peak, and the fraction (channel) of errors within the 95 % band.
+    """
     size, errors, shares = WAVELENGTH.size, [], []
     for channel, (truth, curve) in enumerate(zip(camera, posterior.responsivity, strict=True)):
         part, scale = slice(channel * size, (channel + 1) * size), truth.sum() / curve.sum()

@@ -1,4 +1,4 @@
-"""Frames with plain and textured areas, at any analog gain."""
+"""Frames with uniform and textured areas at any analog gain."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -12,7 +12,10 @@ SHAPE, CELLS = (240, 320), 36
 
 
 def cells(camera: CameraModel, rng: np.random.Generator, textured: float) -> np.ndarray:
-    """Share of full scale (row, col) of cells of one colour each, about 45 pixels wide, a share of which is textured."""
+    """Return a scene (row, col) as a fraction of full scale.
+
+    Its cells are about 45 pixels wide and have one colour each. The fraction `textured` of them has a texture.
+    """
     places = np.moveaxis(np.mgrid[: SHAPE[0], : SHAPE[1]], 0, -1)
     number = cKDTree(rng.uniform((0, 0), SHAPE, (CELLS, 2))).query(places)[1]
     colours = rng.uniform(0.02, 0.85, (CELLS, len(camera.channels)))
@@ -22,7 +25,7 @@ def cells(camera: CameraModel, rng: np.random.Generator, textured: float) -> np.
 
 
 def taken(camera: CameraModel, share: np.ndarray, gain: float, seed: int = 0) -> np.ndarray:
-    """Raw values of a scene that fills shares of full scale, at an analog gain."""
+    """Simulate raw values of a scene, given as a fraction of full scale, at an analog gain."""
     there = with_analog_gain(camera, gain)
     electrons = (share * there.full_scale).astype(np.float32)
     return sensor.expose(there, electrons, 0.0, np.random.default_rng(seed))

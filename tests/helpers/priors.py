@@ -1,5 +1,7 @@
-"""Writes configs/priors/rgb.toml, statistics of the measured cameras of rawtoaces, and cameras.csv, their curves:
-python -m tests.helpers.priors."""
+"""Writes the curve statistics and curves of measured cameras: `python -m tests.helpers.priors`.
+
+configs/priors/rgb.toml gets the statistics of the rawtoaces cameras, and cameras.csv gets their curves.
+"""
 
 import os
 from pathlib import Path
@@ -22,12 +24,12 @@ SOURCE = (
 
 
 def measured(data: Path) -> CurveStatistics:
-    """The statistics of the cameras in the folder of real data."""
+    """Return the statistics of the cameras in the data folder."""
     return statistics(read_cameras(prior_files(data / "sensitivities/rawtoaces/data/camera")))
 
 
 def as_toml(known: CurveStatistics) -> str:
-    """The text of the table."""
+    """Format the statistics as TOML."""
 
     def numbers(values: NDArray[np.float64], digits: int = 5) -> str:
         return "[" + ", ".join(f"{value:.{digits}f}" for value in values) + "]"
@@ -42,7 +44,7 @@ def as_toml(known: CurveStatistics) -> str:
 
 
 def curves_as_csv(data: Path) -> str:
-    """The curves of all cameras, per photon, to a common peak of 1: columns "nikon_d810 r" and so on."""
+    """Format the curves of all cameras, per photon and with a maximum of 1, as CSV with columns such as "nikon_d810 r"."""
     files = prior_files(data / "sensitivities/rawtoaces/data/camera")
     curves = read_cameras(files)
     names = [f"{slug_of(path.stem.removesuffix('_380_780_5'))} {role}" for path in files for role in ROLES]

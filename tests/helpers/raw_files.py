@@ -1,4 +1,4 @@
-"""A table of a small camera, whose mosaics raw files of the field hold."""
+"""A table of a small camera that matches the mosaics in the raw test files."""
 
 import dataclasses
 

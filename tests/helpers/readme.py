@@ -1,4 +1,4 @@
-"""README and the pages of docs/, and the commands that they show."""
+"""The README and the pages in docs/, and the commands that they show."""
 
 import re
 import shlex
@@ -11,7 +11,7 @@ ALL = "\n\n".join([README, *PAGES.values()])
 
 
 def shown(text: str) -> list[str]:
-    """The lines of a page's blocks of code, indented or fenced."""
+    """Return the lines of all indented or fenced code blocks of a page."""
     lines, fenced = [], False
     for line in text.splitlines():
         if line.startswith("```"):
@@ -24,7 +24,7 @@ def shown(text: str) -> list[str]:
 
 
 def blocks(text: str) -> list[str]:
-    """A page's blocks of code: indented or fenced lines that follow one another, blank lines within."""
+    """Return the code blocks of a page. Consecutive indented or fenced lines form a block, which may contain blank lines."""
     found = re.findall(
         r"(?:^(?: {4}.*)?\n)+", re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE
     )
@@ -33,18 +33,18 @@ def blocks(text: str) -> list[str]:
 
 
 def fenced(text: str, language: str) -> list[str]:
-    """The blocks of a page that are marked as of a language, in order."""
+    """Return the code blocks of a page in a given language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 def commands(line: str) -> list[list[str]]:
-    """The `l3` commands of a line of shell, as lists of words."""
+    """Return the `l3` commands in a line of shell, each as a list of words."""
     parts = re.split(r"\s(?:\||&&)\s", line.partition("   #")[0].partition("  →")[0])
     return [words[1:] for part in parts if (words := shlex.split(part)) and words[0] == "l3"]
 
 
 def sessions(text: str) -> list[list[tuple[str, list[str]]]]:
-    """Blocks with `$ l3 …` of a page: each command with the lines shown below it."""
+    """Return the blocks of a page with `$ l3 …`: each command with the output lines shown below it."""
     blocks: list[list[tuple[str, list[str]]]] = []
     inside = False
     for line in text.splitlines():

@@ -1,4 +1,4 @@
-"""Recipes of scenes and classes that are simulated and learned within seconds; recipes that are spoilt."""
+"""Recipes for scenes and classes with which simulation and training take seconds, and invalid recipes."""
 
 import json
 from collections.abc import Callable
@@ -35,7 +35,7 @@ VALUES: list[Any] = [-1, 0, 2, 1.25, 1e9 + 0.5, "x", "D65", [], {}, [1, 2], [[1,
 
 
 def spoilt(content: Any, draw: Callable[..., Any]) -> Any:
-    """A recipe's content with one value somewhere replaced or left out, as Hypothesis draws."""
+    """Replace or remove one value of a recipe, chosen by Hypothesis."""
     if isinstance(content, dict) and content:
         key = draw(st.sampled_from(sorted(content)))
         if draw(st.integers(0, 5)) == 0:
@@ -50,7 +50,7 @@ def spoilt(content: Any, draw: Callable[..., Any]) -> Any:
 
 
 def as_toml(content: dict[str, Any]) -> str:
-    """A recipe's content as TOML, a line a key."""
+    """Format a recipe as TOML with one line per key."""
     return "".join(f"{json.dumps(key)} = {_value(value)}\n" for key, value in content.items())
 
 

@@ -1,4 +1,4 @@
-"""Tables of every kind, ways to render them, and what a renderer must give."""
+"""Tables of every kind, ways to render them, and the comparison with the reference renderer."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""A short sequence of small mosaics, a table for them, and how to run and read what is rendered of them."""
+"""A short sequence of small mosaics and a table for it, with functions that write the frames and read rendered pictures."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -26,14 +26,14 @@ FAST = ("--backend", "reference", "--quiet")
 
 
 def frames(count: int = COUNT) -> np.ndarray:
-    """Mosaics (frame, row, col) that grow brighter."""
+    """Return mosaics (frame, row, col) of increasing brightness."""
     rng = np.random.default_rng(0)
     light = np.linspace(0.4, 0.9, count)[:, None, None]
     return np.clip(64 + 4031 * light * rng.uniform(0.3, 1, (count, RGGB.rows, RGGB.cols)), 0, 4095).astype(np.uint16)
 
 
 def write_frames(folder: Path) -> Path:
-    """frame_07.tif … frame_11.tif"""
+    """Write frame_07.tif to frame_11.tif."""
     folder.mkdir()
     for number, mosaic in enumerate(frames(), 7):
         write_mosaic(folder / f"frame_{number:02d}.tif", mosaic)
@@ -41,7 +41,7 @@ def write_frames(folder: Path) -> Path:
 
 
 def write_stack(path: Path, mosaics: np.ndarray | None = None) -> Path:
-    """Write `frames()`, or other mosaics (frame, row, col), in the format of the file's suffix."""
+    """Write `frames()`, or other mosaics (frame, row, col), in the format given by the file's suffix."""
     mosaics = frames() if mosaics is None else mosaics
     if path.suffix == ".npy":
         np.save(path, mosaics)
@@ -66,7 +66,7 @@ def write_raw_video(
     path: Path, pixels: str = "gray12le", rate: int = 24, group: int = 1, mosaics: np.ndarray | None = None,
     times: Sequence[int] | None = None,
 ) -> Path:  # fmt: skip
-    """`times`: of its frames in ms, None: at the rate."""
+    """Write a raw video. `times` are the frame times in ms; if None, frames have a constant rate."""
     mosaics = frames() if mosaics is None else mosaics
     with av.open(str(path), "w") as video:
         options = {"level": "3", "slicecrc": "1", "slices": "4", "g": str(group)}
@@ -85,7 +85,7 @@ def write_raw_video(
 
 
 def filtered_places(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The places of the frames that are filtered in time from now on."""
+    """Return a list to which the index of each temporally filtered frame is added from now on."""
     taken: list[int] = []
     filtered = Chunks.filtered
 

@@ -1,4 +1,4 @@
-"""Every stage as it is run for the faults: its inputs, its call, and what of its outputs is whole."""
+"""The command of every stage, with its inputs and outputs, for tests that interrupt it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +54,7 @@ REMAINS = (".parts", UNFINISHED, FINISHED)  # what the same run goes on from
 
 @dataclass(frozen=True)
 class Stage:
-    """One command as it is run for the faults; its outputs lie in "out"."""
+    """A command that tests interrupt. Its outputs are in the folder "out"."""
 
     name: str
     line: str
@@ -67,7 +67,7 @@ class Stage:
 
     @property
     def again(self) -> list[str]:
-        """What goes on after a run that was stopped."""
+        """Return the arguments that continue an interrupted run."""
         return [*self.arguments, *([] if self.goes_on else ["--resume" if self.resumes else "--force"])]
 
 
@@ -103,7 +103,7 @@ PARALLEL = [
 
 
 def make_inputs(folder: Path) -> Path:
-    """The folder of every stage's inputs, made by the stages before."""
+    """Make the inputs of every stage by running the earlier stages, and return their folder."""
     folder.mkdir()
     recipes = {"camera": bayer_camera(), "scenes": SCENES, "lab": LAB, "quick": QUICK, "classes": CLASSES, "layers": LAYERS}
     for name, text in recipes.items():
@@ -126,7 +126,10 @@ def make_inputs(folder: Path) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Everything in the output folder, hidden files too, but for lists of finished pictures, which state times."""
+    """Return all files in the output folder, including hidden files.
+
+    Lists of finished pictures are left out, because they contain times.
+    """
     files = (path for path in (folder / "out").rglob("*") if path.is_file() and not path.name.endswith(FINISHED))
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 

@@ -1,4 +1,4 @@
-"""Frames of a still scene with its camera's noise, which a filter in time makes quiet, and a table of the camera."""
+"""Noisy frames of a still scene for the temporal filter, and a table of their camera."""
 
 import dataclasses
 from pathlib import Path
@@ -15,7 +15,7 @@ TABLE = dataclasses.replace(random_table(BAYER, 12, BLACK), camera=CAMERA)
 
 
 def mosaics(rows: int = ROWS) -> np.ndarray:
-    """(frame, row, col) of a still scene."""
+    """Return mosaics (frame, row, col) of a still scene."""
     rng = np.random.default_rng(0)
     light = rng.uniform(200, 2000, (rows // 10 + 1, COLS // 10 + 1)).repeat(10, 0).repeat(10, 1)[:rows, :COLS]
     noisy = rng.poisson(np.broadcast_to(light, (COUNT, rows, COLS))) + rng.normal(0, 5, (COUNT, rows, COLS))
@@ -23,7 +23,7 @@ def mosaics(rows: int = ROWS) -> np.ndarray:
 
 
 def write_frames(folder: Path) -> Path:
-    """frame_0.tif … frame_8.tif in a new folder."""
+    """Write frame_0.tif to frame_8.tif in a new folder."""
     folder.mkdir()
     for number, mosaic in enumerate(mosaics()):
         write_mosaic(folder / f"frame_{number}.tif", mosaic)

@@ -1,4 +1,4 @@
-"""Tables of random weights, for cameras of any colour filter array."""
+"""Tables of random weights for cameras with any colour filter array."""
 
 import dataclasses
 from typing import Any
@@ -36,20 +36,22 @@ from tests.helpers.cameras import random_camera
 
 
 def random_case_of_code(channels: int, rng: np.random.Generator) -> np.ndarray:
-    """A saturation-case map with a few cases, code 0 being case 0."""
+    """Return a map from saturation codes to a few saturation cases. Code 0 has case 0."""
     cases = rng.integers(0, 4, 2**channels).astype(np.uint16)
     cases[0] = 0
     return cases
 
 
 def with_first(table: TransformTable, **fields: Any) -> TransformTable:
-    """The table with other values in `fields` of its first layer."""
+    """Return the table with other values in `fields` of its first layer."""
     return dataclasses.replace(table, first=dataclasses.replace(table.first, **fields))
 
 
 def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: int = 0) -> TransformTable:
-    """The table with refinement layers of random weights, of these sides; the last one may have one or two `ratios`: kinds
-    of taps behind its windows."""
+    """Add refinement layers with random weights and windows of these sides.
+
+    The last layer may have one or two kinds of additional taps (`ratios`).
+    """
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
     layers = []
@@ -73,13 +75,13 @@ def with_refinement(table: TransformTable, *sides: int, seed: int = 1, ratios: i
 
 
 def with_components(table: TransformTable, side: int = 5, seed: int = 3) -> TransformTable:
-    """The table with a layer of random weights that reads three mixtures of its outputs and corrects these."""
+    """Add a layer with random weights that reads three mixtures of the table's outputs and corrects them."""
     basis = np.random.default_rng(seed).normal(size=(len(table.outputs), PLANES)) / len(table.outputs)
     return with_refinement(dataclasses.replace(table, components=LeadingComponents(basis)), side, ratios=True)
 
 
 def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> TransformTable:
-    """The table with transforms of random weights and lower edges for these shares of the noise."""
+    """Add transforms with random weights and lower edges for these fractions of the noise."""
     rng, made = np.random.default_rng(seed), []
     rule, features = table.first.rule, table.first.rule.features
     least = np.arange(len(rule.contrast_edges), dtype=np.uint32)[:, None]
@@ -105,7 +107,7 @@ def with_low_noise(table: TransformTable, *shares: float, seed: int = 9) -> Tran
 
 
 def with_spectra(table: TransformTable, window: int, reach: float) -> TransformTable:
-    """The table with smoothed spectra, of positive weights: brightness of bands is no difference of large numbers."""
+    """Add smoothing of spectra, with positive weights so that the brightness does not depend on small differences."""
     weights, intercept = (np.abs(each) / table.first.rule.patch**2 for each in (table.first.weights, table.first.intercept))
     return dataclasses.replace(
         with_first(table, weights=weights, intercept=intercept), spectra=SpectralSmoothing(window, reach)
@@ -113,7 +115,7 @@ def with_spectra(table: TransformTable, window: int, reach: float) -> TransformT
 
 
 def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> TransformTable:
-    """The table with transforms of random weights for each of some lights."""
+    """Add transforms with random weights for each of some illuminants."""
     rng = np.random.default_rng(seed)
 
     def changed(layer: Any) -> Any:
@@ -130,14 +132,14 @@ def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> Transform
 
 
 def with_coarse_chroma(table: TransformTable, variance: float = 0.05) -> TransformTable:
-    """The table with chroma from far around in its last layer, for this noise in darkness and some more in light."""
+    """Add coarse chroma to the last layer, for this noise in the dark and slightly more in the light."""
     terms = variance * np.random.default_rng(8).uniform(0.3, 1, COMPARED) * (1.0, 0.2, 0.02)
     last = dataclasses.replace(table.later[-1], coarse_chroma=CoarseChroma(terms))
     return dataclasses.replace(table, later=(*table.later[:-1], last))
 
 
 def with_clipping(table: TransformTable, seed: int = 9) -> TransformTable:
-    """The table, which has coarse chroma, with something random that replaces plain clipped areas."""
+    """Add a random replacement of uniform clipped areas to a table with coarse chroma."""
     size = len(table.channels) + 1
     rng = np.random.default_rng(seed)
     clipping = Clipping(rng.uniform(-0.5, 1, (size, size, len(table.outputs))), rng.uniform(0.4, 1, size - 1))
@@ -145,7 +147,7 @@ def with_clipping(table: TransformTable, seed: int = 9) -> TransformTable:
 
 
 def with_clipped_white(table: TransformTable, luminance: float) -> TransformTable:
-    """The table of a camera and a light whose clipped white has this luminance."""
+    """Return the table of a camera and illuminant whose clipped white has this luminance."""
     camera = random_camera(table.cfa, len(table.channels), table.bits, table.black_level)
     wavelength, radiance = camera.wavelength, np.ones(camera.wavelength.size, np.float32)
     weakest = white_signal(LightSpectrum(wavelength, radiance), camera, table.output_unit).min()
@@ -155,14 +157,16 @@ def with_clipped_white(table: TransformTable, luminance: float) -> TransformTabl
 
 
 def with_ratios(layer: PlaneLayer, rng: np.random.Generator, kinds: int = 1) -> PlaneLayer:
-    """The layer with random weights for the taps of colour ratios, and of bilateral chroma if there are two kinds."""
+    """Add random weights for colour-ratio taps and, with two kinds, for bilateral-chroma taps."""
     after = (rng.normal(size=(*layer.weights.shape[:2], RATIO_TAPS[kinds])) / layer.side).astype(np.float32)
     return dataclasses.replace(layer, weights=np.concatenate([layer.weights, after], axis=2))
 
 
 def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int = 1, ratios: int = 0) -> TransformTable:
-    """The table with a second layer of random weights, whose classes are the leaves of a random tree that a random frame
-    falls into; sites are learned in random orientations."""
+    """Add a second layer with random weights whose classes are the leaves of a random tree.
+
+    The tree is built so that a random frame reaches its leaves. Sites are turned to random orientations.
+    """
     rng = np.random.default_rng(seed)
     sites, outputs, below = table.cfa.size, len(table.outputs), table.first.rule
     factor = rng.integers(64, 128, below.levels).astype(np.uint8)
@@ -184,7 +188,7 @@ def with_tree(table: TransformTable, side: int = 3, leaves: int = 40, seed: int 
 def frame_of_all_levels(
     table: TransformTable, rng: np.random.Generator, shape: tuple[int, int], phase: tuple[int, int] = (0, 0)
 ) -> RawFrame:
-    """A frame that is dark on the left and saturated on the right, of plain areas and fine texture."""
+    """Return a frame with uniform areas and fine texture that is dark on the left and saturated on the right."""
     level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
     blocks = rng.normal(size=(shape[0] // 8 + 1, shape[1] // 8 + 1)).repeat(8, 0).repeat(8, 1)[: shape[0], : shape[1]]
     values = table.black_level + level * (1 + 0.2 * blocks + 0.2 * rng.normal(size=shape) * (blocks > 0))
@@ -195,8 +199,11 @@ def frame_of_all_levels(
 def random_tree(
     seen: Evidence, leaves: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
-    """Tests, thresholds and branches (node) of a tree into whose leaves fall some of the pixels seen: the fullest leaf is
-    split by a random test that some of its pixels pass."""
+    """Return tests, thresholds and branches (node) of a random tree.
+
+    The leaf with the most pixels is split again and again, by a random test that some of its pixels pass. So no leaf is
+    empty.
+    """
     quotient = (seen.numerators / seen.denominators[[test.denominator for test in EVERY]]).reshape(TESTS, -1)
     test, threshold, branch, pixels = [0], [0.0], [0], [np.arange(quotient.shape[1])]
     while len(test) < 2 * leaves - 1:
@@ -228,8 +235,10 @@ def random_table(
     seed: int = 1,
     **further: Any,
 ) -> TransformTable:
-    """A table of random weights with outputs of about 0…1; `wild`: contrast edges anywhere in 32 bits; `further`: keys of
-    further features by their names."""
+    """Return a table of random weights with outputs of about 0 to 1.
+
+    With `wild`, contrast edges may have any 32-bit value. `further` maps the names of further features to their keys.
+    """
     rng = np.random.default_rng(seed)
     channels = int(np.max(cfa)) + 1
     camera = random_camera(cfa, channels, bits, black_level)
@@ -273,8 +282,10 @@ def random_table(
 
 
 def colorimetric_table(camera: CameraModel, light: str = "D65") -> TransformTable:
-    """A table of a camera that shows every plain area, at all levels, as a matrix of its channels: the one that answers
-    surfaces under `light` best, white before all."""
+    """Return a table that renders uniform areas with one colour matrix at all levels.
+
+    The matrix gives the best colours of surfaces under `light`, with exact white.
+    """
     wavelength = camera.wavelength
     radiance = spectra.illuminant(light, wavelength)
     surfaces = spectra.reflectance_library(wavelength)[::10]

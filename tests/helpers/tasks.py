@@ -1,4 +1,4 @@
-"""What tests give to worker processes, which import it: a light module."""
+"""Functions that tests run in worker processes. Workers import this module, so it imports little itself."""
 
 from l3cli.errors import L3Error
 

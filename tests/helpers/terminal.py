@@ -1,4 +1,4 @@
-"""Commands on a terminal of a given size."""
+"""Runs commands in a terminal of a given size."""
 
 import contextlib
 import os
@@ -9,7 +9,7 @@ TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests
 
 
 def in_terminal(command: list[str], environment: dict[str, str], columns: int = 80) -> str:
-    """What a command shows on a terminal of 24 rows, stdout and stderr together."""
+    """Return stdout and stderr of a command, as shown in a terminal with 24 rows."""
     import fcntl
     import pty
     import struct

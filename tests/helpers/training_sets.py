@@ -1,4 +1,4 @@
-"""Training sets whose targets are a known mix of the channels, so that the best table is known."""
+"""Training sets whose targets are a known mixture of the channels, so that the best table is known."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ MIX = np.array([[0.4, 0.2, 0.1], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])  # the truth
 
 
 def a_frame(camera: CameraModel, seed: int, smooth: bool, size: tuple[int, int] = (48, 56)) -> TrainingFrame:
-    """A frame whose target is MIX applied to its channels, in the table's unit."""
+    """Return a frame whose target is MIX applied to its channels, in the unit of the table."""
     rng = np.random.default_rng(seed)
     shape = (3, 1, 1) if smooth else (3, *size)
     share = np.broadcast_to(rng.random(shape) * 0.7 + 0.1, (3, *size)).astype(np.float32)
@@ -46,7 +46,7 @@ def a_set(
 
 
 def in_shards(l3: L3, run: tuple, shards: int, folder: Path, *first: object) -> tuple[list[Path], Path, str]:
-    """Shards of a pass, their table, and what is said of it."""
+    """Train a pass in shards. Returns the shards, their table, and the command's output."""
     name = f"{len(list(folder.iterdir()))}"
     paths, table = [folder / f"{name}_{index}.h5" for index in range(1, shards + 1)], folder / f"{name}.h5"
     for index, path in enumerate(paths, start=1):
@@ -58,7 +58,7 @@ def in_shards(l3: L3, run: tuple, shards: int, folder: Path, *first: object) -> 
 
 
 def frame_of_squares(camera: CameraModel, seed: int, side: int = 160) -> TrainingFrame:
-    """A frame of squares of many colours and sizes, lit unevenly."""
+    """Return an unevenly lit frame of squares in many colours and sizes."""
     rng = np.random.default_rng(seed)
     share = np.full((len(camera.channels), side, side), 0.3)
     for size in np.geomspace(80, 3, 400).astype(int):

@@ -62,7 +62,7 @@ print(job)
 
 
 class Workplace:
-    """A PATH whose `l3` and `sbatch` work here, and what `l3` has been asked."""
+    """A PATH whose `l3` and `sbatch` run in this process, and a record of the calls of `l3`."""
 
     def __init__(self, folder: Path, address: str) -> None:
         self.calls: list[str] = []  # in order: command and output of those that make something
@@ -73,7 +73,7 @@ class Workplace:
             (folder / name).chmod(0o755)
 
     def serve(self, listener: Listener) -> None:
-        """Work off calls until one comes without arguments."""
+        """Answer calls until a call has no arguments."""
         while True:
             with listener.accept() as caller:
                 folder, arguments = caller.recv()
@@ -104,7 +104,7 @@ class Workplace:
         )  # fmt: skip
 
     def do(self, folder: Path, command: str, code: int = 0) -> tuple[str, list[str]]:
-        """Output of a command that ends with `code`, and the calls of l3 that it made."""
+        """Run a command that must exit with `code`. Returns its output and the calls of l3 that it made."""
         self.calls.clear()
         process = self.start(folder, command)
         out, err = process.communicate(timeout=600)
@@ -114,7 +114,7 @@ class Workplace:
 
 @contextlib.contextmanager
 def a_workplace(folder: Path) -> Iterator[Workplace]:
-    """A place whose programs lie in `folder`, which must be empty."""
+    """Set up a workplace whose programs are in `folder`, which must be empty."""
     with tempfile.TemporaryDirectory() as short:  # the name of a socket must not be long
         address = f"{short}/socket"
         place = Workplace(folder, address)
