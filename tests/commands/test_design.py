@@ -262,7 +262,7 @@ WRONG = """
     name = "four"                       | name = "four"; rivals = [["r x"]]  | 2 | "x" is not a filter
     lux = 10                            | lux = 1e9                          | 2 | every filter clips
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
-    illuminant = "A"                    | illuminant = "F2"                  | 2 | gather them under F2
+    illuminant = "A"                    | illuminant = "F2"                  | 2 | gather moments under F2
     share = 0.9                         | name = "x"                         | 2 | give either share
     bare = "bare.csv"                   | bare = 1.5                         | 2 | lies in 0…1
     bare = "bare.csv"                   | pitch_um = 2.0                     | 3 | gather moments with --camera
