@@ -1,1 +1,1 @@
-"""The stages: files in, file out. Each reads its inputs, asks the rooms and writes its output; messages go to a console."""
+"""The stages. Each reads its input files, calls the computing packages, and writes its output; messages go to a console."""

@@ -1,5 +1,8 @@
-"""Stage of `l3 check`: find the recipes that are meant and their kinds, judge each, and list every fault with its line; and
-the JSON schema of each kind. Of designs, and of scenes with their files, no single room knows all faults and the meaning."""
+"""The stage of `l3 check`.
+
+It finds the named recipes and their kinds, checks each, and lists every fault with its line. It also makes the JSON schema of
+each kind. The checks of designs, and of scenes with their files, are here because they need several computing packages.
+"""
 
 import contextlib
 import itertools

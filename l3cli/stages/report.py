@@ -1,4 +1,4 @@
-"""The report stage: any set of artifacts → one page. Rooms are called here, since they do not know one another."""
+"""The report stage: any set of artifacts → one page. The computing packages do not import each other, so they are called here."""
 
 import functools
 from collections.abc import Sequence

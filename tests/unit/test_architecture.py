@@ -1,4 +1,4 @@
-"""Imports go down: never up, never across rooms; outside libraries enter by their one door (docs/architecture.md#floors)."""
+"""Packages import only from lower layers, and only one package uses each external library (docs/architecture.md#layers-of-imports)."""
 
 import ast
 import functools
@@ -13,7 +13,7 @@ from l3cli.cli.terminal import with_options
 from tests.helpers.paths import ROOT
 
 PACKAGE = ROOT / "l3cli"
-FLOORS = [
+LAYERS = [
     {"errors", "system", "recipes"},
     {"physics"},
     {"artifacts", "spectra", "frames"},
@@ -67,8 +67,8 @@ def imports(path: Path) -> set[str]:
     return modules
 
 
-def floor(room: str) -> int:
-    return next(number for number, rooms in enumerate(FLOORS) if room in rooms)
+def layer(package: str) -> int:
+    return next(number for number, packages in enumerate(LAYERS) if package in packages)
 
 
 def test_imports_go_down_and_never_across() -> None:
@@ -77,12 +77,12 @@ def test_imports_go_down_and_never_across() -> None:
         if parts == ("__init__",):
             continue
         for name in imports(path):
-            room = name.split(".")[1] if name.startswith("l3cli.") else None
-            if room is None or room in (parts[0], "__version__"):
+            package = name.split(".")[1] if name.startswith("l3cli.") else None
+            if package is None or package in (parts[0], "__version__"):
                 continue
-            place, there = floor(parts[0]), floor(room)
+            place, there = layer(parts[0]), layer(package)
             allowed = there < place or (there == place and place < 4)
-            assert allowed, f"{path}: {parts[0]} (floor {place}) imports {name} (floor {there})"
+            assert allowed, f"{path}: {parts[0]} (layer {place}) imports {name} (layer {there})"
 
 
 def test_libraries_enter_by_their_one_door() -> None:
