@@ -1,7 +1,7 @@
 """The stage of `l3 check`.
 
-It finds the named recipes and their kinds, checks each, and lists every fault with its line. It also makes the JSON schema of
-each kind. The checks of designs, and of scenes with their files, are here because they need several computing packages.
+It finds the named recipes and their kinds, checks each, and lists every fault with its line. It also makes the JSON schema
+of each kind. The checks of designs, and of scenes with their files, are here because they need several computing packages.
 """
 
 import contextlib

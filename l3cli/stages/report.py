@@ -1,4 +1,7 @@
-"""The report stage: any set of artifacts → one page. The computing packages do not import each other, so they are called here."""
+"""The stage of `l3 report`: any set of artifacts becomes one page.
+
+The computing packages do not import each other, so they are called here.
+"""
 
 import functools
 from collections.abc import Sequence

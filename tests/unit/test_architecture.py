@@ -1,4 +1,5 @@
-"""Packages import only from lower layers, and only one package uses each external library (docs/architecture.md#layers-of-imports)."""
+"""Packages import only from lower layers, and only one package uses each external library
+(docs/architecture.md#layers-of-imports)."""
 
 import ast
 import functools
