@@ -1,5 +1,8 @@
-"""One frame: a scene under a light, through lens and sensor, beside its target, or a raw file beside its picture; and a
-simulation, the settings that all its frames share (docs/method.md#simulation, docs/method.md#optics)."""
+"""Training frames: a scene under a light, through lens and sensor, together with its target; or a raw file with its picture
+(docs/method.md#simulation, docs/method.md#optics).
+
+`SimulationRun` holds the settings that all frames of a simulation share.
+"""
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
@@ -45,13 +48,14 @@ from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.sources import DeadLeaves, WantedScene
 
-LIGHT = "picture"  # the light of a pair: whatever it was, its picture shows it as D65
-BRIGHT = 0.9  # of full scale and of picture white: brighter pixels do not tell the scale
+LIGHT = "picture"  # name of the light of a pair; the picture is white balanced, so it looks like D65
+BRIGHT = 0.9  # fraction of full scale and of picture white; brighter pixels may be clipped and are not used for the scale
 Array = NDArray[np.floating]
-Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # s for the e-/s (row, col) of a mosaic
+Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s from a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
-DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20  # frames that estimates of spectra learn from: count, pixels, seed
+# Frames from which estimates of spectra learn: count, rows and columns, seed.
+DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
 
 
 def simulate(
@@ -64,13 +68,38 @@ def simulate(
     target: Target = XYZ,
     noises: str = "all",
 ) -> TrainingFrame:
-    """Return the signals that the camera collects of `scene` under `light` in `exposure` seconds, and the picture without
-    lens or noise.
+    """Simulate one training frame: raw frame, full-resolution signals and target.
 
-    One scene sample is one pixel: its average over the pixel's area, so that frame and target are registered. The chain is
-    linear up to the noise, so the bands are first projected on outputs and channels in one product: a wavelength-dependent
-    blur needs the channels a few times (LOW_RANK_ERROR), nothing needs the bands again. Of a picture of channel signals only
-    the sensor is simulated. ValueError if an automatic exposure finds no light.
+    One scene sample is one pixel: the mean over the area of the pixel, so frame and target are registered.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    scene : Scene or ChannelPicture
+        The scene. For a picture of channel signals only the sensor is simulated.
+    light : Light
+        Light on the scene.
+    exposure : float or callable
+        Exposure time in s, or a function that derives it from the camera and the mosaic in e-/s.
+    lens : Lens
+        Imperfections of the lens.
+    seed : tuple of int
+        Seed of the noise.
+    target : Target
+        Wanted outputs, computed without lens or noise.
+    noises : str
+        One of `sensor.NOISES`, or the name of a noise model.
+
+    Raises
+    ------
+    ValueError
+        If an automatic exposure finds no light.
+
+    Notes
+    -----
+    The chain is linear up to the noise, so one matrix product projects the bands on outputs and channels. A
+    wavelength-dependent blur needs a few such projections per channel (LOW_RANK_ERROR), and nothing needs the bands again.
     """
     ideal, rates, white = _collected(camera, scene, light, lens, target)
     seconds = exposure(camera, sensor.mosaic(rates, camera.cfa)) if callable(exposure) else exposure
@@ -98,7 +127,10 @@ def _ignored(scene: Scene | ChannelPicture) -> IgnoredPixels | None:
 
 
 def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:
-    """Return the frame as its camera gives it at `gain` times its analog gain, exposed as much shorter, with all noise."""
+    """Expose a simulated frame again, at `gain` times the analog gain and 1/`gain` of the exposure time, with all noise.
+
+    The camera is that of the frame, before its gain changes.
+    """
     electrons, seconds = frame.electrons / np.float32(gain), frame.exposure / gain
     rng, values = np.random.default_rng(frame.seed), sensor.mosaic(electrons, camera.cfa)
     raw = sensor.expose(camera.at_gain(gain), values, seconds, rng)
@@ -106,7 +138,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set, exposed again at `gain` times their own analog gain."""
+    """The simulated frames of a training set, exposed again at `gain` times their analog gain."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -119,13 +151,24 @@ class AtGain:
 
 
 def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
-    """Return the function that draws frames with the camera of `head` and its target, a spectrum: dead leaves, as in the
-    training scenes that come with l3, under a light that is given, as bright as in a given frame and exposed as long."""
+    """Prepare to simulate frames with the camera and the target of a training set whose target is a spectrum.
+
+    Parameters
+    ----------
+    head : TrainingSet
+        The training set.
+
+    Returns
+    -------
+    callable
+        Function of a frame and of a light spectrum. It yields frames of dead leaves, as in the training scenes that come
+        with l3, under that light and with the luminance and exposure time of the given frame.
+    """
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
     target = target_of(head)
 
     def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:
-        from l3cli.simulation import procedural  # a start that draws nothing is faster without
+        from l3cli.simulation import procedural  # imported late, because it slows the start of commands that draw nothing
 
         light = _lit(spectrum, like.luminance)
         for number in range(DRAWN):
@@ -136,9 +179,9 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 
 
 def target_of(head: TrainingSet) -> Target:
-    """Return the target that further frames of a training set are simulated with.
+    """Return the target for further frames of a training set.
 
-    Matching functions from a file are not stored in a training set. Frames for such outputs get XYZ.
+    A training set does not store matching functions from a file. Frames for such outputs get XYZ.
     """
     kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
     light = _lit(head.target_light, 1.0) if head.target_light else None
@@ -154,8 +197,17 @@ def _lit(spectrum: LightSpectrum, luminance: float) -> Light:
 def _collected(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return the picture without lens or noise (output, row, col), the photo-electrons of the channels (channel, row, col)
-    e-/s, and the target (output) of a perfect white."""
+    """Compute what a frame collects, before the sensor.
+
+    Returns
+    -------
+    ideal : ndarray, (output, row, col)
+        Target without lens or noise.
+    rates : ndarray, (channel, row, col)
+        Photo-electrons in e-/s.
+    white : ndarray, (output)
+        Target of a perfect white.
+    """
     if isinstance(scene, ChannelPicture):
         return _signalled(camera, scene, light)
     bands, pitch = scene.wavelength, camera.pixel_pitch
@@ -163,7 +215,7 @@ def _collected(
     collected = electron_weights(camera, light, bands)
     transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    # Taken out of what is rounded to float32, so that rounding is the same for every luminance.
+    # Factored out before rounding to float32, so that rounding is the same for every luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = project(scene.reflectance, np.concatenate([wanted, through]))
@@ -171,7 +223,7 @@ def _collected(
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)
-        np.maximum(rates, 0.0, out=rates)  # diffraction of a point may ring below zero
+        np.maximum(rates, 0.0, out=rates)  # the approximate blur of a bright point can ring below zero
     rates *= np.float32(unit)
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
@@ -182,8 +234,28 @@ def _collected(
 def spectral_planes(
     camera: CameraModel, scene: Scene, light: Light, lens: Lens, basis: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the photons of a scene in each spectrum of an orthogonal `basis` (wavelength, term), (term, row, col), behind
-    the lens and before it, whatever the filters; and XYZ over that of white (output, row, col), before it."""
+    """Project a scene on an orthogonal basis of photon spectra, with and without the lens.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera; its filters do not matter.
+    scene : Scene
+        The scene.
+    light : Light
+        Light on the scene.
+    lens : Lens
+        Imperfections of the lens.
+    basis : ndarray, (wavelength, term)
+        Orthogonal spectra.
+
+    Returns
+    -------
+    blurred, sharp : ndarray, (term, row, col)
+        Coefficients of the photon spectrum at each pixel, behind the lens and before it.
+    target : ndarray, (output, row, col)
+        XYZ relative to white, before the lens.
+    """
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(XYZ, camera, light, bands)
     wanted = wanted / output_weights(XYZ, camera, light, light.wavelength).sum(axis=1, keepdims=True)
@@ -201,8 +273,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return, of a picture of channel signals, the target (channel, row, col) in the unit of the camera's bands, the
-    signals that the channels collect (channel, row, col) e-/s, and the target's white (channel)."""
+    """Do what `_collected` does for a picture of channel signals. The target has the unit of the camera's bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -215,11 +286,30 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Return the pair of `raw` and a linear `picture` (row, col, output) that is upright as the camera was held.
+    """Register a raw frame with the picture that it should become.
 
-    Both are cut so that they begin with CFA site (0, 0). The picture's values times `pair.scale` are shares of full scale of
-    a white as bright; without it the scale is that of a grey world. ValueError if the picture reaches beyond the raw frame,
-    or this beyond the camera's bits.
+    Both are cut so that they begin at CFA site (0, 0).
+
+    Parameters
+    ----------
+    raw : RawFrame
+        The raw frame.
+    picture : ndarray, (row, col, output)
+        Linear picture, upright as the camera was held.
+    outputs : tuple of str
+        Names of the outputs.
+    camera : CameraModel
+        The camera.
+    pair : Pair
+        Offset and scale from the recipe. Values of the picture times the scale are fractions of full scale of an equally
+        bright white. Without a scale, a grey world is assumed.
+    name : str
+        Name of the pair.
+
+    Raises
+    ------
+    ValueError
+        If the picture extends beyond the raw frame, or raw values exceed the bit depth of the camera.
     """
     picture = as_taken(picture, raw.orientation)
     own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
@@ -231,18 +321,18 @@ def make_pair(
     if top + rows > levelled.shape[0] or left + cols > levelled.shape[1]:
         raise ValueError(
             f"the picture of {rows}×{cols} at offset {top}, {left} reaches beyond the raw frame of "
-            f"{levelled.shape[0]}×{levelled.shape[1]}; cut it to what the raw shows"
+            f"{levelled.shape[0]}×{levelled.shape[1]}; crop it to the part that the raw frame shows"
         )
     down, across = (
         -(phase + start) % period for phase, start, period in zip(raw.phase, pair.offset, camera.cfa.shape, strict=True)
     )
     if down >= rows or across >= cols:
-        raise ValueError("the picture is smaller than the CFA's super-pixel")
+        raise ValueError("the picture is smaller than one repeat of the CFA; give a larger picture")
     values = levelled[top + down : top + rows, left + across : left + cols]
     wanted = np.moveaxis(picture[down:, across:], 2, 0)
     scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
     white = spectra.white_point("D65") if outputs == ("X", "Y", "Z") else np.ones(len(outputs))
-    unit = scale * camera.saturation_exposure  # one second's exposure
+    unit = scale * camera.saturation_exposure  # for an exposure of one second
     return TrainingPair(
         raw=np.ascontiguousarray(values),
         target=np.ascontiguousarray(wanted * np.float32(unit)),
@@ -255,12 +345,12 @@ def make_pair(
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Return the share of full scale per picture value, from the means of both, were the scene grey under D65."""
+    """Return the fraction of full scale per picture value, from the means of both, assuming a grey scene under D65."""
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:
-        raise ValueError("the picture is black or white everywhere; give another, or scale")
+        raise ValueError("the picture is black or white everywhere; give another picture, or give scale")
     rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
     response = (rates / rates.max())[camera.cfa].mean()
     return float(max(share[usable].mean(), 1e-6) / response / bright[usable].mean())
@@ -268,7 +358,7 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
 
 @dataclass(frozen=True)
 class LowRankTransfer:
-    """A family of transfer functions, one a wavelength, as the product of a few radial and spectral terms."""
+    """Transfer functions for all wavelengths, as a sum of a few products of a radial and a spectral term."""
 
     frequency: Array  # (sample) cycles/m
     radial: Array  # (term, sample)
@@ -277,8 +367,22 @@ class LowRankTransfer:
 
 @functools.lru_cache(maxsize=4)
 def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
-    """Return the diffraction MTF up to `highest` cycles/m within LOW_RANK_ERROR in as few terms as possible (singular
-    values)."""
+    """Approximate the diffraction MTF by as few terms as possible, with singular values.
+
+    Parameters
+    ----------
+    highest : float
+        Highest frequency in cycles/m.
+    wavelength : tuple of float
+        Wavelengths in nm.
+    f_number : float
+        F-number of the lens.
+
+    Returns
+    -------
+    LowRankTransfer
+        The error is at most LOW_RANK_ERROR at all sampled frequencies and wavelengths.
+    """
     frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
     exact = diffraction_transfer(frequency, np.array(wavelength), f_number)
     left, strength, right = np.linalg.svd(exact, full_matrices=False)
@@ -291,8 +395,26 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
 def lens_transfer(
     optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
 ) -> LowRankTransfer | None:
-    """Return the blur of each wavelength by the lens: diffraction and a Gaussian of standard deviation `defocus` in m on
-    the sensor; None if it blurs nothing."""
+    """Return the blur of the lens at each wavelength.
+
+    Parameters
+    ----------
+    optics : Optics
+        The lens.
+    pixel_pitch : float
+        In m.
+    wavelength : ndarray, (wavelength)
+        In nm.
+    diffraction : bool
+        Whether the lens diffracts.
+    defocus : float
+        Standard deviation of a Gaussian blur on the sensor, in m.
+
+    Returns
+    -------
+    LowRankTransfer or None
+        None if the lens does not blur.
+    """
     highest = float(np.sqrt(0.5) / pixel_pitch)
     if diffraction:
         transfer = low_rank_transfer(highest, tuple(wavelength), optics.f_number)
@@ -306,11 +428,25 @@ def lens_transfer(
 
 
 def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
-    """Return planes (channel, term, row, col), each term filtered by its radial part and summed: (channel, row, col).
+    """Blur the signals of each channel with the lens. Overwrites `planes`.
 
-    The planes hold Σ_band weight · spectral (term, band) · reflectance: the bands are projected on the channels before any
-    transform. Beyond its border a frame is mirrored, which the discrete cosine transform does by itself. Overwrites
-    `planes`.
+    Parameters
+    ----------
+    planes : ndarray, (channel, term, row, col)
+        Projections of the reflectance on the channels, weighted with each spectral term of the transfer.
+    transfer : LowRankTransfer
+        The blur.
+    pixel_pitch : float
+        In m.
+
+    Returns
+    -------
+    ndarray, (channel, row, col)
+        Sum of the terms, each filtered with its radial part.
+
+    Notes
+    -----
+    The discrete cosine transform implies that frames are mirrored at their borders.
     """
     from scipy import fft
 
@@ -327,31 +463,45 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
-    """Return cube (row, col, band) summed with weights (channel, band): (channel, row, col)."""
+    """Return the sum of a cube (row, col, band) weighted with each row of `weights` (channel, band): (channel, row, col)."""
     rows, cols, bands = cube.shape
     return (weights.astype(np.float32) @ cube.reshape(-1, bands).T).reshape(-1, rows, cols)
 
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """A camera, scenes and lights, checked and resolved."""
+    """The camera, target, lights and recipe of a simulation, all checked."""
 
     recipe: SceneRecipe
     camera: CameraModel
     target: Target
-    lights: Mapping[str, Light]  # of 1 cd/m²
+    lights: Mapping[str, Light]  # at 1 cd/m²
     recorded: Mapping[str, Light]  # the lights that scenes were recorded under
     seed: int
     base: Path  # folder of the recipe
 
     @property
     def frame_bytes(self) -> int:
-        """Return the size in bytes of the largest frame: electrons of every channel, raw mosaic, target."""
+        """Size of the largest frame in bytes: electrons of every channel, raw mosaic and target."""
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:
-        """Return a frame, exposed for `seconds`; None: by the recipe. InputFileError if automatic exposure finds no
-        light."""
+        """Simulate a frame.
+
+        Parameters
+        ----------
+        scene : Scene or ChannelPicture
+            The scene.
+        shot : Shot
+            Its light and exposure.
+        seconds : float, optional
+            Exposure time. Default: as the recipe says.
+
+        Raises
+        ------
+        InputFileError
+            If an automatic exposure finds no light.
+        """
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot) if seconds is None else seconds
         noise, seed = self.recipe.sensor.noise_model or self.recipe.sensor.noise, (self.seed, shot.index)
@@ -359,7 +509,13 @@ class SimulationRun:
             return simulate(self.camera, scene, light, exposure, self.recipe.lens, seed, self.target, noise)
 
     def exposure_time(self, scene: Scene | ChannelPicture, shot: Shot) -> float:
-        """Return the seconds that the recipe exposes a frame for; InputFileError as `frame`."""
+        """Return the exposure time, in s, that the recipe gives to a frame.
+
+        Raises
+        ------
+        InputFileError
+            If an automatic exposure finds no light.
+        """
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot)
         if isinstance(exposure, float):
@@ -375,7 +531,7 @@ class SimulationRun:
         return self.lights[shot.illuminant].at(shot.luminance)
 
     def _exposure(self, light: Light, shot: Shot) -> float | Automatic:
-        """Return seconds, or how they follow from the frame."""
+        """Return the exposure time in s, or the function that derives it from a frame."""
         control, _ = self.recipe.exposures()
         if control == "share":
             return automatic_exposure(self.camera, light, shot.exposure)

@@ -1,4 +1,4 @@
-"""The light on a scene, what a camera makes of it in each band, and what is wanted of it (docs/method.md#simulation)."""
+"""The light on a scene, the signal that a camera collects from it, and the target outputs (docs/method.md#simulation)."""
 
 import hashlib
 import itertools
@@ -24,9 +24,9 @@ from l3cli.spectra.table import NOISE, gaps
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
-SCENE_LIGHT = "scene"  # the name of the light that a scene was measured under
-WIDEST_GAP = 20.0  # nm between samples of a measured light
-DARK = 0.01  # of a measured light's peak: a light that ends brighter was cut off
+SCENE_LIGHT = "scene"  # name that a recipe gives to the light that a scene was measured under
+WIDEST_GAP = 20.0  # nm; largest distance between samples of a measured light
+DARK = 0.01  # fraction of the peak; a measured light that ends above it was cut off
 
 OUTPUTS = {
     "CIE 1931": ("X", "Y", "Z"),
@@ -36,33 +36,44 @@ OUTPUTS = {
     "reflectance 31": spectra.REFLECTANCES,
     "radiance 31": spectra.RADIANCES,
 }
-UNLIT = "reflectance 31"  # the same under every light
-NOTICEABLE = 0.01  # share of a channel's electrons from wavelengths at which a light or surfaces are not known
+UNLIT = "reflectance 31"  # the outputs that do not depend on the light
+NOTICEABLE = 0.01  # fraction of a channel's electrons from wavelengths at which the light or the surfaces are unknown
 CAMERA = "camera"  # the camera's own bands at full resolution
 
 
 @dataclass(frozen=True)
 class Light:
-    """Radiance of a perfect white on the grid where light and reflectance are multiplied."""
+    """The radiance of a perfect white under an illuminant."""
 
     name: str
     luminance: float  # cd/m² of a perfect white
     wavelength: Array  # (sample) nm
     radiance: Array  # (sample) photons/s/sr/m²/nm
-    measured: str = ""  # digest of the spectra it is made of, beside those that its name says
+    measured: str = ""  # digest of the measured spectra that it consists of
 
     def at(self, luminance: float) -> "Light":
-        """Return the same light at another luminance."""
+        """Return the same light at another luminance, in cd/m²."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """Return the light as a training set stores it."""
+        """The light as a training set stores it, for a luminance of 1 cd/m²."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
 def mixture(text: str) -> list[tuple[float, str]]:
-    """Return a recipe's light "0.7 D65 + 0.3 lamp.csv" as shares of luminance and names; RecipeError if not above 0."""
+    """Parse the light of a recipe, such as "0.7 D65 + 0.3 lamp.csv".
+
+    Returns
+    -------
+    list of (float, str)
+        Proportion of the luminance and name of each part.
+
+    Raises
+    ------
+    RecipeError
+        If a proportion is not above 0.
+    """
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
@@ -73,20 +84,34 @@ def mixture(text: str) -> list[tuple[float, str]]:
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Return the light a recipe calls `text`, at 1 cd/m²: a name that spectra.illuminant knows, a measured light (a key of
-    `measured`, power per nm), or a mixture of several by their shares of luminance.
+    """Make the light that a recipe names, at 1 cd/m².
 
-    It is tabulated every nm over what the observer and a camera with wavelengths `seen` see; what a measured light holds
-    in between goes to the two nanometres about it, so that no spectral line is lost. A light measured on the camera's own
-    grid stays on it: all sums then run over that grid, as in ISETCam.
-    RecipeError if a name is unknown or the light cannot be seen.
+    Parameters
+    ----------
+    text : str
+        A name that `spectra.illuminant` knows, a key of `measured`, or a mixture of these.
+    measured : mapping of str to Curve
+        Measured lights: wavelength in nm and power per nm.
+    seen : ndarray, (wavelength)
+        Wavelengths that the camera sees, in nm.
+
+    Raises
+    ------
+    RecipeError
+        If a name is unknown or the light is invisible.
+
+    Notes
+    -----
+    The light is tabulated every nanometre over the range of the observer and of the camera. Power between two of these
+    wavelengths is divided between them, so that no spectral line is lost. A light that was measured on the camera's own grid
+    stays on it. All sums then run over that grid, as in ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
     if all(name in measured and np.array_equal(measured[name][0], seen) for _, name in names):
         wavelength = np.asarray(seen)
     radiance = np.zeros(wavelength.size)
-    with np.errstate(all="ignore"):  # a black body of a few kelvin shines with 0
+    with np.errstate(all="ignore"):  # the radiance of a black body of a few kelvin underflows to 0
         for share, name in names:
             if name in measured:
                 grid, power = measured[name]
@@ -95,13 +120,13 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
                 one = spectra.illuminant(name, wavelength)
             radiance += share * spectra.at_luminance(one, wavelength, 1.0)
     if not (np.isfinite(radiance).all() and radiance.any()):
-        raise RecipeError(f'illuminant "{text}" gives no light that can be seen')
+        raise RecipeError(f'illuminant "{text}" gives no visible light')
     digest = _digest(*itertools.chain(*(measured[name] for _, name in names if name in measured)))
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
 
 
 class Sees(Protocol):
-    """What collects electrons of a light: a camera, or filters on a pixel."""
+    """Anything that collects electrons from a light: a camera, or filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -117,7 +142,7 @@ class Sees(Protocol):
 
 
 class Filters(NamedTuple):
-    """Filters on a pixel, as `Sees` has them."""
+    """Filters on a pixel, with the attributes that `Sees` requires."""
 
     channels: tuple[str, ...]
     wavelength: NDArray[np.float64]
@@ -125,14 +150,14 @@ class Filters(NamedTuple):
 
     @classmethod
     def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
-        """Return the filters of these quantum efficiencies (wavelength), by name."""
+        """Make filters from their names and quantum efficiencies (wavelength)."""
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
 def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
-    """Return a warning for each light that `beyond_known` warns of, of those that have a name.
+    """Return the warnings of `beyond_known` for lights that are known by name.
 
-    Measured lights and the light of a scene are left out: their spectra are not at hand where only names are.
+    Measured lights and the light of a scene are skipped, because their spectra are not available from a name.
     """
     named = [
         name
@@ -144,15 +169,24 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
-    """Say which light is not known at wavelengths that a channel collects a hundredth or more of its electrons at.
+    """Warn if a channel collects 1 % or more of its electrons where the spectrum of a light is unknown.
 
-    A named light is held constant beyond its table. A measured light counts as dark there; what it would give if it went on
-    as it ends is compared with what the channel collects.
+    A named light is held constant beyond its table. A measured light counts as dark there. Its contribution is estimated as
+    if the light kept its last value.
+
+    Parameters
+    ----------
+    light : Light
+        The light.
+    measured : mapping of str to Curve
+        Measured lights: wavelength in nm and power per nm.
+    camera : CameraModel
+        The camera.
 
     Returns
     -------
     str
-        A warning; "" if no light needs one.
+        The warning, or "" if none is needed.
     """
     found = (0.0, "")
     parts = mixture(light.name)
@@ -163,22 +197,42 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
             ends, wavelength = (grid.min(), grid.max()), light.wavelength
             order = np.argsort(grid)
             held = spectra.photons_from_energy(wavelength, np.interp(wavelength, grid[order], power[0][order]))
-            what = "and counts as dark beyond; as bright as at its ends"
+            what = "and counts as dark beyond; if it kept its last value, channel {} would collect {:.0%} of its electrons "
+            what += "there"
         else:
             ends, held = spectra.known_range(name), spectra.illuminant(name, light.wavelength)
-            what = "and is held constant beyond"
+            what = "and is held constant beyond, where channel {} collects {:.0%} of its electrons"
         one = spectra.at_luminance(held, light.wavelength, light.luminance * share / total)
         taken, channel = share_beyond(camera, replace(light, radiance=one), light, ends)
         if taken > max(found[0], NOTICEABLE):
             where = f"{ends[0]:g}…{ends[1]:g} nm"
-            text = f"light {name} is known at {where} {what}, where channel {channel} collects {taken:.0%} of its electrons"
+            text = f"light {name} is known at {where} {what.format(channel, taken)}"
             found = taken, f"{text}; give a light that is measured at {span_of(camera)}"
     return found[1]
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Return a warning if a lens of a measured transmittance, which passes nothing beyond it, would let a channel collect a
-    hundredth or more of its electrons there if it went on as it ends; else "". `camera` is that without the lens."""
+    """Warn if the file of a lens's transmittance ends where a channel could collect electrons.
+
+    The lens passes nothing beyond the file. The fraction of electrons is estimated as if the transmittance kept its last
+    value.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    transmittance : Curve
+        Its contents.
+    light : Light
+        The light.
+    camera : CameraModel
+        The camera without this lens.
+
+    Returns
+    -------
+    str
+        The warning if the fraction is 1 % or more, otherwise "".
+    """
     grid, held = transmittance[0], _held(transmittance, camera.wavelength)[0]
     passing = Filters(camera.channels, camera.wavelength, camera.electron_weights * held)
     taken, channel = share_beyond(passing, light, light, (grid.min(), grid.max()))
@@ -186,8 +240,27 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Return a warning if an output of measured matching functions, which are zero beyond them, would have a hundredth or
-    more of its value for a white from there if they went on as they end; else ""."""
+    """Warn if a file of matching functions ends where an output needs them.
+
+    The functions are zero beyond the file. The missing fraction of an output is estimated for a white, as if the functions
+    kept their last values.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file.
+    functions : Curve
+        Its contents.
+    names : sequence of str
+        Names of the outputs.
+    light : Light
+        The light.
+
+    Returns
+    -------
+    str
+        The warning if the fraction is 1 % or more, otherwise "".
+    """
     grid, wavelength = functions[0], light.wavelength
     weights = np.abs(spectra.matching_weights(_held(functions, wavelength), wavelength) * light.radiance)
     outside = (wavelength < grid.min()) | (wavelength > grid.max())
@@ -199,10 +272,23 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Return a warning if the responsivities of a camera recipe come from a file that ends within the recipe's wavelengths,
-    where a channel would collect a hundredth or more of its electrons if its curve went on as it ends; else "".
+    """Warn if a camera recipe takes its responsivities from a file that ends where a channel could collect electrons.
 
-    The model of the camera has zeros there.
+    The camera model is zero there. The fraction of electrons is estimated as if the curves kept their last values.
+
+    Parameters
+    ----------
+    recipe : Path
+        The camera recipe.
+    light : Light
+        The light.
+    camera : CameraModel
+        The camera that the recipe describes.
+
+    Returns
+    -------
+    str
+        The warning if the fraction is 1 % or more, otherwise "".
     """
     curves = curves_in_file(recipe)
     if curves is None:
@@ -217,29 +303,48 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Return warnings of what is not known of a camera of that file, and of the light it is used under, where its channels
-    collect electrons: one for each named light, and one for the file of curves of a recipe."""
+    """Warn about unknown parts of a camera's curves and of named lights where its channels collect electrons.
+
+    Parameters
+    ----------
+    path : Path
+        The camera recipe.
+    camera : CameraModel
+        The camera that it describes.
+    lights : sequence of str
+        The lights that the camera is used under.
+
+    Returns
+    -------
+    list of str
+        At most one warning for each named light, and one for the file of curves.
+    """
     ends = (curves_beyond_known(path, make_light(name, {}, camera.wavelength), camera) for name in lights)
     return [*named_beyond_known(lights, camera), *itertools.islice(filter(None, ends), 1)]
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Return curves (curve, wavelength) that go on as they end."""
+    """Resample curves to `wavelength` (curve, wavelength), held constant beyond their ends."""
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
 
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
-    """Return the warning on a file of curves; "" if the share `taken` is not noticeable."""
+    """Return the warning about a file of curves, or "" if the fraction `taken` is below 1 %."""
     if taken <= NOTICEABLE:
         return ""
     known = f"{name} is known at {grid.min():g}…{grid.max():g} nm and counts as zero beyond"
-    return f"{known}; if it went on as it ends, {there} there; give values at {wanted}"
+    return f"{known}; if it kept its last value, {there} there; give values at {wanted}"
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Return a warning if a channel collects a hundredth or more of its electrons where measured surfaces are held constant,
-    else ""."""
+    """Warn if a channel collects 1 % or more of its electrons where measured surfaces are held constant.
+
+    Returns
+    -------
+    str
+        The warning, or "" if none is needed.
+    """
     taken, channel = share_beyond(camera, light, light, spectra.SURFACES_MEASURED)
     if taken <= NOTICEABLE:
         return ""
@@ -251,8 +356,24 @@ def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
 
 
 def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
-    """Return the largest share of a channel's electrons from white under a light, that a part of it gives beyond two
-    wavelengths in nm, and the channel."""
+    """Find the channel that depends most on a part of a light outside two wavelengths.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    part, whole : Light
+        The part of the light, and the light.
+    ends : tuple of float
+        The two wavelengths, in nm.
+
+    Returns
+    -------
+    fraction : float
+        Fraction of the electrons from a white under `whole` that `part` contributes outside `ends`.
+    channel : str
+        The channel in which this fraction is largest.
+    """
     outside = (part.wavelength < ends[0]) | (part.wavelength > ends[1])
     given = electron_weights(camera, part, part.wavelength)[:, outside].sum(axis=1)
     every = white_rates(camera, whole)
@@ -262,24 +383,32 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
 
 
 def span_of(camera: Sees) -> str:
-    """Return the wavelengths that a camera sees."""
+    """Return the range of wavelengths that a camera sees, as text."""
     return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Make a light as make_light does, for the light that a scene was recorded under: one measured light stays on its own
-    grid, for the bands of the scene are often the same."""
+    """Make the light that a scene was recorded under.
+
+    It differs from `make_light` for a single measured light, which stays on its own grid, because the scene often has the
+    same bands.
+    """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
 
 def check_measured(curve: Curve, name: str) -> None:
-    """Raise InputFileError if a measured light has gaps, is negative by more than noise, or ends while it still shines in
-    the visible."""
+    """Check the spectrum of a measured light.
+
+    Raises
+    ------
+    InputFileError
+        If the spectrum has gaps, is negative by more than noise, or ends in the visible while the light is still bright.
+    """
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
         raise InputFileError(f"{name} holds {len(curve[1])} curves; give wavelength and power of one light")
     if power.max() <= 0:
-        raise InputFileError(f"{name} holds no light at all; give its power at each wavelength")
+        raise InputFileError(f"{name} is zero at all wavelengths; give the power of the light at each wavelength")
     missing = gaps(wavelength, curve[1], WIDEST_GAP)
     if wavelength.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
@@ -302,7 +431,7 @@ def read_curve(path: Path, role: str) -> Curve:
     path : Path
         The file.
     role : {"light", "transmittance", "functions"}
-        What the recipe names it for.
+        What the recipe uses it for.
 
     Returns
     -------
@@ -314,7 +443,7 @@ def read_curve(path: Path, role: str) -> Curve:
     Raises
     ------
     InputFileError
-        If the file does not hold this.
+        If the contents do not suit this use.
     """
     table = read_table(path)
     if role == "transmittance":
@@ -327,9 +456,14 @@ def read_curve(path: Path, role: str) -> Curve:
 
 
 def scene_light(scene: Scene, luminance: float) -> Light:
-    """Return the light the scene came with, at another luminance; nothing is known of it outside the scene's wavelengths.
+    """Return the light that a scene was recorded under, scaled to a luminance in cd/m².
 
-    RecipeError if it has no light of its own, or none that an eye can see.
+    Its spectrum is known only at the wavelengths of the scene.
+
+    Raises
+    ------
+    RecipeError
+        If the scene has no light of its own, or an invisible one.
     """
     if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
         raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{SCENE_LIGHT}" out of illuminants')
@@ -342,38 +476,83 @@ def _digest(*arrays: Array) -> str:
 
 
 def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
-    """Return the photo-electrons a second (channel, band) of unit reflectance in each band.
+    """Return the photo-electrons per second that each band contributes to each channel.
 
-    The responsivity is taken as linear between its samples, so each sample sees the light's mean under its own hat.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : Light
+        The light on the scene.
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+
+    Returns
+    -------
+    ndarray, (channel, band)
+        In e-/s, for a reflectance of 1 in the band.
+
+    Notes
+    -----
+    The responsivity is linear between its samples, so each sample weights the light with a triangle around its wavelength.
     """
     seen = camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the photons a second (wavelength, band) that a pixel gets in each step of the camera's grid, of unit
-    reflectance in each band; `electron_weights` are responsivities times these."""
+    """Return the photons per second that each band contributes to a pixel, per step of the camera's grid.
+
+    `electron_weights` are the responsivities times these.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : Light
+        The light on the scene.
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+
+    Returns
+    -------
+    ndarray, (wavelength, band)
+        In photons/s, for a reflectance of 1 in the band.
+    """
     photons = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2 * spectra.bin_widths(camera.wavelength)
     seen = photons[:, None] * spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
-    """Return W (output, band) of unit reflectance in each band, for matching functions (output, light) per watt."""
+    """Return the outputs (output, band) of a reflectance of 1 in each band.
+
+    The matching functions (output, light) are per watt, on the grid of the light.
+    """
     weights = spectra.matching_weights(functions, light.wavelength) * light.radiance
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def white_rates(camera: Sees, light: Light) -> Array:
-    """Return the photo-electrons a second (channel) of a perfect white."""
+    """Return the photo-electrons per second (channel) that a pixel collects of a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
 
 def colour_matrix(camera: CameraModel, light: Light) -> Array:
-    """Return M (channel, 3): channels = M @ XYZ of surfaces under `light`, whose white has Y = 1 and 1 in its brightest
-    channel.
+    """Fit the matrix that converts XYZ to camera channels for surfaces under a light.
 
-    Least squares over measured reflectances, with the white met exactly: developers find the white balance by it.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : Light
+        The light. Its white has Y = 1, and 1 in the brightest channel.
+
+    Returns
+    -------
+    ndarray, (channel, 3)
+        M with channels = M @ XYZ. It is fitted by least squares to measured reflectances and exact for white, because raw
+        converters derive the white balance from it.
     """
     library = spectra.reflectance_library(light.wavelength)
     weights = electron_weights(camera, light, light.wavelength)
@@ -386,19 +565,21 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
 
 
 def neutral(camera: CameraModel, light: Light) -> Array:
-    """Return the channels (channel) of a grey surface under `light`, 1 in the brightest."""
+    """Return the signal (channel) of a grey surface under `light`, relative to the brightest channel."""
     rates = white_rates(camera, light)
     return rates / rates.max()
 
 
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
-    """Return the seconds until a perfect white fills its brightest channel to `share` of full scale."""
+    """Return the exposure time, in s, at which a white reaches `share` of full scale in its brightest channel."""
     return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Return the share of a white of equal photons's electrons from outside the scene's bands, in the channel where it is
-    largest."""
+    """Return the fraction of a channel's electrons that come from outside the bands of a scene.
+
+    The fraction is that of the most affected channel, for a white with equally many photons at all wavelengths.
+    """
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
     every = weights.sum(axis=1)
@@ -407,13 +588,13 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
 
 @dataclass(frozen=True)
 class Target:
-    """The wanted outputs, and the light they are wanted under."""
+    """The outputs that a table should compute, and the light they refer to."""
 
     outputs: tuple[str, ...]
     description: str
     kind: str  # a key of OUTPUTS, CAMERA, or the name of a file of matching functions
-    functions: Curve | None = None  # of the file: wavelength nm, (output, wavelength) per watt
-    light: Light | None = None  # None: that of the frame
+    functions: Curve | None = None  # matching functions of the file: wavelength in nm, (output, wavelength) per watt
+    light: Light | None = None  # None: the light of the frame
 
 
 XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light, without lens or noise", "CIE 1931")
@@ -422,7 +603,21 @@ XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light
 def make_target(
     kind: str, functions: Curve | None, names: tuple[str, ...], light: Light | None, camera: CameraModel
 ) -> Target:
-    """Return the target of a recipe: `kind` as in Target, with `functions` and their `names` if it is a file."""
+    """Make the target of a recipe.
+
+    Parameters
+    ----------
+    kind : str
+        A key of OUTPUTS, CAMERA, or the name of a file of matching functions.
+    functions : Curve or None
+        The matching functions of the file.
+    names : tuple of str
+        Names of the outputs, if a file defines them.
+    light : Light or None
+        Light that the outputs refer to; None means the light of each frame.
+    camera : CameraModel
+        The camera.
+    """
     outputs = OUTPUTS.get(kind, camera.channels if kind == CAMERA else names)
     what = {
         "CIE 1931": "CIE 1931 XYZ",
@@ -438,9 +633,24 @@ def make_target(
 
 
 def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return W (output, band): outputs of unit reflectance in each band when `light` falls on the frame, in cd/m².
+    """Return the outputs (output, band) of a reflectance of 1 in each band.
 
-    The camera's bands come in the same unit: the share of full scale a second, times the camera's saturation exposure.
+    Parameters
+    ----------
+    target : Target
+        The wanted outputs.
+    camera : CameraModel
+        The camera.
+    light : Light
+        Light on the frame.
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+
+    Returns
+    -------
+    ndarray, (output, band)
+        In cd/m². For the camera's bands this is the fraction of full scale per second times the camera's saturation
+        exposure.
     """
     if target.light:
         light = target.light.at(light.luminance)
@@ -464,12 +674,20 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     return matching_weights(functions, light, bands)
 
 
-LEAST_SEEN = 0.1  # of the weight of what is wanted that lies within a scene's bands
+LEAST_SEEN = 0.1  # smallest fraction of a target's spectral weight that must lie within the bands of a scene
 
 
 def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
-    """Raise ValueError if nearly all that a target wants of a scene lies beyond its `bands` (band) in nm: luminance for
-    colours, 400…700 nm for spectra, every channel for a camera's bands, every function of a file."""
+    """Check that the bands of a scene cover the wavelengths that a target needs.
+
+    Colours need the wavelengths of luminance, and spectra need 400 to 700 nm. A camera's bands need those of any channel,
+    and the functions of a file those of any function.
+
+    Raises
+    ------
+    ValueError
+        If the bands (band), in nm, hold less than a tenth of what the target needs.
+    """
     grid: Array = np.arange(300.0, 1101.0)
     wanted: Array
     if target.kind == CAMERA:
@@ -492,7 +710,7 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the columns of a file of matching functions, or numbers where it has none."""
+    """Return the column names of a file of matching functions. Columns without names are numbered."""
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()
