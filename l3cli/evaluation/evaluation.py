@@ -20,7 +20,7 @@ from l3cli.classes.names import AXES
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
-from l3cli.evaluation.quality import KINDS, VIEWING, Target, band_figures, cropped, judge_bands, mottle
+from l3cli.evaluation.quality import KINDS, VIEWING, Target, band_figures, cropped, judge_bands, judge_single, mottle
 from l3cli.evaluation.reflectance import ESTIMATES, Drawn, Estimates, judge_reflectances
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
@@ -168,7 +168,8 @@ class Evaluation:
         for name in self.pipelines:
             if self.pipelines.count(name) > 1 or name in TAKEN:
                 raise RecipeError(f'the name "{name}" is already in use; rename the pipeline')
-        self._figure = "mean_delta_e" if self._pictures else "mean_angle"
+        single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
+        self._figure = "mean_delta_e" if self._pictures else single
         self._colours: dict[bytes, Colour] = {}  # colour correction of each light
         self._frames: list[dict[str, Any]] = []
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []  # level, kinds, variances
@@ -207,7 +208,8 @@ class Evaluation:
                 f"frame {frame.scene} of {size} pixels has none inside a border of {border}; give larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
-        return self.developed(frame, outputs) | estimated | dict(rivals or {})
+        shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}
+        return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
         """Return `planes` of the table and the baselines, without rivals and estimates, for a frame of any size."""
@@ -223,10 +225,23 @@ class Evaluation:
                 planes[name] = develop(frame, self._camera, self._colour(frame), demosaic, self._merges.get(name))
             else:
                 planes[name] = develop_bands(frame, self._camera, self._wanted is not None, demosaic)
-        return planes
+        return {name: self._as_shown(of, frame) for name, of in planes.items()}
+
+    def wanted(self, frame: TrainingPair) -> TrainingPair:
+        """Return a frame with the target that the table's pictures are compared with.
+
+        A camera of one channel cannot distinguish colours. Its pictures are compared with the grey of the same luminance.
+        """
+        return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
+
+    def _as_shown(self, planes: Array, frame: TrainingPair) -> Array:
+        """Replace X, Y, Z planes (3, row, col) by the grey of their luminance if the table's pictures are grey."""
+        if not (self._pictures and self._table.shows_grey and frame.white[1] > 0):
+            return planes
+        return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Add a frame, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
+        """Add a frame that `wanted` returned, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
@@ -244,7 +259,8 @@ class Evaluation:
                 judged[name] = figures, errors
             self._patches.append((_octave(level), target.patches.kinds, variances))
         else:
-            judge = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
+            several = judge_reflectances if self._table.outputs == REFLECTANCES else judge_bands
+            judge: Callable[..., tuple[Any, Array]] = judge_single if len(self._table.outputs) == 1 else several
             wanted: dict[str, Any] = {"target": frame.target, "white": frame.white, "border": border, "counted": counted}
             judged = {name: judge(of, **wanted) for name, of in planes.items()}
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
@@ -266,8 +282,8 @@ class Evaluation:
             * pipelines: "ours" first, rivals last
             * frames: scene, illuminant, luminance (cd/m²), level (mean signal above the dark relative to full scale),
               exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of scene and light; null if
-              unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances) or BandQuality
-              (other outputs)
+              unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances), SingleQuality
+              (one output) or BandQuality (other outputs)
             * mean: per pipeline, the mean of every metric over the frames
             * better: per other pipeline and metric, the number of frames in which the table is better
             * by_level: from, to (a range of a factor of two of the frames' level), frames, then per pipeline the mean

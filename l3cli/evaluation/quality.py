@@ -135,9 +135,9 @@ class Quality:
 
 @dataclass(frozen=True)
 class BandQuality:
-    """Metrics of one frame of bands, or of any outputs other than XYZ."""
+    """Metrics of one frame of bands, or of several outputs other than XYZ."""
 
-    mean_angle: float  # degrees, over the spectral angles of all pixels whose target has one; 0 for a single output
+    mean_angle: float  # degrees, over the spectral angles of all pixels whose target has one
     median_angle: float
     p95_angle: float
     gfc: float  # goodness-of-fit coefficient: mean absolute cosine of these angles
@@ -145,6 +145,17 @@ class BandQuality:
     psnr: float  # dB over all outputs, for linear 8-bit codes with the frame's white at 255, clipped above
     output_psnr: float  # dB; 1 is the 99th percentile of the target's mean output, with white's ratios of the outputs
     ssim: float  # mean over the outputs, scaled as for psnr but not rounded
+
+
+@dataclass(frozen=True)
+class SingleQuality:
+    """Metrics of one frame of a single output, such as luminance, which has no spectral angle."""
+
+    mean_error: float  # mean absolute error, relative to a perfect white
+    rmse: float  # these as in BandQuality
+    psnr: float
+    output_psnr: float
+    ssim: float
 
 
 class Target:
@@ -273,6 +284,31 @@ def judge_bands(
         output_psnr=psnr(*(of_counted(each, counted) for each in linear)),
         ssim=float(np.mean([ssim(*of_band, counted=counted) for of_band in zip(*shares, strict=True)])),
     ), angles
+
+
+def judge_single(
+    rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
+) -> tuple[SingleQuality, Array]:
+    """Compare planes of one output (1, row, col) with a target.
+
+    Returns
+    -------
+    SingleQuality
+        The metrics. Parameters are those of `judge_bands`.
+    ndarray, (row, col)
+        Absolute error within the border, relative to a perfect white. NaN where a pixel does not count.
+    """
+    whole, counted = counted, None if counted is None else cropped(counted, border)
+    linear, shares = _linear_and_shares(rendered, target, white, border, whole)
+    error = np.abs(cropped(rendered - target, border) / _positive(white))[0]
+    counting = of_counted(error, counted)
+    return SingleQuality(
+        mean_error=float(counting.mean()),
+        rmse=float(np.sqrt(np.mean(counting**2))),
+        psnr=psnr(*(_rounded(of_counted(each, counted)) for each in shares)),
+        output_psnr=psnr(*(of_counted(each, counted) for each in linear)),
+        ssim=ssim(*(each[0] for each in shares), counted=counted),
+    ), error if counted is None else np.where(counted, error, np.nan)
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:

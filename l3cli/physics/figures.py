@@ -30,6 +30,7 @@ FIGURES = {  # metrics of frames in the order of display, then metrics from stan
     "mean_angle": Figure("mean spectral angle (°)", "SAM mean °", "°"),
     "median_angle": Figure("median angle (°)", "median", "°"),
     "p95_angle": Figure("95 % angle (°)", "95 %", "°"),
+    "mean_error": Figure("mean error (white is 1)", "error mean", digits=4),
     "gfc": Figure("goodness of fit (1)", "GFC", more_is_better=True, digits=4),
     "rmse": Figure("RMSE (white is 1)", "RMSE", digits=4),
     "delta_e_a": Figure("mean ΔE00 under A", "ΔE00 A", " ΔE00"),

@@ -136,6 +136,12 @@ BAND_MEANINGS = (
     "white. PSNR is computed from 8-bit codes in which the frame's white is 255. Linear PSNR is computed from the outputs "
     "themselves, where 1 is the 99th percentile of the target's mean output. SSIM is the mean over the outputs."
 )
+SINGLE_MEANINGS = (
+    "ours is the table. The mean error is the mean absolute difference from the target. It and RMSE count a perfect white "
+    "as 1. PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the output as it is, with the 99th "
+    "percentile of the target as 1. SSIM is of values that end at white."
+)
+MEANINGS_OF = {"mean_delta_e": MEANINGS, "mean_angle": BAND_MEANINGS, "mean_error": SINGLE_MEANINGS}  # by main figure
 GAIN_MEANING = (
     "The noise of the table's camera is known at these gains. A few frames under each illuminant are exposed again at each "
     "gain, with that gain's noise. The exposure time is shortened in proportion to the gain."
@@ -253,7 +259,7 @@ def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     )
     blocks: list[Block] = [
         Table("Means over the frames", headings, means),
-        Text(MEANINGS if figure == "mean_delta_e" else BAND_MEANINGS),
+        Text(MEANINGS_OF[figure]),
         Table("Frames", heads, rows),
     ]
     if document["by_patch"]:

@@ -368,11 +368,11 @@ def evaluate_frame(
     Returns
     -------
     TrainingPair
-        The frame.
+        The frame, with the target that `Evaluation.wanted` gives it.
     dict
         Planes of every pipeline and of the pictures in `rivals`, as `Evaluation.planes` returns them.
     """
-    frame = reader.frame(index)
+    frame = evaluation.wanted(reader.frame(index))
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
     raw, renderer = raw_of(frame, index, reader.head.camera), renderers.of(frame)
     planes = evaluation.planes(frame, renderer.outputs(raw), theirs)

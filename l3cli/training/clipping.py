@@ -35,9 +35,10 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     Returns
     -------
     Clipping or None
-        None if the light is not known, or if channels of one filter clip one after the other.
+        None if the light is not known, if channels of one filter clip one after the other, or if the camera has only one
+        channel: no other channel then tells what a clipped one would have seen.
     """
-    if light is None or camera.readout is not None:
+    if light is None or camera.readout is not None or len(camera.channels) == 1:
         return None
     surfaces = plain_surfaces(camera, light, light, white)
     if surfaces is None:
