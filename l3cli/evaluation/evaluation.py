@@ -241,7 +241,7 @@ class Evaluation:
         return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Add a frame that `wanted` returned, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
+        """Add a frame from `wanted`, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)

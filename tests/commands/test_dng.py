@@ -414,6 +414,14 @@ def halfway() -> tuple[float, float]:
     return float(xyz[0] / xyz.sum()), float(xyz[1] / xyz.sum())
 
 
+def spectrum_data(order: str) -> bytes:
+    """IlluminantData of D65 by its power every 5 nm, first and step as fractions."""
+    grid = np.arange(380.0, 781.0, 5.0)
+    power = spectra.illuminant("D65", grid) / grid
+    values = [1140, 3, 10, 2, *(part for each in power / power.max() for part in (round(each * 10**6), 10**6))]
+    return struct.pack(f"{order}HI{len(values)}I", 1, len(grid), *values)
+
+
 TWO_LIGHTS = {50721: COLOUR_MATRIX, 50722: SECOND, 50778: A, 50779: D65}
 SIGNED, OTHERWISE = (ASCII, list(b"one\0")), (ASCII, list(b"two\0"))
 WHITES: dict[str, tuple[Tags, tuple[float, float], np.ndarray]] = {  # tags, the white's x and y, matrix times gains
@@ -431,6 +439,14 @@ WHITES: dict[str, tuple[Tags, tuple[float, float], np.ndarray]] = {  # tags, the
     "another light of a chromaticity": (
         TWO_LIGHTS | {50779: OTHER, 52534: (UNDEFINED, list(struct.pack("<H4I", 0, 3127, 10000, 329, 1000)))}, halfway(),
         (MATRIX_1 + MATRIX_2) / 2,
+    ),
+    "another light of a spectrum": (
+        TWO_LIGHTS | {50779: OTHER, 52534: (UNDEFINED, list(spectrum_data("<")))}, halfway(), (MATRIX_1 + MATRIX_2) / 2
+    ),
+    "a third light of a spectrum, big-endian": (
+        TWO_LIGHTS | {50778: OTHER, 50779: OTHER, 52529: OTHER, 52531: SECOND, 52535: (UNDEFINED, list(spectrum_data(">"))),
+                      52533: (UNDEFINED, list(struct.pack("<H4I", 0, 44757, 100000, 40745, 100000)))},
+        halfway(), (MATRIX_1 + MATRIX_2) / 2,
     ),
     "three lights": (
         TWO_LIGHTS | {52529: (SHORT, [23]), 52531: COLOUR_MATRIX}, (0.3457, 0.3585), MATRIX_1

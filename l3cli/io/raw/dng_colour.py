@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.io.tags import BROKEN, numbers
+from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,8 @@ KELVIN = {  # value of CalibrationIlluminant (Exif's LightSource) → correlated
 }  # fmt: skip
 MIREDS = np.arange(40.0, 1000.0, 0.25)  # reciprocal temperatures, 10^6 / K, among which the nearest is searched
 DECIMALS = 4  # decimals of AsShotNeutral, so that a file gives the same picture whichever tag states its white
-CHROMATICITY = 0  # kind of IlluminantData with two fractions, x and y
+ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}  # tag numbers; tifffile gives the third name to another number
+CHROMATICITY, SPECTRUM = 0, 1  # kinds of IlluminantData: x and y; or first wavelength and step in nm, then power
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
             balance = np.reshape(numbers(first, "AnalogBalance", np.ones(planes)), (planes, 1)).astype(np.float64)
             camera = balance * np.reshape(stated, (planes, planes))
             light = int(tags.valueof(f"CalibrationIlluminant{number}") or 0)
-            other = _white_of(tags.valueof(f"IlluminantData{number}")) if light == OTHER_LIGHT else None
+            other = _white_of(tags.valueof(ILLUMINANT_DATA[number])) if light == OTHER_LIGHT else None
             found.append(Calibration(light, KELVIN.get(light) if other is None else temperature(*other), colour, camera))
     return found
 
@@ -111,14 +113,34 @@ def temperature(x: float, y: float) -> float:
 
 
 def _white_of(content: Any) -> tuple[float, float] | None:
-    """Return the chromaticity in IlluminantData, in either byte order, or None if it is a spectrum."""
+    """Return the chromaticity in IlluminantData, or that of the spectrum in it, in either byte order."""
     for order in "<>":
         with contextlib.suppress(*BROKEN):
-            kind, *parts = struct.unpack(f"{order}H4I", bytes(content)[:18])
-            x, y = parts[0] / parts[1], parts[2] / parts[3]
-            if kind == CHROMATICITY and _is_white(x, y):
+            (kind,) = struct.unpack_from(f"{order}H", bytes(content))
+            if kind == CHROMATICITY:
+                x, y = _fractions(bytes(content), order, 2, 2)
+            elif kind == SPECTRUM:
+                (count,) = struct.unpack_from(f"{order}I", bytes(content), 2)
+                first, step, *power = _fractions(bytes(content), order, 6, 2 + count)
+                x, y = _chromaticity(first + step * np.arange(count), np.array(power))
+            else:
+                continue
+            if _is_white(x, y):
                 return x, y
     return None
+
+
+def _fractions(content: bytes, order: str, start: int, count: int) -> list[float]:
+    """Return `count` fractions from the byte `start` on."""
+    parts = struct.unpack_from(f"{order}{2 * count}I", content, start)
+    return [above / below for above, below in zip(parts[::2], parts[1::2], strict=True)]
+
+
+def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
+    """Return x and y of a light from its power at wavelengths in nm. Beyond them it is dark."""
+    grid = np.arange(360.0, 831.0)
+    x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
+    return x / (x + y + z), y / (x + y + z)
 
 
 def _is_white(x: float, y: float) -> bool:
