@@ -124,6 +124,11 @@ def _bands(table: CgatsTable) -> list[tuple[int, float]]:
     return [(place, float(match[1])) for place, match in found if match]
 
 
+def _number(text: str) -> float:
+    """Return a number whose decimal point may be a comma, as programs write it in some countries."""
+    return float(text.replace(",", "."))
+
+
 def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
     upper = [name.upper() for name in table.fields]
     kind = KINDS.get(table.keywords.get("MEAS_TYPE", "").upper())
@@ -133,15 +138,16 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
     try:
         if "SPECTRAL_NM" in upper:  # pairs of wavelength and value
             at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
-            wavelength = np.array([float(table.rows[0][place]) for place in at])
+            wavelength = np.array([_number(table.rows[0][place]) for place in at])
             places = [place + 1 for place in at]
             norm = 100.0 if upper[places[0]] == "SPECTRAL_PCT" else None
         else:
             bands = _bands(table)
             places = [place for place, _ in bands] or list(range(len(table.rows[0])))
             wavelength = _grid(table, [nm for _, nm in bands], len(places), path)
-        values = np.array([[float(row[place]) for place in places] for row in table.rows])
-        norm = float(table.keywords.get("SPECTRAL_NORM", norm or 1.0)) if norm or "SPECTRAL_NORM" in table.keywords else None
+        values = np.array([[_number(row[place]) for place in places] for row in table.rows])
+        if "SPECTRAL_NORM" in table.keywords:
+            norm = _number(table.keywords["SPECTRAL_NORM"])
     except (ValueError, IndexError) as error:
         raise InputFileError(f"{path}: its data are no rows of numbers ({error})") from error
     if norm is None and kind is None and values.max() > PERCENT_ABOVE:
@@ -158,7 +164,7 @@ def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDAr
     keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
     if not all(key in table.keywords for key in keys):
         return np.array(named)
-    bands, first, last = (float(table.keywords[key]) for key in keys)
+    bands, first, last = (_number(table.keywords[key]) for key in keys)
     grid = np.linspace(first, last, count)
     if bands != count or (named and np.abs(grid - named).max() > 1.0):
         raise InputFileError(
