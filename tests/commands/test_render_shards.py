@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from l3cli.io.video import pyav
 from l3cli.rendering.temporal import chunks
 from l3cli.stages.rendering import checkpoint
 from tests.helpers.calls import L3, Refused
@@ -95,3 +96,32 @@ def test_shards_of_long_sequences_begin_with_chunks(count: int) -> None:
     assert all(part.start % 240 == 0 for part in parts)
     assert checkpoint.part_of(sequence, (2, 4), temporal=False).start == count // 4
     assert checkpoint.part_of(sequence, (2, 5), temporal=True).start % 240 == (0 if count >= 1200 else count // 5)
+
+
+def test_parts_of_a_video_join_to_the_frames_of_one_run(
+    l3: L3, tmp_path: Path, still_table: Path, still_frames: Path
+) -> None:
+    """By the concat demuxer of the libraries of ffmpeg, with the packets copied, as docs/commands.md does it."""
+    call = ("render", still_table, still_frames, "--exposure", "0.8", *FAST)
+    assert l3(*call, "-o", tmp_path / "whole.mkv")[0] == 0
+    for number in (1, 2, 3):
+        assert l3(*call, "-o", tmp_path / f"part_{number}.mkv", "--shard", f"{number}/3")[0] == 0
+    (tmp_path / "parts.txt").write_text("".join(f"file '{tmp_path}/part_{number}.mkv'\n" for number in (1, 2, 3)))
+    av = pyav()
+    with (
+        av.open(str(tmp_path / "parts.txt"), format="concat", options={"safe": "0"}) as parts,
+        av.open(str(tmp_path / "clip.mkv"), "w") as clip,
+    ):
+        copy = clip.add_stream_from_template(parts.streams.video[0])
+        for packet in parts.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = copy
+                clip.mux(packet)
+
+    def shown(name: str) -> tuple[list[int], list[bytes]]:
+        with av.open(str(tmp_path / name)) as video:
+            decoded = list(video.decode(video=0))
+        return [frame.pts for frame in decoded], [frame.to_ndarray(format="rgb24").tobytes() for frame in decoded]
+
+    assert len(shown("whole.mkv")[0]) == COUNT
+    assert shown("clip.mkv") == shown("whole.mkv")

@@ -276,3 +276,15 @@ def test_every_suffix_is_of_one_format() -> None:
 
 def test_the_page_lists_every_format() -> None:
     assert formats_table() in (Path(__file__).parents[2] / "docs/own-lab.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("separator", [" ", "\t"])
+def test_decimal_commas_of_cgats(tmp_path: Path, separator: str) -> None:
+    fields = separator.join(["SAMPLE_ID", *(f"nm{nm}" for nm in (380, 480, 580))])
+    rows = [separator.join(row) for row in (("A1", "0,05", "0,125", "0,2"), ("A2", "0,1", "0,15", "0,3"))]
+    stated = 'SPECTRAL_BANDS "3"\nSPECTRAL_START_NM "380,0"\nSPECTRAL_END_NM "580,0"\nSPECTRAL_NORM "1,0"'
+    lines = ["CGATS.17", stated, "BEGIN_DATA_FORMAT", fields, "END_DATA_FORMAT", "BEGIN_DATA", *rows, "END_DATA"]
+    (tmp_path / "chart.txt").write_text("\n".join(lines))
+    table = read_table(tmp_path / "chart.txt")
+    np.testing.assert_allclose(table.wavelength, [380, 480, 580])
+    np.testing.assert_allclose(table.values, [[0.05, 0.125, 0.2], [0.1, 0.15, 0.3]])
