@@ -1,4 +1,4 @@
-"""The virtual lab: its recipe, and what it measures of a camera, so that calibration is tried where the truth is known."""
+"""The virtual lab: it simulates the measurements of a camera, so that calibration can be tested where the truth is known."""
 
 import re
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class MonoRecipe(Recipe):
-    """A monochromator that fills the field; its slit function is a triangle above some stray light."""
+    """A monochromator that fills the field of view. Its slit function is a triangle on top of some stray light."""
 
     first_nm: Nanometres | None = None  # default: the first slit that lies within the camera's responsivities
     last_nm: Nanometres | None = None  # default: the last one
@@ -50,7 +50,7 @@ class MonoRecipe(Recipe):
 
 
 class ChartRecipe(Recipe):
-    """A ColorChecker that fills the field."""
+    """A ColorChecker that fills the field of view."""
 
     illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
     trials: Count = 1
@@ -59,7 +59,7 @@ class ChartRecipe(Recipe):
 
 
 class WhiteRecipe(Recipe):
-    """Even light at several exposures."""
+    """Uniform light at several exposures."""
 
     illuminant: str = "D65"
     luminance: Positive = 500.0  # cd/m²
@@ -68,14 +68,14 @@ class WhiteRecipe(Recipe):
 
 
 class DarkRecipe(Recipe):
-    """Lens-cap frames."""
+    """Frames with the lens cap on."""
 
     exposures_s: Several = (0.01, 0.5, 1.0, 2.0)
     trials: Trials = 4
 
 
 class LabRecipe(Recipe):
-    """Measurements of the lab; every key has the default that configs/lab/default.toml spells out."""
+    """The measurements of the lab. configs/lab/default.toml lists the default of every key."""
 
     title: ClassVar[str] = "a lab recipe"
 
@@ -97,7 +97,7 @@ class LabRecipe(Recipe):
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield all that a lab cannot do, of `camera` if there is one."""
+    """Yield the faults of a lab recipe, and of `camera` for the lab if one is given."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         yield fault("mono needs bandwidth_nm above spectrometer_step_nm", "mono.bandwidth_nm", "spectrometer_step_nm")
@@ -111,7 +111,7 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Yield the faults of a monochromator or spectrometer with more steps than any takes, or too few."""
+    """Yield the faults of the monochromator and the spectrometer: too many steps, or too few."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
@@ -129,7 +129,7 @@ def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
 
 
 def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
-    """Return the wavelengths (step) nm that the monochromator is set to."""
+    """Return the wavelengths (step), in nm, to which the monochromator is set."""
     first = camera.wavelength[0] + mono.bandwidth_nm if mono.first_nm is None else mono.first_nm
     last = camera.wavelength[-1] - mono.bandwidth_nm if mono.last_nm is None else mono.last_nm
     return np.arange(first, last + mono.step_nm / 2, mono.step_nm)
@@ -137,7 +137,7 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 
 @dataclass(frozen=True)
 class LabCapture:
-    """One exposure of the lab: what is seen, and what the spectrometer says of it."""
+    """One exposure in the lab: what the camera sees, and what the spectrometer measures."""
 
     kind: str  # "mono", "chart", "white", "dark"
     name: str  # of its files, kind as folder
@@ -154,19 +154,21 @@ class LabCapture:
 
 @dataclass(frozen=True)
 class _Response:
-    """The lab's camera as light meets it."""
+    """The camera's response on the grid of the spectrometer."""
 
     camera: CameraModel
     wavelength: Array  # (wavelength) nm
     per_radiance: Array  # (channel, wavelength) e-/s for a radiance of 1 photon/s/sr/m²/nm in one sample
 
     def electrons(self, radiance: Array) -> Array:
-        """Return e-/s (spectrum, channel) of radiance (spectrum, wavelength)."""
+        """Return the photo-electrons (spectrum, channel), in e-/s, for radiance (spectrum, wavelength)."""
         return radiance @ self.per_radiance.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
-        """Return seconds, to three digits, in which the brightest channel and spectrum reach `level` of full scale, or
-        inf."""
+        """Return the time, in s to three digits, in which the brightest channel reaches `level` of full scale.
+
+        The result is infinite if no channel collects anything.
+        """
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
             return float(f"{level * self.camera.full_scale / signals.max():.3g}")
@@ -174,7 +176,7 @@ class _Response:
 
 @dataclass
 class _Session:
-    """The captures so far, and what the lab's lamps and spectrometer do from one to the next."""
+    """The captures so far, and the state of the lamps and of the spectrometer."""
 
     recipe: LabRecipe
     response: _Response
@@ -212,7 +214,7 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """Return the lamp's light over that of its measured spectrum, and what the monitor says of it."""
+        """Return the light of the lamp relative to its measured spectrum, and the reading of the monitor."""
         fresh = self.recipe.lamp_drift * np.sqrt(1.0 - MEMORY**2) * self.rng.standard_normal()
         self.drift = MEMORY * self.drift + fresh
         light = 1.0 + self.drift
@@ -221,7 +223,13 @@ class _Session:
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Return every capture the lab takes of `camera`, in order; RecipeError if the recipe cannot be carried out."""
+    """Plan all captures that the lab takes of a camera, in order.
+
+    Raises
+    ------
+    RecipeError
+        If the recipe cannot be carried out.
+    """
     refuse_first(lab_faults(recipe, camera))
     mono, chart, white, dark = recipe.mono, recipe.chart, recipe.white, recipe.dark
     response = _response_of(camera, mono, recipe.spectrometer_step_nm)
@@ -249,7 +257,7 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
-    """Return the camera on the spectrometer's grid, which reaches over the responsivity and every slit."""
+    """Return the camera on the grid of the spectrometer, which covers the responsivity and every slit."""
     centres = slit_centres(camera, mono)
     first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPECTROMETER_MARGIN
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPECTROMETER_MARGIN
@@ -259,7 +267,7 @@ def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Respons
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
-    """Return a triangle of the recipe's full width at half maximum on its stray light, with its integral."""
+    """Return the radiance of the monochromator: a triangle on top of stray light, with the recipe's total radiance."""
     shape = np.maximum(0.0, 1.0 - np.abs(wavelength - centre) / mono.bandwidth_nm) + mono.stray_light
     return np.asarray(shape * (mono.radiance / (shape @ spectra.bin_widths(wavelength))), dtype=np.float64)
 
@@ -270,14 +278,14 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
-    """Return col, row in pixels of the outer corners of patches 1, 6, 24, 19."""
+    """Return column and row, in pixels, of the outer corners of patches 1, 6, 24 and 19."""
     margin = round(MARGIN * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """Return the patch (row, col) that each pixel sees, 24 for the mount."""
+    """Return the number of the patch that each pixel (row, col) sees; 24 is the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS
@@ -288,7 +296,7 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
 
 
 def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
-    """Return the frame number `trial` of a capture, (row, col) DN: the same for the same seed whoever takes it."""
+    """Simulate frame number `trial` of a capture, (row, col) in DN. Equal seeds give equal frames, in whatever order."""
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
     shape = (camera.rows, camera.cols)
@@ -303,12 +311,15 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
-    """Return the light at y, x from −1 to 1 across the frame over that in its middle, `missing` of it in the corners."""
+    """Return the light at y and x, from −1 to 1 across the frame, relative to the centre.
+
+    The light in the corners is lower by the fraction `missing`.
+    """
     return np.asarray(1.0 - missing * (y**2 + x**2) / 2.0, dtype=np.float64)
 
 
 def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
-    """Return the light (patch) in the middle of each chart patch over that in the middle of the frame."""
+    """Return the light (patch) in the middle of each chart patch, relative to the centre of the frame."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     row, col = np.divmod(np.arange(PATCHES), CHART_COLS)
     x = left + (col + 0.5) / CHART_COLS * (right - left)
@@ -317,7 +328,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all that is wrong with a recipe, for its camera if one is given."""
+    """Yield the faults of a lab recipe, also for its camera if one is given."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     for number, name in enumerate(recipe.chart.illuminants):

@@ -1,5 +1,7 @@
-"""The [[scene]] tables of SCENES.toml: where a scene comes from and how it is laid on the
-sensor: cropped, mirrored, turned, scaled; and a stored cube, with what the recipe says about it, as a scene."""
+"""The [[scene]] tables of a scene recipe: where a scene comes from, and how it is laid on the sensor.
+
+A scene can be cropped, mirrored, turned and scaled. This module also turns a stored spectral cube into a scene.
+"""
 
 import itertools
 import math
@@ -23,36 +25,36 @@ from l3cli.simulation.light import Light
 from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
-CODED = ("r", "g", "b")  # channels of a camera that pictures of codes hold, in their order
-SMALLEST = 16  # pixels of a scene's shorter side
+CODED = ("r", "g", "b")  # camera channels that pictures of codes hold, in this order
+SMALLEST = 16  # pixels; shortest permitted side of a scene
 
 
 class Framing(Recipe, kw_only=True):
-    """Part of a scene that is used, its orientation and scale, in this order."""
+    """The part of a scene that is used, its orientation and its scale, applied in this order."""
 
     # first row, first column, rows, columns, in the scene's own samples
     crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = None
     flip: Literal["rows", "cols"] | None = None
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
-    scale: Positive | None = None  # pixels a sample; what then exceeds the sensor is cut off all round
+    scale: Positive | None = None  # pixels per sample; the parts that exceed the sensor are cut off on all sides
     # the scene's width as the lens sees it, instead of scale
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = None
     motion: Motion | None = None  # a clip, whose frames are parts of the scene
 
 
 class Synthetic(Framing, kw_only=True):
-    """A scene of this package's own, no file."""
+    """A scene that l3 draws itself, without a file."""
 
     size: tuple[Count, Count]  # rows, cols
 
 
 class Random(Synthetic, kw_only=True):
     count: Count = 1  # pictures
-    seed: Seed = 0  # beside --seed: recipes with different seeds share no picture
+    seed: Seed = 0  # combined with --seed; recipes with different seeds share no picture
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
-    patterned: Share = 0.0  # share of the leaves with gratings, lattices or lettering on them
+    patterned: Share = 0.0  # fraction of the leaves that carry gratings, lattices or lettering
 
 
 class Composition(Random, tag_field="source", tag="composition", kw_only=True):
@@ -68,7 +70,7 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
-    """Paints, plastics, textiles: a chart to learn colour from. No ColorChecker is among them."""
+    """Paints, plastics and textiles: a chart for training colours. It contains no ColorChecker patches."""
 
     patches: tuple[Count, Count] = (6, 9)
 
@@ -78,7 +80,7 @@ class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=Tr
 
 
 class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
-    """Hues across, lightness and chroma down: colours on a regular grid as the smoothest reflectances."""
+    """Hues across, lightness and chroma down: colours on a regular grid with the smoothest reflectances."""
 
 
 class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
@@ -88,13 +90,13 @@ class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=Tru
 
 
 class ZonePlate(Synthetic, tag_field="source", tag="zone plate", kw_only=True):
-    highest: float = 0.5  # cycles a pixel at the middle of the shorter sides
+    highest: float = 0.5  # cycles per pixel at the nearest sides
 
 
 class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True):
-    """Gratings in columns, each of twice the frequency of the last, contrast falling downwards."""
+    """Columns of gratings, each with twice the frequency of its left neighbour. The contrast falls downwards."""
 
-    orders: Count = 6  # the last has 0.5 cycles a pixel
+    orders: Count = 6  # number of gratings; the last has 0.5 cycles per pixel
 
 
 class GreyRamp(Synthetic, tag_field="source", tag="grey ramp", kw_only=True):
@@ -116,7 +118,7 @@ class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
 
 
 class Spectral(FileSource, kw_only=True):
-    """A cube of bands; what its file does not tell stands here."""
+    """A cube of bands. These keys supply what its file does not say."""
 
     wavelengths_nm: list[float] | None = None  # of the bands; default: the file's own
     wavelength_range_nm: tuple[float, float, float] | None = None  # first, last, step, instead of a list
@@ -130,7 +132,7 @@ class Spectral(FileSource, kw_only=True):
 
 
 class BandFolder(Spectral, tag_field="source", tag="bands", kw_only=True):
-    """A folder with one picture a band, in the order of their names."""
+    """A folder with one picture per band, in the order of their names."""
 
 
 class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
@@ -157,7 +159,7 @@ Source = (
 
 @dataclass(frozen=True)
 class WantedScene:
-    """One scene of a recipe: a file, or the `number`-th drawing of its source."""
+    """One scene of a recipe: a file, or drawing number `number` of its source."""
 
     source: Source
     path: Path | None = None
@@ -171,24 +173,24 @@ class WantedScene:
 
     @property
     def error(self) -> type[L3Error]:
-        """Return the kind of what is wrong with it."""
+        """Exception class for faults of the scene: of the recipe, or of the file."""
         return RecipeError if self.path is None else InputFileError
 
 
 def name_of(source: Source) -> str:
-    """Return the name of a source in a recipe."""
+    """Return the name that a recipe gives to a kind of source."""
     return str(source.__struct_config__.tag)
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """Return the scenes of one source; `files` are those that its pattern names."""
+    """Return the scenes of one source. `files` are the files that match its pattern."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """Yield all that cannot be of `source`, called `name`: on the sensor of `camera` if there is one."""
+    """Yield the faults of a source, called `name`, on the sensor of `camera` if one is given."""
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
         yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
@@ -242,30 +244,29 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
 
 
 def has_light(source: Source) -> bool:
-    """Return whether scenes of `source` come with the light they were seen under, if only as an unknown part of their
-    radiance."""
+    """Return whether scenes of a source include their own light, even if only as part of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
 def of_measured_surfaces(source: Source) -> bool:
-    """Return whether scenes of `source` are made of the measured reflectances that come with l3: neither greys nor cubes."""
+    """Return whether scenes of a source consist of the measured reflectances that come with l3."""
     if isinstance(source, Synthetic):
         return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
     return isinstance(source, RgbPictures) and not holds_codes(source)
 
 
 def holds_codes(source: Source) -> bool:
-    """Return whether scenes of `source` are channel signals, without light and spectra."""
+    """Return whether scenes of a source are channel signals, without a light or spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:
-    """Return whether reflectance is known: not that of radiance without its light."""
+    """Return whether the reflectance is known. It is unknown for radiance whose light is not given."""
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 
 def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3Error], name: str) -> None:
-    """Raise `error` if a scene of `size` (rows, cols) is too small to learn from or does not fit the sensor of `camera`."""
+    """Raise `error` if a scene of `size` (rows, cols) is too small for training or exceeds the sensor of `camera`."""
     rows, cols = size
     if min(size) < SMALLEST:
         larger = "give scale" if error is InputFileError else "make it larger"
@@ -276,8 +277,27 @@ def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
-    """Return the samples (row, col, band) of a scene as `framing` lays them on the sensor; ValueError if the crop
-    reaches beyond the scene."""
+    """Crop, turn and scale a scene for the sensor.
+
+    Parameters
+    ----------
+    cube : ndarray, (row, col, band)
+        Samples of the scene.
+    framing : Framing
+        The crop, orientation and scale.
+    camera : CameraModel
+        The camera. A scene that is scaled beyond its sensor is cut.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        One sample per pixel.
+
+    Raises
+    ------
+    ValueError
+        If the crop extends beyond the scene.
+    """
     cube = turned(cube, framing)
     scale = scale_of(framing, camera, cube.shape[1])
     if scale is not None:
@@ -286,8 +306,10 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 
 
 def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
-    """Return a scene as `framing` lays it on the sensor; a pixel that sees any part of an ignored sample is ignored.
-    ValueError if the crop reaches beyond the scene."""
+    """Crop, turn and scale a scene for the sensor, as `framed` does.
+
+    A pixel is ignored if it sees any part of an ignored sample.
+    """
     ignored = scene.ignored
     if ignored is not None:
         ignored = framed(ignored[..., None].astype(np.float32), framing, camera)[..., 0] > 0
@@ -296,7 +318,7 @@ def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Return the samples (row, col, band) of the used part of a scene, upright; ValueError if the crop reaches beyond."""
+    """Crop, mirror and turn the samples (row, col, band) of a scene; ValueError if the crop extends beyond it."""
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -305,8 +327,13 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the size (rows, cols) that `framed` makes of a scene of `size`, or of each frame of its clip; ValueError if the
-    crop reaches beyond the scene, or the camera moves beyond it."""
+    """Return the size (rows, cols) that `framed` gives to a scene of `size`, or the size of each frame of its clip.
+
+    Raises
+    ------
+    ValueError
+        If the crop extends beyond the scene, or the camera moves beyond it.
+    """
     _, _, rows, cols = _cropped(size, framing)
     if framing.rotate % 180:
         rows, cols = cols, rows
@@ -320,7 +347,7 @@ def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) ->
 
 
 def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
-    """Return the first row, first column, rows and columns of what is used of a scene."""
+    """Return the first row, first column, rows and columns of the part of a scene that is used."""
     if framing.crop is None:
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
@@ -330,7 +357,7 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
 
 
 def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
-    """Raise ValueError unless the camera sees nothing beyond a scene of `size` at `scale` pixels a sample."""
+    """Raise ValueError if the camera moves beyond a scene of `size` at `scale` pixels per sample."""
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
@@ -340,7 +367,7 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the pixels a sample of a scene that is `cols` wide; None: as many."""
+    """Return the pixels per sample of a scene that is `cols` wide, or None if one sample is one pixel."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -352,13 +379,16 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """Return cube (row, col, band) with `scale` pixels a sample, its middle cut out where it exceeds `most` (rows, cols)."""
+    """Resample a cube (row, col, band) to `scale` pixels per sample, and cut it to at most `most` (rows, cols)."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """Return cube (row, col, band) by sparse matrices (pixel, sample) for rows and columns, row by row: bounded memory."""
+    """Resample a cube (row, col, band) with sparse matrices (pixel, sample) for rows and columns.
+
+    Working row by row limits the memory.
+    """
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
     made = np.empty((tall.shape[0], across.shape[0], bands), np.float32)
@@ -368,7 +398,7 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Return sparse M (pixel, sample): linear interpolation of samples at their centres, averaged over larger pixels."""
+    """Return the sparse matrix (pixel, sample) that interpolates between samples and averages over larger pixels."""
     from scipy.sparse import csr_array
 
     whole = _pixels(length, scale)
@@ -384,36 +414,38 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 
 
 AXES = ("row", "col", "band")
-BRIGHT = 0.999  # fraction of the pixels that are at most a perfect white, where radiance came without its light
-BRIGHTEST_USUAL = 2.0  # median reflectance of a scene: more is percent, counts or radiance
+BRIGHT = 0.999  # fraction of the pixels that are at most a perfect white, if radiance has no known white
+BRIGHTEST_USUAL = 2.0  # highest plausible median reflectance; higher values are percent, counts or radiance
 FULL_RANGE = 0.75  # fraction of 16 bits that the brightest pixels of a cube reach whose white is the top of its type
-SPARSE = 8  # samples apart that tell the median
+SPARSE = 8  # the median is taken from every eighth sample
 STRIP = 128  # rows converted at once
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
-    """Make a scene of a stored cube.
-
-    Reflectance is stored value / white. Radiance is divided by that of a perfect white under `light`, whose level, like the
-    cube's own, only `white` can tell; without a light the brightest pixels are taken as a white under equal photons, and
-    the scene keeps only that. Small negatives become zero (docs/method.md#simulation). Bad bands are left out. Pixels
-    without data get the reflectance of the nearest pixel that has some, and are marked.
+    """Turn a stored cube into a scene.
 
     Parameters
     ----------
     cube : SpectralCube
         The cube as its file stores it.
     source : Spectral
-        What the recipe says of it.
+        What the recipe says about it.
     name : str
         Name of the scene.
     light : Light or None
-        The light that radiance was measured under; None: not known.
+        The light that radiance was measured under, if known.
 
     Raises
     ------
     ValueError
-        If the cube does not fit what is said of it, or a question is left open: its white, its wavelengths.
+        If the cube contradicts the recipe, or its white or wavelengths are unknown.
+
+    Notes
+    -----
+    Reflectance is the stored value divided by the white. Radiance is divided by that of a perfect white under `light`. Only
+    `white` can give the absolute level of either. Without a light, the brightest pixels count as a white under equal
+    photons. Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data get
+    the reflectance of the nearest pixel with data, and are marked.
     """
     wavelength, values, ignored = _bands(cube, source)
     white = source.white or cube.white or _usual_white(values, source, ignored)
@@ -450,8 +482,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
 
 
 def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] | None) -> float:
-    """Return the stored value of a perfect white where neither the recipe nor the file states it; ValueError if only they
-    can tell."""
+    """Guess the stored value of a perfect white that neither recipe nor file states; ValueError if this is impossible."""
     if values.dtype.kind not in "iu":
         return 1.0
     top = float(np.iinfo(values.dtype).max)
@@ -468,7 +499,7 @@ def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] |
 
 
 def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
-    """Give pixels without data the reflectance of the nearest pixel that has some; ValueError if none has."""
+    """Give pixels without data the reflectance of the nearest pixel with data; ValueError if there is none."""
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
@@ -478,7 +509,7 @@ def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
 
 
 def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None:
-    """Raise ValueError if pixels hold the same negative number in all bands: noise does not, a mark of missing data does."""
+    """Raise ValueError if pixels hold one negative number in all bands: it marks missing data and is not noise."""
     if values.shape[2] < 2 or values.dtype.kind == "u":
         return
     for row, line in enumerate(values):
@@ -493,13 +524,13 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the photons of one unit of what the cube holds, (wavelength), up to a factor that is the same for all."""
+    """Return the photons (wavelength) per unit of what the cube holds, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 
 
 def _normalise(reflectance: np.ndarray) -> None:
-    """Scale a picture so that nearly all pixels are at most a perfect white."""
+    """Scale a scene so that nearly all pixels are at most a perfect white."""
     peak = float(np.quantile(reflectance.max(axis=2), BRIGHT))
     if peak <= 0:
         raise ValueError("is black everywhere")
@@ -507,8 +538,11 @@ def _normalise(reflectance: np.ndarray) -> None:
 
 
 def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray, NDArray[np.bool_] | None]:
-    """Return the good bands' wavelengths in nm, increasing, values (row, col, band), and the pixels (row, col) without data:
-    the recipe's wavelengths, else the file's."""
+    """Return the good bands of a cube in increasing order of wavelength.
+
+    The result is the wavelengths in nm, the values (row, col, band) and the mask (row, col) of pixels without data.
+    Wavelengths in the recipe override those of the file.
+    """
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
     elif source.wavelength_range_nm is not None:
