@@ -1,4 +1,4 @@
-"""A camera model in a report: a section, or a data sheet.
+"""The section of a camera model in a report, and its data sheet.
 
 The section shows the colour filter array, the responsivities, the noise, and how well the model predicts the charts it was
 fitted to. The data sheet follows EMVA 1288 release 4.0: operation point, values per channel, and the plots of the standard

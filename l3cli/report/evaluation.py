@@ -468,7 +468,10 @@ def front_section(
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Say in words whether ours or each other pipeline is nearer to the ideal."""
+    """Say whether the table is nearer to the ideal than each of the other pipelines.
+
+    The sentences call the table "ours".
+    """
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():

@@ -87,9 +87,9 @@ def crop_of(
 ) -> tuple[Crop, str]:
     """Choose the crop of a frame with the most classes, and encode it for the page.
 
-    The crop has the largest of CROP_SIZES whose encoding fits `limit`, or the smallest if none fits. Classes that do not
-    occur in the crop are added in the order of their frequency in the frame, as far as `more` allows: all classes of the
-    table, or only those of the frame, with the weights of as many as possible.
+    The crop has the largest of CROP_SIZES whose encoding fits `limit`, or the smallest if none fits. Then classes that do
+    not occur in the crop are added, the most frequent in the frame first. If `more` allows it, these are all classes of the
+    table; otherwise only classes that occur in the frame. The remaining space is used for their weights.
 
     Parameters
     ----------

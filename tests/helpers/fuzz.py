@@ -1,7 +1,7 @@
-"""python -m tests.helpers.fuzz: many hostile inputs, in processes whose crash is seen; what fails leaves its input behind.
+"""Runs l3 on many hostile inputs, in processes whose crashes are noticed: `python -m tests.helpers.fuzz`.
 
-Choices come from seeds, so that `--first SEED --inputs 1 --batch` repeats one. With --environments it is whole commands in
-so many places that none was made for: `--first SEED --environments 1` repeats one.
+A failing input is kept. Choices come from seeds, so `--first SEED --inputs 1 --batch` repeats one input. With
+--environments, whole commands run in unusual environments; `--first SEED --environments 1` repeats one of these.
 """
 
 import argparse
@@ -25,7 +25,7 @@ SLOW = 3  # seconds of processor time of an input that are worth a word
 
 
 class Seeded:
-    """Choices of a seed."""
+    """Random choices from a seed."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
@@ -35,7 +35,7 @@ class Seeded:
 
 
 class Court:
-    """Judges inputs, and keeps those that fail."""
+    """Runs inputs and keeps those that fail."""
 
     def __init__(self, shop: Any, seen: list[str], left: Path, only: str | None) -> None:
         from tests.helpers import hostile_numbers
@@ -53,7 +53,7 @@ class Court:
         self._shop, self._seen, self._saved = shop, seen, left
 
     def judge(self, number: int, subject: Any, choices: Any) -> str | None:
-        """Spoil the subject's file and have it read, or make the call it draws; what did not hold, or None."""
+        """Corrupt the subject's file and read it, or make the call that it draws. Return what went wrong, or None."""
         if hasattr(subject, "draw"):
             call, command = subject.draw(choices), 0
             content, stored = str(call).encode(), lambda: subject.judge(self._shop, call)
@@ -75,7 +75,7 @@ class Court:
         return verdict
 
     def judge_identities(self, number: int, choices: Any) -> str | None:
-        """Have a command write over what it reads; what did not hold, or None."""
+        """Let a command write over one of its inputs, and return what went wrong, or None."""
         verdict = self._identities.judge(choices) or (self._seen.pop() if self._seen else None)
         if verdict is not None:
             mark = self._saved / f"{number}_{IDENTITIES}.txt"
@@ -95,7 +95,7 @@ def court(left: Path, only: str | None) -> Iterator[Court]:
 
 
 def batch(chosen: argparse.Namespace) -> int:
-    """Judge the inputs of some seeds, one subject after the other; how many failed."""
+    """Run the inputs of some seeds, for one subject after the other. Return the number of failures."""
     seeds = range(chosen.first, chosen.first + chosen.inputs)
     failed = 0 if chosen.only else physics([seed for seed in seeds if seed % PHYSICS == 0])
     failed += 0 if chosen.only else forks([seed for seed in seeds if seed % FORKS == 0])
@@ -115,7 +115,7 @@ def batch(chosen: argparse.Namespace) -> int:
 
 
 def physics(seeds: list[int]) -> int:
-    """Judge a lab with a physical mistake of each seed; how many came through as a wrong camera, or without a name."""
+    """Run a lab with one physical mistake per seed. Return how many gave a wrong camera or an unclear error."""
     from tests.helpers.hostile_physics import judge_seeds
 
     failed = 0
@@ -126,7 +126,7 @@ def physics(seeds: list[int]) -> int:
 
 
 def forks(seeds: list[int]) -> int:
-    """Judge a forked child of each seed; how many hung, or did another thing than their parent."""
+    """Run a forked child per seed. Return how many hung or differed from their parent."""
     from tests.helpers.hostile_forks import drawn, judge_cases
 
     failed = 0
@@ -137,7 +137,7 @@ def forks(seeds: list[int]) -> int:
 
 
 def names(seeds: list[int]) -> int:
-    """Run pipelines with a hostile name of each seed; how many ran it, or lost it."""
+    """Run a pipeline with a hostile name per seed. Return how many executed the name or lost it."""
     from tests.helpers.hostile_names import Pipelines
 
     failed = 0
@@ -151,7 +151,7 @@ def names(seeds: list[int]) -> int:
 
 
 def environments(chosen: argparse.Namespace) -> int:
-    """Judge whole commands in hostile environments of some seeds; how many failed."""
+    """Run whole commands in hostile environments. Return the number of failures."""
     from tests.helpers.hostile_environments import Place, judge, make_desk
 
     with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name, ThreadPoolExecutor(chosen.jobs) as pool:

@@ -1,4 +1,4 @@
-"""Hostile inputs: which files are spoilt, commands that read them, and what must hold whatever these make of it."""
+"""Hostile inputs: the files that are corrupted, the commands that read them, and the rules that every command must keep."""
 
 import contextlib
 import io
@@ -31,7 +31,7 @@ MOST_MEGAPIXELS = 0.25
 
 @dataclass(frozen=True)
 class Subject:
-    """A file to be spoilt, and the commands that read it: {file} is the file, {out} the folder that outputs go to."""
+    """A file to corrupt and the commands that read it. {file} stands for the file, {out} for the output folder."""
 
     name: str
     spoil: Callable[[bytes, Choices], bytes]
@@ -123,12 +123,12 @@ SUBJECTS = (
 
 
 class Hang(BaseException):
-    """An input takes too long."""
+    """Raised if an input takes too long."""
 
 
 @contextlib.contextmanager
 def confined() -> Iterator[None]:
-    """Small inputs only, a short patience with decoders, and no more memory than a little above what this process has."""
+    """Limit the size of inputs, the time of decoders, and the memory of this process."""
     before = {name: os.environ.get(name) for name in (MEGAPIXELS, "L3_DECODE_SECONDS")}
     os.environ |= {MEGAPIXELS: str(MOST_MEGAPIXELS), "L3_DECODE_SECONDS": "3"}
     old = resource.getrlimit(resource.RLIMIT_AS)
@@ -146,7 +146,7 @@ def confined() -> Iterator[None]:
 
 
 class Workshop:
-    """A folder of whole inputs in which one at a time is spoilt and read."""
+    """A folder of valid inputs. One of them at a time is corrupted and read."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.inputs = folder, folder / "inputs"
@@ -156,17 +156,17 @@ class Workshop:
         self.recipe = (self.inputs / "recipe.toml").read_bytes()
 
     def files(self) -> set[Path]:
-        """Everything there is."""
+        """Return all files in the folder."""
         # Path.rglob of Python 3.11.2 fails at a link whose target has too long a name.
         return {Path(folder, name) for folder, *names in os.walk(self.folder) for name in itertools.chain(*names)}
 
     def judge(self, subject: Subject, choices: Choices) -> str | None:
-        """Spoil the subject's file and have it read; what did not hold, or None."""
+        """Corrupt the subject's file, run a command on it, and return what went wrong, or None."""
         content = subject.spoil(self.whole[subject.name], choices)
         return self.judge_content(subject, content, choices.integer(0, len(subject.commands) - 1))
 
     def judge_content(self, subject: Subject, content: bytes, command: int = 0) -> str | None:
-        """What did not hold when a command of the subject read `content`, or None."""
+        """Run a command of the subject on `content`, and return what went wrong, or None."""
         path, out = self.inputs / subject.name, self.folder / "out"
         (self.inputs / "recipe.toml").write_text(subject.text or DRAWN)
         path.write_bytes(content)
@@ -182,7 +182,7 @@ class Workshop:
             shutil.rmtree(out, ignore_errors=True)
 
     def strays(self, out: Path, known: set[Path] | None = None) -> str | None:
-        """What is there that was not (`known`, or at the beginning), but for `out`."""
+        """Return files outside `out` that were not there before (in `known`, or at the beginning), or None."""
         new = {path for path in self.files() - (known or self.names) if path != out and out not in path.parents}
         return f"left {sorted(map(str, new))}" if new else None
 
@@ -193,8 +193,11 @@ def verdict(
     codes: tuple[int, ...] = (0, 1, 2, 3),
     lines: int | None = None,
 ) -> str | None:
-    """What did not hold of `l3 ARGUMENTS`, or None: one of `codes`, with a line that says why, within `patience` by the
-    clock, and no more than so many `lines` on stdout, none of them very long."""
+    """Run `l3 ARGUMENTS` and return what went wrong, or None.
+
+    The exit code must be one of `codes`, with one line that gives the reason. The run may take `patience` seconds and print
+    `lines` lines on stdout, none of them very long.
+    """
     stdout, stderr = io.StringIO(), io.StringIO()
     timers = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, patience))
     old = [signal.signal(number, _ring) for _, number, _ in timers]
@@ -232,7 +235,7 @@ HANGS = 300  # seconds after which a call is taken to hang, on however busy a ma
 
 @contextlib.contextmanager
 def timed(seconds: float) -> Iterator[None]:
-    """Raise Hang if the block takes longer by the clock."""
+    """Raise Hang if the block takes longer than so many seconds."""
     old = signal.signal(signal.SIGALRM, _ring)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -251,7 +254,10 @@ _allowed: list[str] = []  # folders below which may be written while inputs are 
 
 @contextlib.contextmanager
 def watched(*folders: Path) -> Iterator[list[str]]:
-    """What Python opens for writing outside `folders`, runs in a shell, evaluates or unpickles by name meanwhile."""
+    """Return a list of forbidden actions in the block.
+
+    These are opening files for writing outside `folders`, running a shell, evaluating code, and unpickling by name.
+    """
     if not _allowed:
         sys.addaudithook(_audit)
     _allowed[:] = ["on", *(str(folder) for folder in folders), CACHE, "/dev/null"]
@@ -278,7 +284,7 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _is_of_workers() -> bool:
-    """Return True while results are received from worker processes that were started here."""
+    """Whether results are being received from worker processes that were started here."""
     frame: FrameType | None = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__") != "multiprocessing.connection":
         frame = frame.f_back

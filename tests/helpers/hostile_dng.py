@@ -1,6 +1,7 @@
-"""DNG files whose tags change pixels: stored in any way that the tags describe, or in one that is not read.
+"""DNG files with tags that change pixel values, stored in every way that the tags describe and in some unsupported ways.
 
-A file is read to the mosaic that it was made of, or refused with one line; it is refused only where a tag asks for it.
+A file must be read back to the mosaic that it was made from, or be refused with one line. It may be refused only if a tag
+requires something that l3 does not support.
 """
 
 import shutil
@@ -29,7 +30,7 @@ COUNT = {50707: 4, 50974: 2, 50829: 4, 50720: 2}  # of the values of a tag, else
 
 @dataclass(frozen=True)
 class Trial:
-    """A mosaic and how it is stored."""
+    """A mosaic and the way in which it is stored."""
 
     seed: int
     shape: tuple[int, int]
@@ -46,13 +47,13 @@ class Trial:
 
     @property
     def may_be_refused(self) -> bool:
-        """Whether LibRaw may be unable to take it."""
+        """Whether LibRaw may be unable to read the file."""
         return self.odd is not None or (self.layout.endswith("tiles") and self.width > self.shape[1])
 
 
 @dataclass(frozen=True)
 class DngTags:
-    """Files of random trials."""
+    """Draws random trials and checks how l3 reads them."""
 
     name: str = "DNG tags that change pixels"
     often: int = 3
@@ -81,7 +82,7 @@ class DngTags:
         )
 
     def judge(self, shop: Workshop, trial: Trial) -> str | None:
-        """Return what did not hold, or None."""
+        """Return what went wrong, or None."""
         out = shop.folder / "out"
         out.mkdir()
         values = np.random.default_rng(trial.seed).integers(0, 2**trial.bits, trial.shape).astype(np.uint16)
@@ -106,7 +107,7 @@ class DngTags:
 
 
 def _stored(trial: Trial, values: np.ndarray) -> tuple[list[bytes], Tags]:
-    """Return strips or tiles, and the tags that describe them."""
+    """Return the strips or tiles, and the tags that describe them."""
     for axis, count in enumerate(trial.fields):
         order = [index for field in range(count) for index in range(field, trial.shape[axis], count)]
         values = values.take(order, axis)

@@ -1,7 +1,8 @@
-"""Hostile environments: closed streams, locales, homes, terminals, file names and modes in which whole commands are run, and
-what must hold in each: the same bytes and exit code, at most one line of warning, no traceback, no file elsewhere.
+"""Runs whole commands in hostile environments and checks the results.
 
-Choices come from whoever drives: a seed of test_environments.py (few) or of fuzz.py (many).
+An environment has unusual streams, locales, home folders, terminals, file names or file modes. In each, a command must give
+the same bytes and exit code, at most one line of warning, no traceback, and no files elsewhere. Choices come from a seed in
+test_environments.py (few) or fuzz.py (many).
 """
 
 import contextlib
@@ -53,7 +54,7 @@ COMMANDS = ("render", "opencl", "info", "json", "compare", "missing", "verify")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a command runs, and which."""
+    """A command and the environment in which it runs."""
 
     command: str
     closed: str
@@ -71,7 +72,7 @@ class Place:
 
 
 def make_desk(folder: Path) -> None:
-    """A table, a raw frame as .tif and .npy, an evaluation, and what becomes of the frame: reference.png, opencl.png."""
+    """Make a table, a raw frame as .tif and .npy, an evaluation, and the rendered pictures reference.png and opencl.png."""
     from tests.helpers.cameras import BAYER
     from tests.helpers.tables import random_table, with_first
 
@@ -91,14 +92,14 @@ def make_desk(folder: Path) -> None:
 
 @functools.cache
 def small_disks() -> bool:
-    """Whether a disk of any size can be mounted here."""
+    """Whether small disks of any size can be mounted here."""
     with tempfile.TemporaryDirectory() as folder:
         mount = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", folder]
         return shutil.which("unshare") is not None and not subprocess.run(mount, capture_output=True).returncode
 
 
 def judge(desk: Path, place: Place) -> str | None:
-    """What did not hold when a command ran in such a place, or None."""
+    """Run a command in an environment and return what went wrong, or None."""
     with tempfile.TemporaryDirectory(prefix="l3-place-") as folder:
         return _judge(desk, place, Path(folder))
 
@@ -127,7 +128,7 @@ def _judge(desk: Path, place: Place, folder: Path) -> str | None:
 
 
 def _call(place: Place) -> tuple[list[bytes], int, str]:
-    """Words of the command, its exit code, and the file on the desk that its picture must equal."""
+    """Return the words of the command, its exit code, and the file that its picture must equal."""
     name = place.name
     render = [b"render", name + b".h5", name + b".tif", b"-o", name + b".png", b"--exposure", b"1", b"--backend"]
     calls: dict[str, tuple[list[bytes], int, str]] = {
@@ -170,7 +171,7 @@ def _run(line: list[bytes], place: Place, work: Path, tmp: Path, home: Path) -> 
 
 
 def _judge_text(place: Place, ended: "subprocess.CompletedProcess[bytes]", code: int) -> str | None:
-    """What is wrong with what was said."""
+    """Return what is wrong with the command's output, or None."""
     words = ended.stderr.decode("utf-8", "replace")
     lines = words.splitlines()
     messages = [each for each in lines if each.startswith("l3: ")]

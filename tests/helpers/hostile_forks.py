@@ -1,5 +1,8 @@
-"""python -m tests.helpers.hostile_forks FOLDER CASE…: processes forked from one that has used l3, and what they then do: the
-same as their parent, or one error that names the cure. None may hang."""
+"""Checks processes that are forked from a process in which l3 was used.
+
+A child must do the same as its parent, or stop with one error that says how to fix it. It must not hang. Usage:
+`python -m tests.helpers.hostile_forks FOLDER CASE…`.
+"""
 
 import contextlib
 import gc
@@ -39,7 +42,7 @@ CURE = '"spawn"'
 
 
 class Scene:
-    """A table, a frame, and what a parent has made of them before it forks."""
+    """A table, a frame, and the state of a parent before it forks."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.table = folder, load(TransformTable, folder / "table.h5")
@@ -53,13 +56,13 @@ class Scene:
         self.root: Any = None
 
     def use(self) -> None:
-        """Render by OpenCL, with the renderer that is there, if there is one."""
+        """Render with OpenCL. An existing renderer is used again."""
         self.renderer = self.renderer or Renderer(self.table)
         made = self.renderer.outputs(self.frame)
         assert np.allclose(made, self.expected, rtol=1e-3, atol=1e-3 * np.abs(self.expected).max())
 
     def hold(self) -> None:
-        """Have threads hold the locks of the reference renderer and its sequence."""
+        """Let threads hold the locks of the reference renderer and its sequence."""
         cells = [cell.cell_contents for cell in self.following.__closure__ or ()]
         (following,) = (each for each in cells if isinstance(each, ThreadLock))
         for lock in (self.reference._alone, following):
@@ -72,7 +75,7 @@ class Scene:
         self.root = self.root or self.left.enter_context(open_artifact(self.folder / "table.h5", TransformTable))
 
     def decode(self) -> None:
-        """Have a foreign file decoded."""
+        """Decode a foreign file."""
         assert np.array_equal(read_raw(self.folder / "raw.png", self.table).values, self.frame.values)
 
     def by_reference(self) -> None:
@@ -122,12 +125,12 @@ AFTER: dict[str, Callable[[Scene], object]] = {
 
 
 def drawn(choices: Choices) -> Case:
-    """A case by chance."""
+    """Draw a random case."""
     return [name for name in BEFORE if choices.integer(0, 1)], one_of(choices, [*AFTER])
 
 
 def judge(folder: Path, case: Case) -> str | None:
-    """What did not hold in a child, or None. The caller has never used OpenCL."""
+    """Return what went wrong in a child, or None. The caller must never have used OpenCL."""
     before, after = case
     opencl_used = bool({"devices", "use"} & set(before))
 
@@ -153,7 +156,7 @@ def judge(folder: Path, case: Case) -> str | None:
 
 
 def _ended(function: Callable[[], object], patience: float) -> str | None:
-    """What was wrong in a forked process that calls a function and exits as Python does; None if nothing was."""
+    """Fork a process that calls a function and exits normally. Return what went wrong, or None."""
     out, into = os.pipe()
     sys.stdout.flush()
     process = os.fork()
@@ -186,7 +189,7 @@ def _ended(function: Callable[[], object], patience: float) -> str | None:
 
 
 def judge_cases(cases: Iterable[Case]) -> Iterator[str]:
-    """What did not hold in the cases, each named; at the end what ended the process that judges them."""
+    """Yield what went wrong in each case, with the name of the case. The last item says if the judging process died."""
     with tempfile.TemporaryDirectory(prefix="l3-forks-") as name:
         save(random_table(BAYER, bits=12, black_level=64.0), Path(name) / "table.h5")
         values = np.random.default_rng(0).integers(100, 900, (20, 24)).astype(np.uint16)

@@ -1,6 +1,6 @@
-"""Outputs that are inputs: whatever a command reads, and by whatever name an output is the same file, it stays.
+"""Checks that no command overwrites its inputs, whatever name is used for the output.
 
-Choices come from whoever drives, as in hostile_spoiling.py.
+The output is an input under the same name, another spelling, or a link. Choices are drawn as in hostile_spoiling.py.
 """
 
 import contextlib
@@ -21,7 +21,10 @@ COLD = "--scheduler tcp://127.0.0.1:1 --tls-ca other.json --tls-cert lab.toml --
 
 @dataclass(frozen=True)
 class Sentence:
-    """A command that writes below {out}, what it reads (globs), and what it writes, unless a run shows that."""
+    """A command that writes below {out}, the files it reads (globs), and the files it writes.
+
+    If the written files are not stated, a run of the command shows them.
+    """
 
     command: str
     reads: str
@@ -87,14 +90,14 @@ DISGUISES = ("its name", "another spelling", "a linked folder", "a symbolic link
 
 
 class Identities:
-    """Commands in a workshop whose outputs are made their inputs."""
+    """Commands in a workshop whose outputs are made identical to inputs."""
 
     def __init__(self, shop: Workshop) -> None:
         self._inputs, self._out = shop.inputs, shop.folder / "out"
         self._written = functools.cache(self._write)
 
     def judge(self, choices: Choices) -> str | None:
-        """Make an output of a sentence one of its inputs; what did not hold, or None."""
+        """Make an output of a command one of its inputs, and return what went wrong, or None."""
         sentence = one_of(choices, SENTENCES)
         with contextlib.chdir(self._inputs):
             before = (self._inputs / "recipe.toml").read_bytes()
@@ -122,8 +125,10 @@ class Identities:
         return f"{call}left {sorted(self._out.rglob('*'))}" if sorted(self._out.rglob("*")) != placed else None
 
     def _disguised(self, sentence: Sentence, written: str, source: Path, disguise: str) -> list[str]:
-        """The command, `written` being `source` in disguise: by what is typed, where that names the very file; else by a
-        link that lies in its place."""
+        """Return the command with `written` replaced by `source` under a disguise.
+
+        The path on the command line names the input if it can. Otherwise a link at the output's path does.
+        """
         words = sentence.command.format(out=self._out).split()
         place = self._out / written
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -146,7 +151,7 @@ class Identities:
         return words
 
     def _write(self, sentence: Sentence) -> list[str]:
-        """What an undisturbed run of the sentence writes, relative to {out}."""
+        """Return the files that an undisturbed run writes, relative to {out}."""
         if sentence.writes:
             return sentence.writes.split()
         code, answer = _called(sentence.command.format(out=self._out).split())

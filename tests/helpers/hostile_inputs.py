@@ -1,4 +1,4 @@
-"""Whole files of every kind that hostile inputs are made of."""
+"""Valid files of every kind, from which hostile inputs are made."""
 
 import contextlib
 import io
@@ -143,7 +143,7 @@ EVALUATION = '{"camera": "a", "frames": [{"luminance": 10, "ours": {"psnr": 30.5
 
 
 def make_inputs(folder: Path) -> None:
-    """Every subject's whole file, and what its commands read beside it, below `folder`."""
+    """Write the valid file of every subject, and the files that its commands read with it, below `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
         "camera.toml": CAMERA, "curves.toml": CURVE_CAMERA, "lab.toml": LAB, "drawn.toml": DRAWN, "scenes.toml": SCENES,

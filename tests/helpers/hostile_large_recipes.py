@@ -1,6 +1,6 @@
-"""Small recipes that ask for much work: deep keys, many entries, many faults, globs of everything.
+"""Small recipes that require much work: deep keys, many entries, many errors, and globs that match everything.
 
-Choices come from whoever drives, as in hostile_spoiling.py.
+Choices are drawn as in hostile_spoiling.py.
 """
 
 import contextlib
@@ -37,17 +37,17 @@ SHAPES: dict[str, Callable[[int], str]] = {  # of about so many letters
 
 @dataclass(frozen=True)
 class LargeRecipes:
-    """A recipe of some shape and size, which is checked."""
+    """Draws recipes of several shapes and sizes and runs `l3 check` on them."""
 
     name: str = "large recipes"
     often: int = 1
 
     def draw(self, choices: Choices) -> tuple[str, int]:
-        """A shape and a size."""
+        """Draw a shape and a size."""
         return one_of(choices, list(SHAPES)), choices.integer(1000, 200_000)
 
     def judge(self, shop: Workshop, drawn: tuple[str, int]) -> str | None:
-        """What did not hold, or None."""
+        """Return what went wrong, or None."""
         path = shop.inputs / "recipe.toml"
         path.write_text(SHAPES[drawn[0]](drawn[1]))
         try:

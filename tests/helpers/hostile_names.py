@@ -1,7 +1,6 @@
-"""Hostile names of files and folders through the pipelines of `l3 init`: nothing in a name is ever run, and a name arrives
-at l3 as it is or is refused.
+"""Runs the pipelines of `l3 init` with hostile file and folder names.
 
-Choices come from whoever drives, as in hostile_spoiling.py.
+No part of a name may be executed. A name must reach l3 unchanged or be refused. Choices are drawn as in hostile_spoiling.py.
 """
 
 import json
@@ -48,12 +47,12 @@ if words[0] == "check":
 
 
 def hostile_name(choices: Choices) -> str:
-    """A name that a file may have, of pieces that shells, make and Snakemake take for something."""
+    """Draw a valid file name from pieces that have a meaning for shells, make or Snakemake."""
     return "".join(one_of(choices, PIECES) for _ in range(choices.integer(1, 4)))
 
 
 class Pipelines:
-    """The pipelines of a camera recipe in folders below `folder`."""
+    """The pipelines of a camera recipe, in folders below `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._bin, self._notes = folder, folder / "bin", folder / "notes"
@@ -65,16 +64,16 @@ class Pipelines:
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Those whose programs are installed."""
+        """The pipelines whose programs are installed."""
         return tuple(each for each in PIPELINES if each != "snakemake" or shutil.which(each, path=PATH))
 
     def judge(self, choices: Choices) -> str | None:
-        """Run a pipeline with a hostile name in a place; what did not hold, or None."""
+        """Run a pipeline with a hostile name, and return what went wrong, or None."""
         pipeline = one_of(choices, self.pipelines)
         return self.judge_name(pipeline, one_of(choices, PLACES[pipeline]), hostile_name(choices))
 
     def judge_name(self, pipeline: str, place: str, name: str) -> str | None:
-        """What did not hold of a pipeline with this name in that place, or None."""
+        """Run a given pipeline with a given name in a given place, and return what went wrong, or None."""
         with tempfile.TemporaryDirectory(dir=self._folder) as outer:
             folder = Path(outer, name if place == "folder" else "folder")
             folder.mkdir()

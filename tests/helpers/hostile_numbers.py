@@ -1,6 +1,6 @@
-"""Hostile numbers: in every option, variable and recipe key that takes one, what nobody meant and Python half understands.
+"""Puts awkward numbers into every option, environment variable and recipe key that takes a number.
 
-Whatever the number, a call ends soon: done, or refused in one line with the exit code that docs/limits.md names.
+A call must end soon. It succeeds, or is refused with one line and an exit code from docs/guarantees.md.
 """
 
 import contextlib
@@ -75,7 +75,7 @@ FIGURE = re.compile(r"(?<![\w\"])[-+]?\d[\d.]*(?:[eE][-+]?\d+)?(?![\w\"])")
 
 @dataclass(frozen=True)
 class Call:
-    """A command with a number in it: its words, what the environment says, a recipe's name and text."""
+    """A command that contains an awkward number, with its environment variables and its recipe."""
 
     command: str
     environment: tuple[tuple[str, str], ...] = ()
@@ -88,13 +88,13 @@ class Call:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Calls with an awkward number: of an option, of a variable, or of one of the RECIPES."""
+    """Draws calls with an awkward number in an option, in a variable, or in one of the RECIPES."""
 
     name: str
     often: int = 3
 
     def draw(self, choices: Choices) -> Call:
-        """A call."""
+        """Draw a call."""
         number = one_of(choices, NUMBERS)
         if self.name == "options":
             return Call(one_of(choices, OPTIONS).replace("{n}", number))
@@ -106,13 +106,13 @@ class Numbers:
         return Call(RECIPES[self.name], name=self.name, text=text[: figure.start()] + new + text[figure.end() :])
 
     def recipe(self) -> str:
-        """The whole recipe with every key that takes a number."""
+        """Return the recipe with every key that takes a number."""
         recipes = {"camera.toml": whole.CAMERA, "scenes.toml": whole.SCENES, "classes.toml": whole.CLASSES}
         recipes |= {"lab.toml": whole.LAB, "table.toml": whole.TABLE, "lab/MEASUREMENTS.toml": _MEASURED[0]}
         return with_keys(recipes[self.name], KEYS.get(self.name, ""))
 
     def judge(self, shop: Workshop, call: Call) -> str | None:
-        """What did not hold, or None."""
+        """Return what went wrong, or None."""
         return judge(shop, call)
 
 
@@ -120,7 +120,7 @@ _MEASURED = [""]  # the measurement file of the workshop, once there is one
 
 
 def with_keys(text: str, keys: str) -> str:
-    """A recipe with more keys in its tables, which are made where they are not there."""
+    """Add keys to the tables of a recipe. Missing tables are added too."""
     for table, assignments in re.findall(r"\[(\w+)\]((?: \w+ = \S+)*)", keys):
         lines = "\n".join(re.findall(r"\w+ = \S+", assignments)) + "\n"
         head = f"[{table}]\n"
@@ -129,7 +129,7 @@ def with_keys(text: str, keys: str) -> str:
 
 
 def judge(shop: Workshop, call: Call) -> str | None:
-    """What did not hold when l3 was called, or None."""
+    """Call l3 and return what went wrong, or None."""
     path, out = shop.inputs / (call.name or "none"), shop.folder / "out"
     before = path.read_bytes() if call.name else b""
     if call.name:
@@ -145,13 +145,13 @@ def judge(shop: Workshop, call: Call) -> str | None:
 
 
 def _words(command: str) -> list[str]:
-    """Words between single blanks: an option may hold one at its end."""
+    """Split a command at single spaces. An option may end with an empty word."""
     return re.split(r" (?=\S)", command)
 
 
 @contextlib.contextmanager
 def set_environment(variables: tuple[tuple[str, str], ...]) -> Iterator[None]:
-    """Say something in the environment for the block."""
+    """Set environment variables for the duration of the block."""
     before = {name: os.environ.get(name) for name, _ in variables}
     os.environ.update(variables)
     try:
@@ -165,6 +165,6 @@ def set_environment(variables: tuple[tuple[str, str], ...]) -> Iterator[None]:
 
 
 def subjects(shop: Workshop) -> tuple[Numbers, ...]:
-    """What can be drawn from, in a workshop."""
+    """Return the sources of calls for a workshop."""
     _MEASURED[0] = (shop.inputs / "lab/MEASUREMENTS.toml").read_text()
     return (Numbers("options"), Numbers("environment", often=1), *(Numbers(name, often=1) for name in RECIPES))

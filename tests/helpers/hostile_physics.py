@@ -1,7 +1,9 @@
-"""Hostile physics: a small lab's folder with one mistake of a physical kind. Calibration must name it, or undo it where the
-file tells how; a wrong camera with exit code 0 is what must never come out.
+"""Makes one physical mistake in the folder of a small lab and runs the calibration.
 
-    python -m tests.helpers.hostile_physics FIRST COUNT     # seeds; as tests.helpers.fuzz does, every hundredth input
+The calibration must name the mistake, or correct it if the file says how. It must never write a wrong camera and exit with
+0. Of the inputs of tests.helpers.fuzz, every hundredth is of this kind.
+
+    python -m tests.helpers.hostile_physics FIRST COUNT     # seeds
 """
 
 import contextlib
@@ -45,7 +47,7 @@ NOISE = {"read_noise": 0.1, "dark_current": 0.2, "prnu": 0.2}
 
 
 class Folder:
-    """A lab's folder to be spoilt: texts are copies, frames are the whole lab's."""
+    """A copy of a lab's folder in which files are changed. Text files are copies; frames are shared with the original."""
 
     def __init__(self, whole: Path, path: Path) -> None:
         path.mkdir()
@@ -57,7 +59,7 @@ class Folder:
         self.path, self.measurements = path, path / "MEASUREMENTS.toml"
 
     def spectra(self, choices: Choices) -> list[Path]:
-        """All tables of spectra, or those of one kind of capture."""
+        """Return all tables of spectra, or those of one kind of capture."""
         return sorted((self.path / "spectra").glob(one_of(choices, ("*.csv", "mono.csv", "chart*.csv"))))
 
     def edit(self, change: Callable[[str], str]) -> None:
@@ -69,7 +71,7 @@ Expected = tuple[str, ...] | None  # what the line of a refusal names; None: the
 
 
 def rewritten(path: Path, heading: Callable[[list[str]], list[str]], rows: Callable[[np.ndarray], np.ndarray]) -> None:
-    """A CSV with another heading and other numbers (row, column)."""
+    """Rewrite a CSV file with another heading and other numbers (row, column)."""
     names = path.read_text().splitlines()[0].split(",")
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     lines = [",".join(heading(names)), *(",".join(f"{value:.10g}" for value in row) for row in rows(table))]
@@ -77,7 +79,7 @@ def rewritten(path: Path, heading: Callable[[list[str]], list[str]], rows: Calla
 
 
 def permuted(order: list[int]) -> tuple[Callable[[list[str]], list[str]], Callable[[np.ndarray], np.ndarray]]:
-    """Columns in another order: what is done to their names, and to the table."""
+    """Return functions that reorder column names and the columns of a table."""
     return lambda names: [names[column] for column in order], lambda table: table[:, order]
 
 
@@ -90,7 +92,7 @@ def in_watts(table: np.ndarray, scale: float) -> np.ndarray:
 
 
 def watts(folder: Folder, choices: Choices) -> Expected:
-    """Spectra in watts that say so, in the heading or the measurement file; that say nothing; that say photons."""
+    """Give spectra in watts. The heading or measurement file says so, says nothing, or says photons."""
     prefix, scale = one_of(choices, (("", 1.0), ("m", 1e3), ("µ", 1e6)))
     place = one_of(choices, ("heading", "key", "unstated", "photons"))
     unit = f"{prefix}W/(sr m² nm)"
@@ -110,7 +112,7 @@ def watts(folder: Folder, choices: Choices) -> Expected:
 
 
 def milliseconds(folder: Folder, choices: Choices) -> Expected:
-    """All exposures in ms or µs, in the key that says so or in exposure_s."""
+    """Give all exposure times in ms or µs, in the matching key or in exposure_s."""
     unit, parts = one_of(choices, (("ms", 1e3), ("us", 1e6)))
     key = one_of(choices, (f"exposure_{unit}", "exposure_s"))
     folder.edit(lambda text: re.sub(r"exposure_s = (\S+)", lambda m: f"{key} = {float(m[1]) * parts:.9g}", text))
@@ -118,7 +120,7 @@ def milliseconds(folder: Folder, choices: Choices) -> Expected:
 
 
 def typing_error(folder: Folder, choices: Choices) -> Expected:
-    """One exposure mistyped."""
+    """Change one exposure time as a typing error would."""
     factor = one_of(choices, (1e3, 1e-3, 1e2, 1e-2))
     kind = one_of(choices, KINDS)
     captures = list(re.finditer(rf'frames = \["({kind}/[^"]*)".*\nexposure_s = (\S+)', folder.measurements.read_text()))
@@ -129,7 +131,7 @@ def typing_error(folder: Folder, choices: Choices) -> Expected:
 
 
 def columns_swapped(folder: Folder, choices: Choices) -> Expected:
-    """Columns of spectra in another order, headings with them; now and then the wavelengths are not the first."""
+    """Reorder the columns of spectra together with their headings. Sometimes the wavelengths are not the first column."""
     for path in folder.spectra(choices):
         width = len(path.read_text().splitlines()[0].split(","))
         order = list(range(width))
@@ -142,7 +144,7 @@ def columns_swapped(folder: Folder, choices: Choices) -> Expected:
 
 
 def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
-    """A camera recipe's curves in another order: named by the heading, or by a heading that fits no channel."""
+    """Reorder the curves of a camera recipe, with a matching heading or a heading that fits no channel."""
     order = one_of(choices, ([0, 3, 2, 1], [0, 2, 3, 1], [1, 2, 3, 0]))
     rewritten(folder.path / "curves.csv", *permuted(order))
     if choices.integer(0, 2):
@@ -153,7 +155,7 @@ def responsivities_swapped(folder: Folder, choices: Choices) -> Expected:
 
 
 def other_wavelengths(folder: Folder, choices: Choices) -> Expected:
-    """Wavelengths in µm, Å or m, with a heading that says so, one that says nothing and one that says nm."""
+    """Give wavelengths in µm, Å or m, with a heading that says so, says nothing, or says nm."""
     unit, scale = one_of(choices, (("um", 1e-3), ("A", 10.0), ("µm", 1e-3), ("Å", 10.0), ("m", 1e-9)))
     stated = one_of(choices, ("stated", "unstated", "nm"))
     heading = {"stated": one_of(choices, (f"wavelength_{unit}", f"wavelength ({unit})")), "unstated": "wavelength"}
@@ -170,7 +172,7 @@ def rows_reversed(folder: Folder, choices: Choices) -> Expected:
 
 
 def decimal_commas(folder: Folder, choices: Choices) -> Expected:
-    """As a spreadsheet of half the world writes them; between commas they are ambiguous."""
+    """Write numbers with decimal commas, as spreadsheets in many countries do. Between commas they are ambiguous."""
     separator = one_of(choices, (";", "\t", ","))
     for path in folder.spectra(choices):
         heading, *lines = path.read_text().splitlines()
@@ -180,7 +182,7 @@ def decimal_commas(folder: Folder, choices: Choices) -> Expected:
 
 
 def percents(folder: Folder, choices: Choices) -> Expected:
-    """Percent where a share is wanted, and lengths in other units."""
+    """Give percentages instead of fractions, and lengths in other units."""
     wrongs = {
         "peak_efficiency": ("40", "1.2"),
         "prnu": ("0.5", "1"),
@@ -195,7 +197,7 @@ def percents(folder: Folder, choices: Choices) -> Expected:
 
 
 def pitch(folder: Folder, choices: Choices) -> Expected:
-    """A pixel pitch or focal length in another unit."""
+    """Give the pixel pitch or the focal length in another unit."""
     key, wrong = one_of(choices, (("pixel_pitch_um", "0.004"), ("focal_length_mm", "0.025"), ("f_number", "0.28")))
     folder.edit(lambda text: re.sub(rf"{key} = \S+", f"{key} = {wrong}", text))
     return (key,)
@@ -208,7 +210,7 @@ MISTAKES: tuple[Callable[[Folder, Choices], Expected], ...] = (
 
 
 class Lab:
-    """A whole lab, and a place where copies of it are spoilt and judged."""
+    """A valid lab, and a place where changed copies of it are calibrated."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.whole = folder, folder / "whole"
@@ -231,14 +233,14 @@ class Lab:
         )
 
     def words(self, *arguments: object) -> tuple[int, str]:
-        """Exit code and stderr of a command."""
+        """Return the exit code and stderr of a command."""
         stderr = io.StringIO()
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(stderr):
             code = run([*map(str, arguments), "--quiet"])
         return code, stderr.getvalue()
 
     def judge(self, mistake: Callable[[Folder, Choices], Expected], choices: Choices) -> str | None:
-        """What did not hold of a copy in which `mistake` was made, or None."""
+        """Make a mistake in a copy of the lab, and return what went wrong, or None."""
         path = Path(tempfile.mkdtemp(dir=self.folder)) / "lab"
         try:
             folder = Folder(self.whole, path)
@@ -256,7 +258,7 @@ class Lab:
             shutil.rmtree(path.parent)
 
     def _wrong(self, path: Path, described: bool) -> str | None:
-        """How far the camera that came out is from the truth; None if it is right."""
+        """Return how far the calibrated camera is from the truth, or None if it is right."""
         camera = load_camera(path / "camera.toml") if described else load(CameraModel, path / "camera.h5")
         real = np.array([np.interp(camera.wavelength, self.truth.wavelength, row, 0, 0) for row in self.truth.responsivity])
         off = float(np.abs(camera.responsivity - real).max() / real.max())
@@ -271,7 +273,7 @@ class Lab:
 
 
 def judge_seeds(seeds: Iterable[int]) -> Iterator[tuple[int, str]]:
-    """The seeds whose mistakes did not end as they must, and what came of them."""
+    """Yield each seed whose mistake was not handled correctly, with the result."""
     with tempfile.TemporaryDirectory(prefix="l3-physics-") as name:
         lab = Lab(Path(name) / "lab")
         for seed in seeds:

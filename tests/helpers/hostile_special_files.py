@@ -1,7 +1,6 @@
-"""Hostile places: pipes, sockets, devices, folders and broken links where a file is read or written.
+"""Puts pipes, sockets, devices, folders and broken links in places where a file is read or written.
 
-A call ends, in one line with the exit code that docs/limits.md names; nobody waits for a writer that
-never comes.
+A call must end with one line and an exit code from docs/guarantees.md. It must not wait for a writer of a pipe.
 """
 
 import contextlib
@@ -76,7 +75,7 @@ REFUSED = (1, 2, 3)
 
 @dataclass(frozen=True)
 class Trial:
-    """A place of some kind in place of a file, and the command that meets it."""
+    """A special file in place of a regular file, and the command that meets it."""
 
     place: str
     name: str  # of the file, below the inputs
@@ -90,13 +89,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class SpecialFiles:
-    """A special file where a subject of hostile.py is read, where another input is, or where an output goes."""
+    """Draws special files in place of an input or an output, and runs commands on them."""
 
     name: str = "special files"
     often: int = 3
 
     def draw(self, choices: Choices) -> Trial:
-        """A trial."""
+        """Draw a trial."""
         place = one_of(choices, list(PLACES))
         kind = choices.integer(0, 3)
         if kind <= 1:
@@ -109,7 +108,7 @@ class SpecialFiles:
         return Trial(place, "special" + suffix, command.replace("{file}" + suffix, "{file}"), is_output=True)
 
     def judge(self, shop: Workshop, trial: Trial) -> str | None:
-        """What did not hold, or None."""
+        """Return what went wrong, or None."""
         path, out = shop.inputs / trial.name, shop.folder / "out"
         (shop.inputs / "recipe.toml").write_text(trial.text or DRAWN)
         if trial.name in shop.whole:

@@ -1,6 +1,6 @@
-"""What spoils a file: bytes, words of a text, members of HDF5.
+"""Functions that corrupt files: bytes, words of a text, and members of HDF5 files.
 
-Choices come from whoever drives: Hypothesis (test_hostile.py) or a seed (fuzz.py).
+Choices come from Hypothesis (test_hostile.py) or from a seed (fuzz.py).
 """
 
 import io
@@ -14,10 +14,10 @@ LARGEST_SPOILT = 1 << 20  # values of a dataset that are spoilt one by one
 
 
 class Choices(Protocol):
-    """Where an input's choices come from."""
+    """Source of random choices."""
 
     def integer(self, least: int, most: int) -> int:
-        """A whole number from `least` to `most`."""
+        """Draw an integer from `least` to `most`, inclusive."""
 
 
 def one_of(choices: Choices, options: Any) -> Any:
@@ -40,7 +40,7 @@ WORDS = re.compile(r"""("[^"\n]*"|[-+]?\d[\d.eE+-]*|\btrue\b|\bfalse\b|[A-Za-z_]
 
 
 def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
-    """Some bytes of a file changed, left out, doubled, or cut off."""
+    """Change, remove or repeat some bytes of a file, or cut it off."""
     spoilt = bytearray(content)
     for _ in range(choices.integer(1, 4)):
         if not spoilt:
@@ -69,7 +69,7 @@ def spoiled_bytes(content: bytes, choices: Choices) -> bytes:
 
 
 def spoiled_text(content: bytes, choices: Choices) -> bytes:
-    """Some words of a text replaced by others that may hurt, some lines left out or doubled; now and then some bytes."""
+    """Replace some words of a text by harmful ones, and remove or repeat some lines. Occasionally change bytes as well."""
     if choices.integer(0, 15) == 0:
         return spoiled_bytes(content, choices)
     text = content.decode()
@@ -91,14 +91,14 @@ def spoiled_text(content: bytes, choices: Choices) -> bytes:
 
 
 def spoiled_hdf5(content: bytes, choices: Choices) -> bytes:
-    """Some members or values of an HDF5 file replaced by what l3 never writes; now and then some bytes."""
+    """Replace some members or values of an HDF5 file by ones that l3 never writes. Occasionally change bytes as well."""
     if choices.integer(0, 2) == 0:
         return spoiled_bytes(content, choices)
     return _spoiled_members(content, choices, "")
 
 
 def spoiled_layer(content: bytes, choices: Choices) -> bytes:
-    """Some members or values of a table's second layer replaced by what l3 never writes."""
+    """Replace some members or values of a table's second layer by ones that l3 never writes."""
     return _spoiled_members(content, choices, "later/0")
 
 
