@@ -18,18 +18,18 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MOST, Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
-SPECTROMETER_MARGIN = 5.0  # nm that the spectrometer sees beyond camera and slits
-MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # beyond, a slit is no slit and a lamp no lamp
-FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # of captures by kind, and of what the spectrometer saw
-PATCH_SIDE = 0.8  # of a chart cell; the rest is black mount
-MARGIN = 0.08  # of the frame's height around the chart
+SPECTROMETER_MARGIN = 5.0  # nm; the spectrometer covers this much more than the camera and the slits
+MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # upper limits of stray light and lamp drift in a usable lab
+FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # folders of the captures by kind, and of the measured spectra
+PATCH_SIDE = 0.8  # fraction of the side of a chart cell; the rest is black mount
+MARGIN = 0.08  # fraction of the frame's height; width of the border around the chart
 MOUNT = 0.03  # reflectance between and around the patches
-OVEREXPOSED = 2.0  # full scales that a step taken again reaches
+OVEREXPOSED = 2.0  # full scales; signal of the steps that are repeated with overexposure
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
 Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # two or more: noise is measured on pairs of frames
-SMALLEST_SENSOR = (64, 96)  # rows, columns on which the patches of a chart can be told apart
+SMALLEST_SENSOR = (64, 96)  # rows, columns; fewest pixels that resolve the patches of a chart
 Array = NDArray[np.float64]
 
 
@@ -40,13 +40,13 @@ class MonoRecipe(Recipe):
     last_nm: Nanometres | None = None  # default: the last one
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
-    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MOST_STRAY)] = 0.0005  # share of the peak at every wavelength
-    trials: Count = 1  # frames a step
-    # steps between the first and the last, as far as there are, that are taken again far too long
+    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MOST_STRAY)] = 0.0005  # fraction of the peak, at every wavelength
+    trials: Count = 1  # frames per step
+    # number of steps, except the first and the last, that are repeated with overexposure
     overexposed: CountOrNone = 4
-    level: Positive = 0.5  # share of full scale that the brightest channel reaches
+    level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² of every step
-    longest_exposure_s: Positive = 2.0  # a step that no channel sees well stays darker
+    longest_exposure_s: Positive = 2.0  # limits the steps to which no channel is sensitive
 
 
 class ChartRecipe(Recipe):
@@ -55,7 +55,7 @@ class ChartRecipe(Recipe):
     illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
     trials: Count = 1
     luminance: Positive = 500.0  # cd/m² of a perfect white
-    level: Positive = 0.5  # share of full scale that the brightest channel reaches in the brightest patch
+    level: Positive = 0.5  # fraction of full scale that the brightest channel reaches in the brightest patch
 
 
 class WhiteRecipe(Recipe):
@@ -63,7 +63,7 @@ class WhiteRecipe(Recipe):
 
     illuminant: str = "D65"
     luminance: Positive = 500.0  # cd/m²
-    levels: Several = (0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.6)  # of full scale, in the brightest channel
+    levels: Several = (0.05, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.6)  # fractions of full scale in the brightest channel
     trials: Trials = 4
 
 
@@ -88,7 +88,9 @@ class LabRecipe(Recipe):
     wavelength_error_nm: NotNegative = 0.1  # standard deviation of the spectrometer's scale, one error a session
     lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MOST_DRIFT)] = 0.01  # relative standard deviation of the lamps, slow
     monitor_error: NotNegative = 0.001  # relative standard deviation of the reading that follows them
-    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # share of every lamp's light missing in the corners
+    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = (
+        0.1  # fraction of the light of every lamp that is missing in the corners
+    )
 
     @property
     def lights(self) -> tuple[str, ...]:
@@ -140,13 +142,13 @@ class LabCapture:
     """One exposure in the lab: what the camera sees, and what the spectrometer measures."""
 
     kind: str  # "mono", "chart", "white", "dark"
-    name: str  # of its files, kind as folder
+    name: str  # name of its files, with the kind as folder
     light: str  # what lights it
     exposure: float  # s
     trials: int
     first: int  # number of its first frame among all
     electrons: Array  # (region, channel) mean photo-electrons; one region, or 24 patches and the mount
-    falloff: float  # share of the lamp's light missing in the corners
+    falloff: float  # fraction of the light of the lamp that is missing in the corners
     monitor: float  # reading of the lamp over that when its spectrum was measured
     wavelength: Array  # (wavelength) nm as measured
     radiance: Array  # (spectrum, wavelength) photons/s/sr/m²/nm as measured; no spectrum of white and dark
