@@ -1,1 +1,1 @@
-"""Learning of layers after the first: from mosaics, which the layers before have rendered with and without noise."""
+"""Training of refinement layers on mosaics that the previous layers rendered with and without noise."""

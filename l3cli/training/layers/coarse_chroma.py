@@ -1,4 +1,4 @@
-"""Noise of what coarse chroma compares, measured on simulated greys (docs/method.md#coarse-chroma)."""
+"""Measure on simulated greys the noise that coarse chroma must expect (docs/method.md#coarse-chroma)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +10,15 @@ from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
 from l3cli.training.patches import expose_patches
 
-LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of greys, of a white that fills the brightest channel
-SIDE = 128  # pixels of a grey
-CUT = 3  # blocks at its edges that are not judged: there they have fewer neighbours
+LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of the greys, relative to a white that fills the brightest channel
+SIDE = 128  # pixels, side of a grey
+CUT = 3  # blocks to ignore at the edges, where blocks have fewer neighbours
 
 Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Return the noise of the planes that a layer reads, of their blocks as each step reads them."""
+    """Measure the noise of the planes that a layer reads, and of their block means at each filter step."""
     greys = _planes_of_greys(layer)
     luminance = np.array([grey[LUMINANCE].mean() for grey in greys]) * PLANE_STEP
     blocks = list(map(blocks_of, greys))
@@ -31,7 +31,7 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
 
 
 def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
-    """Return the planes (plane, row, col) of greys of rising luminance."""
+    """Return the planes (plane, row, col) of simulated greys, from dark to bright."""
     camera, period = layer.camera, layer.camera.cfa.shape
     margin = layer.exposed.margin - layer.margin
     rows, cols = (-(-(SIDE + 2 * margin) // each) * each for each in period)
@@ -46,14 +46,28 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variances (grey, plane) of planes (plane, row, col)."""
+    """Return the variances (grey, plane) of planes (plane, row, col), without their edges."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
-    """Return the terms (plane, power), none of them negative, of variances (grey, plane), in steps, that rise with
-    luminance: least squares of logarithms. Relative to the variance, a fit that cannot follow it is too low: layers that
-    fade chroma in the dark leave little noise there, and blotches above."""
+    """Fit the variance of each plane by a polynomial of luminance with non-negative coefficients.
+
+    The fit minimises squared errors of the logarithm. A fit of relative errors of the variance would be too low where the
+    polynomial cannot follow: layers that fade chroma in the dark leave little noise there, and brighter areas would get
+    blotches.
+
+    Parameters
+    ----------
+    luminance : ndarray, (grey)
+    variances : ndarray, (grey, plane)
+        In squared plane steps.
+
+    Returns
+    -------
+    ndarray, (plane, power)
+        Coefficients of the powers of luminance.
+    """
     from scipy.optimize import least_squares
 
     powers = np.maximum(luminance, 0.0)[:, None] ** np.arange(COMPARED[2])

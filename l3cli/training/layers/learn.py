@@ -1,4 +1,4 @@
-"""A plane layer from training frames: its class rule, its sums, its transforms (docs/method.md#layers)."""
+"""Train a refinement layer: its class rule, its sums and its transforms (docs/method.md#layers)."""
 
 import functools
 import math
@@ -27,31 +27,55 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
 
 Array = NDArray[np.float64]
-FADING = 0.97  # response of a chroma plane to itself, below which it is faded
-NEAR_SHARE = 0.9  # of the pseudo-patches come from the class's level, the others from all levels
+FADING = 0.97  # response of a chroma plane to itself below which the plane counts as faded
+NEAR_SHARE = 0.9  # fraction of the pseudo-patches from the level of the class; the rest come from all levels
 
 
 @dataclass(frozen=True)
 class LayerGoal:
-    """Outputs that a plane layer's transforms are learned for."""
+    """Parameters by which the transforms of a refinement layer are solved."""
 
-    pool: tuple[float, ...]  # weight of the classes one, two… levels away
-    parent: float  # pseudo-patches
-    ridge: float
-    noise: tuple[float, ...]  # (output) weight of noise
-    white: Array  # (plane) what the layer before makes of a white of Y = 1, and this one shall
-    windows: int  # taps of the windows; those behind them are zero on flat areas
-    keeps: bool = False  # whether unsaturated classes that would fade the chroma of uniform windows keep it
-    strength_pool: float = 0.0  # weight of the classes of the same direction one strength away
-    corrects: bool = False  # whether outputs are what others lack: of a white nothing
+    pool: tuple[float, ...]  # weights of the classes one, two… levels away
+    parent: float  # number of pseudo-patches of the parent
+    ridge: float  # relative to the mean power of a tap
+    noise: tuple[float, ...]  # (output) weight of the noise
+    white: Array  # (plane) values of a white of Y = 1, which the layer must keep
+    windows: int  # number of window taps; the taps after them are zero on flat areas
+    keeps: bool = False  # whether unsaturated classes must not fade the chroma of uniform windows
+    strength_pool: float = 0.0  # weight of the classes with the same direction and the next strength
+    corrects: bool = False  # whether the outputs are corrections, which are zero on white
 
 
 def solve_layer(
     sums: list[LayerSums], copies: list[int], rule: PlaneRule, goal: LayerGoal, equal: bool = True
 ) -> list[Array]:
-    """Return rows (class, tap + 1, output) of the canonical sites, each of which stands for `copies`, constrained so that
-    all answer flat areas alike, and white with white: what the layer before makes of greys, also of those that clip, stays
-    as grey as it is. L3Error if no class can be solved."""
+    """Solve the transforms of a refinement layer, class by class.
+
+    Flat areas must look the same at every CFA site, and greys, including clipped ones, must stay as grey as the previous
+    layer made them. So the solutions of all sites are constrained to a common response (docs/method.md#equal-response).
+
+    Parameters
+    ----------
+    sums : list of LayerSums
+        Sums of each canonical site.
+    copies : list of int
+        Number of CFA sites that each canonical site represents.
+    rule : PlaneRule
+        Class rule of the layer.
+    goal : LayerGoal
+    equal : bool
+        Whether to constrain the sites to a common response.
+
+    Returns
+    -------
+    list of ndarray, (class, tap + 1, output)
+        Transforms of each canonical site. The last tap is the intercept.
+
+    Raises
+    ------
+    L3Error
+        If no class has training rows at every site.
+    """
     outputs, planes = len(goal.noise), len(goal.white)
     taps, noisy = width_of(sums[0].moments) - 1 - outputs, width_of(sums[0].noise)
     member = np.zeros((taps, planes))  # (tap, plane)
@@ -81,9 +105,12 @@ def solve_layer(
 
 
 def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions of some outputs, and behind them how they give way to a change of the flat response (tap,
-    output + plane). Moments are of taps, intercept and outputs, noise of taps and, if these are corrected, of outputs. There
-    is no intercept: no light is answered with none."""
+    """Return the Wiener solutions of the outputs `of`, followed by their compliance (tap, output + plane).
+
+    The compliance is the change of the taps when the response to flat areas changes. The columns of `moments` are taps,
+    intercept and outputs. The columns of `noise` are taps and, if the layer corrects outputs, outputs. There is no
+    intercept, because black must stay black.
+    """
     taps, outputs = len(member), np.array(of)
     system = moments[:taps, :taps] + factor * noise[:taps, :taps]
     right = moments[:taps, taps + 1 + outputs]
@@ -96,8 +123,11 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: lis
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the rows (tap, output) of the sites with one flat response, of all that answer white as wanted the one of least
-    squared error; `keeps`: unless it fades a chroma plane, which then stays as it is."""
+    """Return the rows (tap, output) of all sites, constrained to a common response to flat areas.
+
+    Of all responses that render white as wanted, this takes the one with the least squared error. With `keeps`, a chroma
+    plane whose response would fade keeps its previous values.
+    """
     white, count = goal.white, len(of)
     wanted = np.zeros(count) if goal.corrects else white[of]
     stiff = [np.linalg.pinv(member.T @ one[:, count:]) for one in estimates]
@@ -116,7 +146,7 @@ def _constrained(
 
 
 class _Parents:
-    """Mean sums of a row of each level, and of all levels, of the unsaturated classes; and of each case."""
+    """Mean sums per row that thin classes are shrunk towards, for each level and each saturation case."""
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
@@ -140,8 +170,10 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return sums of a class with its neighbours in level and strength and its parent's pseudo-rows; None: nothing like it
-    was seen."""
+    """Return the moments and noise of a class, with help from its neighbours in level and strength and from its parent.
+
+    The result is None if the parent has no rows.
+    """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
     if case:
@@ -171,8 +203,11 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """Return for every class the solved one it takes its transform from: itself, the same kind at the nearest level, else a
-    flat one of the nearest level."""
+    """Return the solved class whose transform each class uses.
+
+    A solved class uses its own. Any other class uses the same kind at the nearest level. If there is none, it prefers a flat
+    class at the nearest level.
+    """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
@@ -184,19 +219,19 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """All that the work on a plane layer, however it is divided, has in common."""
+    """Everything that all parts of the training of one refinement layer share."""
 
     camera: CameraModel
-    rule: ClassRule  # of the first layer
-    fixed: FixedPoint  # its transforms to the opponent basis
-    before: tuple[PlaneLayer, ...]  # learned already, between the first and the one to be learned
+    rule: ClassRule  # class rule of the first layer
+    fixed: FixedPoint  # transforms of the first layer to the opponent basis
+    before: tuple[PlaneLayer, ...]  # refinement layers that are already trained
     basis: NDArray[np.float64]  # (output, plane)
-    outputs: MosaicLayer | None  # the first layer, where the layer to be learned corrects its outputs
-    white_point: NDArray[np.float64]  # (output) a perfect white under the training light, Y = 1
-    grey: NDArray[np.float64]  # (channel) its signals, shares of full scale
+    outputs: MosaicLayer | None  # the first layer, if the new layer corrects its outputs
+    white_point: NDArray[np.float64]  # (output) perfect white under the training illuminant, Y = 1
+    grey: NDArray[np.float64]  # (channel) signals of that white, fractions of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
-    mosaics: tuple[int, ...]  # (frame)
+    mosaics: tuple[int, ...]  # (frame) number of mosaics
     pictures: bool  # whether the outputs are X, Y, Z
     exposure: float  # s
     seed: int
@@ -212,25 +247,25 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Return the pixels about each that the layer to be learned reads."""
+        """Number of pixels on each side of a pixel that the layer reads."""
         return margin_of(self.recipe.side)
 
     @property
     def blocks(self) -> list[range]:
-        """Return the frames whose rows are sorted together."""
+        """Ranges of frames whose rows are summed together."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_ROWS)
 
     @property
     def number(self) -> int:
-        """Return the number of the layer to be learned, the first being 1."""
+        """Number of the layer to be trained. The first layer of the table is number 1."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return the generator of a frame of the training run, for one purpose."""
+        """Return the random generator for a frame and a purpose."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
-        """Return a function that gives the planes of mosaics as the layers before make them."""
+        """Return a function that renders mosaics with all previous layers."""
         first = FirstLayer(self.camera, self.rule, self.fixed, self.outputs)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
@@ -240,7 +275,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return the reading of windows of `side` at every site."""
+        """Return how windows with `side` pixels are read at every site."""
         maps, turns = self._turns()
         order = np.array([orientations(side)[turn] for turn in turns])
         ratios = self.recipe.ratio_taps
@@ -248,16 +283,16 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Return the number of outputs, or of planes, that the layer is learned to make."""
+        """Number of planes, or of corrected outputs, that the layer makes."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return grid steps of the moments (level, pair)."""
+        """Return the grid steps of the moments (level, pair)."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property
     def turns(self) -> list[int]:
-        """Return the number (site) of the orientation in which a site is learned."""
+        """Number of the orientation in which each site is trained."""
         return self._turns()[1]
 
     def _turns(self):  # type: ignore[no-untyped-def]
@@ -268,7 +303,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return the sums of every canonical site over no frames."""
+    """Return empty sums for every canonical site."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -276,7 +311,21 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Return the sums of every canonical site over blocks (index of the first frame, frames)."""
+    """Sum up the rows of training frames.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    rule : PlaneRule
+        Class rule of the layer to be trained.
+    blocks : iterable of (int, iterable of TrainingPair)
+        Index of the first frame, and the frames, of each block.
+
+    Returns
+    -------
+    dict of int to LayerSums
+        Sums of each canonical site.
+    """
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
     gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule), noise)
@@ -294,19 +343,37 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield the mosaics of frames, of which `first` is the index of the first."""
+    """Yield the mosaics of frames, starting with the frame of index `first`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
-    """Add `more` to `sums` in place; exact, in whatever order."""
+    """Add `more` to `sums` in place. The result is exact in any order."""
     for site, part in more.items():
         add(sums[site], part)
 
 
 def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """Return the layer from the sums of all canonical sites; L3Error if they have become too large to be exact."""
+    """Solve a refinement layer from the sums of all canonical sites.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    rule : PlaneRule
+        Class rule of the layer.
+    sums : dict of int to LayerSums
+        Sums of each canonical site over all frames.
+
+    Returns
+    -------
+    PlaneLayer
+
+    Raises
+    ------
+    L3Error
+        If no class can be solved, or if sums are so large that additions may have been rounded.
+    """
     for one in sums.values():
         require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
@@ -344,8 +411,11 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 
 
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
-    """Return the sums of a canonical site averaged over the orientations that leave its window of the mosaic as it is, each
-    with the classes that it turns into one another; those of a tree's leaves, which no orientation does, as they are."""
+    """Return the sums of a canonical site, averaged over the orientations that leave its CFA window unchanged.
+
+    An orientation also permutes the structure classes. The leaves of a tree have no such permutation, so their sums are
+    returned unchanged.
+    """
     if not (layer.learning.symmetry and isinstance(rule, StructureRule)):
         return sums
     window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]

@@ -1,4 +1,4 @@
-"""Rows of a plane layer's equations from training mosaics, and their sums (docs/method.md#layers)."""
+"""Rows of the equations of a refinement layer, and their sums (docs/method.md#layers)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,19 +31,19 @@ from l3cli.training.sums import (
     width_of,
 )
 
-MEAN_FLOOR = 1e-5  # squared error, in output units, below which mosaics count alike
-MEAN_ERROR = 2.0**-10  # squared error of weight one: weights stay below ten, and sums of seven million rows exact
+MEAN_FLOOR = 1e-5  # squared error in output units, added so that mosaics with tiny errors get similar weights
+MEAN_ERROR = 2.0**-10  # squared error that gives weight 1; weights stay below 10 and sums of 7 million rows exact
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Reading of windows of planes: in the orientation in which a site is learned."""
+    """How windows are read: each site in the orientation of its canonical site."""
 
-    canonical: Integers  # (site) that a site is learned as
+    canonical: Integers  # (site) canonical site of each site
     order: Integers  # (site, tap) place of each tap in the window
-    ratio_taps: int = 0  # behind those of the windows, the same in every orientation
+    ratio_taps: int = 0  # number of taps after the windows, the same in every orientation
     outputs: int = PLANES
-    corrects: bool = False  # whether these are what outputs lack, to which noise adds
+    corrects: bool = False  # whether the outputs are corrections, which noise changes
 
     @property
     def side(self) -> int:
@@ -51,44 +51,52 @@ class Reading:
 
     @property
     def noisy(self) -> int:
-        """Return the number of columns that noise adds to: taps, and outputs that are corrected."""
+        """Number of columns that noise changes: the taps and any corrected outputs."""
         return self.taps + (self.outputs if self.corrects else 0)
 
     @property
     def taps(self) -> int:
-        """Return the number of taps of a window of all planes, and behind it."""
+        """Number of taps: the windows of all planes and the ratio taps."""
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Return steps (site, tap) from a pixel of planes of so many columns to the taps of its window; behind them none, up
-        to the number of columns behind a window."""
+        """Return the steps (site, tap) from a pixel to the taps of its window, in planes with `cols` columns.
+
+        They are padded with zeros to the number of columns that follow the window.
+        """
         reach = np.arange(self.side) - self.side // 2
         steps = (reach[:, None] * cols + reach).ravel()[self.order]
         return np.pad(steps, ((0, 0), (0, max(self.ratio_taps + 1 + self.outputs - steps.shape[1], 0))))
 
     @property
     def columns(self) -> Integers:
-        """Return the places of each plane's taps, and behind them of ratio taps, 1 and outputs, in rows of four numbers a
-        tap."""
+        """Places of the columns in a row that stores four numbers per tap.
+
+        First come the taps of each plane. The ratio taps, the constant 1 and the outputs follow, stored in every fourth
+        number.
+        """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return sums of no rows."""
+    """Return the sums of a site before any row is added."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return grid steps of the moments (level, pair); the darkest of the first layer's levels tells for those made one."""
+    """Return the grid steps of the moments (level, pair).
+
+    If the rule joins several levels of the first layer, the darkest of them determines the step.
+    """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """Raise L3Error if sums have grown so large that additions may have been rounded, as that of the first layer."""
+    """Raise an L3Error if sums are so large that additions may have been rounded."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
@@ -99,9 +107,26 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
 def row_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Return weight (row, col) of every pixel: relative to its level, less for large errors of the first layer, whose noise
-    is averaged over 5 × 5 (docs/method.md#row-weights, docs/method.md#second-pass); of what is no picture, for those of the
-    whole mosaic."""
+    """Return the weight of the row of every pixel (docs/method.md#row-weights, docs/method.md#second-pass).
+
+    Weights are relative to the level and lower where the previous layers make large errors. The error due to noise is
+    averaged over 5 × 5 pixels. If the outputs are not a picture, the error is the mean of the whole mosaic.
+
+    Parameters
+    ----------
+    seen : Seen
+        Mosaics as the previous layers render them.
+    basis : ndarray, (output, plane)
+    white : ndarray, (output)
+        Perfect white under the training illuminant, Y = 1.
+    recipe : LearningRecipe
+    pictures : bool
+        Whether the outputs are X, Y, Z.
+
+    Returns
+    -------
+    ndarray, (row, col)
+    """
     luminance = seen.target @ basis[:, LUMINANCE].astype(np.float32)
     relative = np.maximum(luminance, 0) / seen.brightness + np.float32(TARGET_FLOOR)
     weight = relative ** np.float32(-recipe.brightness_power) / seen.brightness ** np.float32(recipe.level_power)
@@ -121,8 +146,10 @@ def row_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return mean squared error (mosaic) of what the layers before make of each, relative to MEAN_ERROR and above a floor:
-    errors of what is no picture are judged mosaic by mosaic, as PSNR does."""
+    """Return the mean squared error of each mosaic (mosaic), relative to `MEAN_ERROR` and above a floor.
+
+    Outputs that are not a picture are evaluated per mosaic, as PSNR is.
+    """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
     else:
@@ -131,36 +158,50 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _Rows(NamedTuple):
-    """Rows of one sheet or several, and the planes that they are read from."""
+    """Rows of one or more sheets of mosaics, with the planes that they are read from."""
 
-    clean: Floats  # (pixel, plane and nothing) in output units; four numbers of a pixel are read as fast as one
-    noise: Floats  # (pixel, plane and nothing) what noise adds
+    clean: Floats  # (pixel, 4) planes in output units and a zero, because 4 numbers are read as fast as one
+    noise: Floats  # (pixel, 4) change of the planes due to noise, and a zero
     pixel: Integers  # (row)
     site: Integers  # (row)
     label: Integers  # (row) class within its site
     weight: Floats  # (row)
-    behind: Floats  # (row, column) ratio taps without noise, 1, outputs in planes of the basis
-    noise_behind: Floats  # (row, column) what noise adds to ratio taps, and to outputs that are corrected
+    behind: Floats  # (row, column) ratio taps without noise, 1, outputs in the basis of the planes
+    noise_behind: Floats  # (row, column) change of ratio taps and corrected outputs due to noise
 
 
 class GatheredRows:
-    """Rows of several mosaics on their way into the sums: a class's product costs little more for many rows than for few,
-    and one mosaic has few of each class. What is gathered decides how products of float32 are rounded, so that it may depend
-    on nothing but the frames of a block."""
+    """Rows of several mosaics on their way into the sums.
+
+    Multiplying many rows of a class costs little more than multiplying few, and one mosaic has few rows of each class. The
+    grouping of rows determines how float32 products are rounded. So it may depend only on the frames of a block.
+    """
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
         steps: NDArray[np.float64], noise: bool = True,
     ) -> None:  # fmt: skip
-        """Begin with no rows. `sums` of canonical sites, outputs in planes of the `basis`; `steps` (level, pair) of the
-        grid; `noise`: whether what noise adds is summed up, too."""
+        """Start with no rows.
+
+        Parameters
+        ----------
+        sums : mapping of int to LayerSums
+            Sums of the canonical sites, changed in place.
+        rule : PlaneRule
+        reading : Reading
+        basis : ndarray, (output, plane)
+        steps : ndarray, (level, pair)
+            Grid steps of the moments.
+        noise : bool
+            Whether to sum up the noise, too.
+        """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
         self._sheets: list[_Rows] = []
-        self._cols = 0  # of the sheets
+        self._cols = 0  # columns of the sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Gather the rows of `pixels` of mosaics, with classes `label` (row, col) and weights `weight` (row, col)."""
+        """Gather the rows of `pixels`, given the class and the weight of every pixel (row, col)."""
         if seen.label.shape[1] != self._cols:  # frames of another size
             self.add_up()
             self._cols = seen.label.shape[1]
@@ -181,12 +222,12 @@ class GatheredRows:
         self._sheets.append(_Rows(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return ratio taps (pixel, tap) of planes (plane, row, col)."""
+        """Return the ratio taps (pixel, tap) of planes (plane, row, col)."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
-        """Add what has been gathered to the sums."""
+        """Add the gathered rows to the sums, and start again with no rows."""
         if not self._sheets:
             return
         starts = np.cumsum([0, *(len(sheet.clean) for sheet in self._sheets)])
@@ -199,7 +240,7 @@ class GatheredRows:
             self._add_site(sums, rows, chosen[np.argsort(rows.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, rows: _Rows, order: Integers) -> None:
-        """Add the rows in `order` (row), of non-decreasing class."""
+        """Add the rows with the indices `order`, sorted by class, to the sums of a site."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         rows = rows._replace(**{name: getattr(rows, name).take(order, axis=0) for name in _Rows._fields[2:]})
         levels = self.rule.split(rows.label).level
@@ -217,15 +258,14 @@ class GatheredRows:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Return planes (plane, row, col) in output units as (pixel, plane and nothing)."""
+    """Return planes (plane, row, col) in output units as (pixel, 4). The fourth number is zero."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted rows (row, 4 · tap) of windows (row · tap, 4), of which each fourth number is nothing, with `behind`
-    (row, column) in the place of these nothings."""
+    """Return weighted rows (row, 4 · tap) of windows (row · tap, 4), with `behind` (row, column) in every fourth number."""
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
     values *= weight[:, None]
