@@ -141,8 +141,8 @@ def _second_layer(
     classes = sites * rule.classes_per_site
     weights = 0.02 * rng.standard_normal((classes, white.size, 3, SIDE**2)) / SIDE
     weights[:, :, 1] += white[:, None] / SIDE**2  # of luminance, the second plane
-    weights = weights.reshape(classes, white.size, -1).astype(np.float32)
-    return PlaneLayer(SIDE, weights, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
+    single = weights.reshape(classes, white.size, -1).astype(np.float32)
+    return PlaneLayer(SIDE, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
