@@ -40,12 +40,32 @@ def grey_patches(
     filters: tuple[int, ...] = (),
     sensitivity: Array | None = None,
 ) -> dict[int, Array]:
-    """Return moments (column, column) of flat greys for the classes near saturation in which greys come to lie: their mean
-    times the number of greys a patch of the class (ODDS). Where every channel clips they are fully clipped.
+    """Return moments of uniform greys for the classes of uniform areas near saturation.
 
-    `window` (tap) names the channel of each tap, `white` (output) is that of the training light at Y = 1 and `signal`
-    (channel) what the camera sees of it, `black_level` and `white_level` are the camera's, in DN. A filter of which one
-    channel clips and another does not has not: `filters` and `sensitivity` (channel) are those of Goal.
+    The moments are the mean over the greys that fall into a class, times the number of greys per patch (`ODDS`). If every
+    channel clips, only completely clipped greys are used.
+
+    Parameters
+    ----------
+    sums : ClassSums
+    rule : ClassRule
+    window : ndarray, (tap)
+        Channel of each tap.
+    white : ndarray, (output)
+        White under the training light, Y = 1.
+    black_level, white_level : float
+        Levels of the camera, in DN.
+    signal : ndarray or None, (channel)
+        Signals of that white, fractions of full scale; None if not known.
+    filters : tuple of int, (channel)
+        First channel with the same filter, as in `Goal`. A filter counts as clipped only if all of its channels clip.
+    sensitivity : ndarray or None, (channel)
+        Relative sensitivity of the channels, as in `Goal`; None if all are alike.
+
+    Returns
+    -------
+    dict of int to ndarray, (column, column)
+        Moments per class, over taps, intercept and outputs. It is empty if `signal` is None.
     """
     if signal is None:
         return {}

@@ -1,4 +1,7 @@
-"""From sums to transforms: a Wiener solution a class, thin ones helped, empty ones filled (docs/method.md#solution)."""
+"""Solve the transforms of the first layer from its sums (docs/method.md#solution).
+
+Each class has a Wiener solution. Classes with few patches get help from others. Classes without patches are filled.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -19,16 +22,31 @@ from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # of the pseudo-patches that come from all levels of a case
-THIN_PARENT = 100.0  # patches of a level of a case at which half of the other pseudo-patches do, too
+CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches from all levels of a saturation case
+THIN_PARENT = 100.0  # number of patches of a level and case at which half of the other pseudo-patches come from all levels
 
 
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return moments (class, pair) and noise (class, tap) of `classes`, all of them saturated or none, with help
-    (docs/method.md#thin-classes): unsaturated, sums of the levels beside each, which add since sums are relative to the
-    level; and pseudo-patches of its parent."""
+    """Return the sums of classes, with help from their neighbours and parents (docs/method.md#thin-classes).
+
+    Unsaturated classes get a fraction of the sums of the neighbouring levels. These can be added because sums are relative
+    to the level. All classes get pseudo-patches of their parent.
+
+    Parameters
+    ----------
+    sums, parents : ClassSums
+    classes : ndarray, (class)
+        Numbers of the classes. All of them must be saturated, or none.
+    rule : ClassRule
+    recipe : LearningRecipe
+
+    Returns
+    -------
+    moments : ndarray, (class, pair)
+    noise : ndarray, (class, tap)
+    """
     _, level, contrast, further, kind = rule.split(classes)
     moments, noise, count = sums.moments[classes], sums.noise[classes], sums.count[classes]
     own = np.maximum(count, 1e-9)
@@ -46,9 +64,12 @@ def shrunk(
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Return mean sums of a patch of each parent: the classes of its level, contrast and saturation case, whatever their
-    chroma and further features, or where none of them has patches those of any contrast; and a share of its case's, the
-    larger the fewer patches there are (docs/method.md#thin-classes). A parent's count is that of its level and case."""
+    """Return the mean sums per patch of each parent (docs/method.md#thin-classes).
+
+    A parent comprises the classes with the same level, contrast and saturation case, whatever their chroma and further
+    features. If none of them has patches, it comprises all contrasts. The mean of the whole saturation case is mixed in,
+    with a larger weight if there are few patches. The count of a parent is the number of patches of its level and case.
+    """
     first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
 
     def by_case(values: Array) -> Array:
@@ -70,19 +91,19 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the parent of classes `index`, which tells saturation cases but neither chromas nor further features apart."""
+    """Return the parents of the classes `index`. A parent joins all chromas and further features of a saturation case."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-PLAIN = 0.2  # plain patches, a patch of a textured class, on which a difference between sites counts as an error
-NOISE_FADES = 1000.0  # by which what plain areas are taught fades with noise over signal, in power: it hides surfaces
-WHITE_FADES = 2000.0  # with the square of that, for what may be a grey, as the chromas nearest to white
+PLAIN = 0.2  # uniform patches per textured patch on which a difference between sites counts as an error
+NOISE_FADES = 1000.0  # rate at which uniform surfaces lose weight with the ratio of noise to signal power
+WHITE_FADES = 2000.0  # rate with the square of that ratio, for chromas near white, which may be greys
 AT_ONCE = 64  # classes that are solved together
 
 
 class OutputKind(NamedTuple):
-    """Differences of an output's equations from those of the others."""
+    """How the equations of an output differ from those of other outputs."""
 
     noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
     taught: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas), and plain areas single bands:
@@ -91,10 +112,10 @@ class OutputKind(NamedTuple):
 
 @dataclass(frozen=True)
 class Solution:
-    """Wiener solutions of the classes of one canonical site, in the opponent basis, and what it costs to bend them.
+    """Wiener solutions of the classes of one canonical site, in the opponent basis, with their compliance.
 
-    Rows run over the taps and the intercept. `response` says what a flat patch of one channel (last: the intercept) adds to
-    each output; `compliance` is how rows give way when that is changed by one (docs/method.md#equal-response).
+    Rows run over the taps and the intercept. `response` is what a uniform patch of one channel (last: the intercept) adds to
+    each output. `compliance` is the change of the rows when that response changes by one (docs/method.md#equal-response).
     """
 
     rows: Array  # (class, tap + 1, output)
@@ -116,7 +137,7 @@ class Transforms:
 
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
-    samples: Array  # (class) patches of its own; 0: filled
+    samples: Array  # (class) number of its own patches; 0: filled from another class
     condition: Array  # (class)
 
 
@@ -124,9 +145,30 @@ class Transforms:
 def solve(
     sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], turns: list[Turn], recipe: LearningRecipe, goal: Goal
 ) -> Solution:
-    """Return solutions for every class of a site that has patches or a parent with patches: T = Y Xᵀ (X Xᵀ + Λ)⁻¹, thin
-    classes helped by their neighbours; `window` (tap) names the channel of each tap, and `turns` are the orientations that
-    leave it as it is, over which sums are averaged. Raises L3Error if no class has any patches."""
+    """Solve the classes of a canonical site that have patches, or whose parent has patches.
+
+    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Classes with few patches get help from their neighbours and parents.
+
+    Parameters
+    ----------
+    sums : ClassSums
+    rule : ClassRule
+    window : ndarray, (tap)
+        Channel of each tap.
+    turns : list of Turn
+        Orientations that leave the window unchanged. Sums are averaged over them.
+    recipe : LearningRecipe
+    goal : Goal
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    L3Error
+        If no class has training patches.
+    """
     parents = parents_of(sums, rule)
     parent = parent_of(np.arange(sums.count.size), rule)
     samples = np.mean([sums.count[turn.classes] for turn in turns], axis=0)
@@ -186,7 +228,7 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return moments (class, column, column) and noise (class, tap) of a batch with help, averaged over `turns`."""
+    """Return the moments (class, column, column) and noise (class, tap) of a batch, with help, averaged over `turns`."""
     width = width_of(sums.moments)
     moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
     for turn in turns:
@@ -197,8 +239,11 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Return moments of plain surfaces of the unsaturated classes of the lowest contrast and no direction, and of stripes of
-    those of any direction, if the patches bear out what the camera sees of white, and so of all else."""
+    """Return the moments of uniform surfaces and of stripes, for the unsaturated classes of the lowest contrast.
+
+    Uniform surfaces are for classes without a direction, stripes for classes with any direction. The result is empty unless
+    the training patches confirm the computed white of the camera.
+    """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
@@ -211,7 +256,10 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """Return the rate (class) at which plain surfaces fade near white, to which noise brings greys that must stay grey."""
+    """Return the rate (class) at which uniform surfaces lose weight near white.
+
+    Noise brings greys into these classes, and greys must stay grey.
+    """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
         return np.zeros(kind.size)
@@ -221,10 +269,31 @@ def _near_white(rule: ClassRule, goal: Goal) -> Array:
 def equal_responses(
     solutions: list[Solution], copies: list[int], rule: ClassRule, recipe: LearningRecipe, goal: Goal
 ) -> list[Transforms]:
-    """Return transforms of the canonical sites, each of which stands for `copies` sites, constrained so that sites answer a
-    flat patch alike, textures as far as that pays, and white with white (docs/method.md#equal-response). Classes that some
-    site has no solution for are filled from the nearest, at all sites from the same one. L3Error if there is no class that
-    all sites have a solution for."""
+    """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
+
+    All sites then render a uniform patch alike, and textures as far as that pays. White becomes exactly white. A class
+    without a solution at some site uses the nearest solved class, the same one at all sites.
+
+    Parameters
+    ----------
+    solutions : list of Solution
+        One per canonical site.
+    copies : list of int
+        Number of CFA sites that each canonical site represents.
+    rule : ClassRule
+    recipe : LearningRecipe
+    goal : Goal
+
+    Returns
+    -------
+    list of Transforms
+        One per canonical site.
+
+    Raises
+    ------
+    L3Error
+        If no class has a solution at every site.
+    """
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
@@ -250,7 +319,10 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Return rows (class, tap + 1, output) of the sites. Of all common responses that of least squared error is taken."""
+    """Return the rows (class, tap + 1, output) of all sites, constrained to a common response.
+
+    Of all common responses, this takes the one with the least squared error.
+    """
     constrained = [solution.rows.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
@@ -289,7 +361,7 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return signals (channel) of white, if they are known and borne out at every site and the outputs are colours."""
+    """Return the signals of white (channel) if the outputs are colours and the patches of every site confirm the signals."""
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (
         known is None
@@ -301,8 +373,10 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
 
 
 def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
-    """Return the tolerance (channel, channel) for unlike answers of sites: the smaller, the more plain patches of the
-    scenes would show it."""
+    """Return the tolerance (channel, channel) for different responses of sites.
+
+    It is smaller in directions in which the uniform patches of the scenes would show the difference more.
+    """
     colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
     if white is not None:
@@ -314,7 +388,9 @@ def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
     """Return the equations of each row of the opponent basis."""
-    unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)  # what is no picture has no eyes to please
+    unseen = OutputKind(
+        min(recipe.luminance_noise, 1.0), True
+    )  # nobody looks at these outputs, so more noise reduction has no use
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)
     chroma = OutputKind(recipe.chroma_noise, True)
@@ -330,8 +406,11 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
-    """Return for every class the filled class it takes its transform from: itself, else the same kind at the nearest level
-    and contrast, one of the same further features before others, else the nearest of any kind."""
+    """Return the filled class whose transform each class uses.
+
+    A filled class uses its own. Any other class uses the same kind at the nearest level and contrast, preferably with the
+    same further features. If there is none, it uses the nearest class of any kind.
+    """
     _, level, contrast, further, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)

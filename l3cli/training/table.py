@@ -1,4 +1,4 @@
-"""The training room's front: what the command calls, in the order it calls it."""
+"""The interface of the training package: the functions that `l3 train` calls, in the order of the calls."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -42,25 +42,41 @@ from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import site_maps, turned_classes, turns_of
 from l3cli.training.training_pass import TrainingPass, at_noise, brightness_of
 
-PILOT_PATCHES = 4000  # patches a site over all frames that decide which saturation cases are kept
+PILOT_PATCHES = 4000  # patches per site over all frames, from which the saturation cases are chosen
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """Sample of some frames from which the class rule is chosen."""
+    """A sample of training patches from which the class rule is chosen."""
 
-    occurrences: NDArray[np.int64]  # (code) of each saturation code
+    occurrences: NDArray[np.int64]  # (code) number of patches with each saturation code
     shares: NDArray[np.float64]  # (patch, channel)
-    whites: NDArray[np.float64]  # (frame, output) of their lights, each at Y = 1
-    lights: NDArray[np.float64]  # (frame, wavelength) of a white of 1 cd/m², on spectra.light_grid; NaN: not known
-    exposures: NDArray[np.float64]  # (frame) s; real pairs, whose dark current is off already: 0
-    observed: dict[str, NDArray[np.float64]]  # (patch, …) what each further feature asks for
+    whites: NDArray[np.float64]  # (frame, output) white of each light at Y = 1
+    lights: NDArray[np.float64]  # (frame, wavelength) spectrum of a white of 1 cd/m² on spectra.light_grid; NaN: not known
+    exposures: NDArray[np.float64]  # (frame) s; 0 for real pairs, whose dark signal has been subtracted
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements for each further feature
 
 
 def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
-    """Return a pilot sample of `frames`, the first of which has the index `first`, of so many `patches` (frame)."""
+    """Take a pilot sample of training frames.
+
+    Parameters
+    ----------
+    frames : iterable of TrainingPair
+    first : int
+        Index of the first frame.
+    patches : sequence of int, (frame)
+        Number of patches per site for each frame.
+    head : TrainingSet
+    recipe : TrainingRecipe
+    seed : int
+
+    Returns
+    -------
+    Pilot
+    """
     camera = head.camera
     codes = 2 ** len(camera.channels)
     rule = make_rule(recipe.classes, camera, np.zeros(codes, dtype=np.uint16))
@@ -89,7 +105,7 @@ def take_pilot(
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
-    """Return patches (frame) a site of the pilot sample of frames that have `patches` (frame)."""
+    """Return the number of pilot patches per site (frame), in proportion to the training `patches` (frame)."""
     total = sum(patches)
     return [-(-PILOT_PATCHES * share // total) for share in patches]
 
@@ -97,9 +113,28 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
-    """Return the class rule for `head.camera`, its saturation cases and chroma centres from the pilots of all frames in
-    order, the mean white point (output) of their lights, the mean exposure time (s) of those that are simulated and the mean
-    light, if all are known; frames count as they have `patches` (frame)."""
+    """Choose the class rule from the pilot samples of all frames, in order.
+
+    Parameters
+    ----------
+    pilots : iterable of Pilot
+    patches : sequence of int, (frame)
+        Number of training patches of each frame, which is its weight.
+    head : TrainingSet
+    recipe : TrainingRecipe
+    seed : int
+
+    Returns
+    -------
+    rule : ClassRule
+        Class rule for the camera, with its saturation cases and chroma centres.
+    white : ndarray, (output)
+        Mean white of the frames.
+    exposure : float
+        Mean exposure time of the simulated frames, in s.
+    light : LightSpectrum or None
+        Mean light; None unless the lights of all frames are known.
+    """
     every = list(pilots)
     filters = range(len(head.camera.channels)) if head.camera.readout is None else head.camera.readout.same_filter.tolist()
     occurrences = np.sum([pilot.occurrences for pilot in every], axis=0)
@@ -134,13 +169,13 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """Return the sites that are trained; all others are their rotations or mirror images."""
+    """Return the sites that are trained. All other sites are rotated or mirrored copies of them."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.symmetry)})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """Return the sums of all parts; L3Error if a class has more patches than can be added exactly."""
+    """Add up the sums of all parts. An L3Error is raised if a class has too many patches to be added exactly."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs)
     for part in parts:
@@ -150,7 +185,25 @@ def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
 
 
 def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> Solution:
-    """Return solutions of one canonical site from the sums of all parts of a pass, in whatever order; L3Error as add_up."""
+    """Solve the classes of one canonical site.
+
+    Parameters
+    ----------
+    pass_ : TrainingPass
+    parts : iterable of ClassSums
+        Sums of all parts of the pass, in any order.
+    site : int
+        The canonical site.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    L3Error
+        If a class has too many patches to be added exactly, or if no class has patches.
+    """
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
@@ -159,7 +212,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
 
 # Long: a table has many fields, and each is named.
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
-    """Return the table of all sites from the solutions of the canonical ones."""
+    """Assemble the table for all sites from the solutions of the canonical sites."""
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.symmetry)
@@ -206,7 +259,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the smoothing of spectra; None for other outputs."""
+    """Return the smoothing of spectra, or None if the outputs are not a spectrum or the recipe has no smoothing."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
@@ -215,8 +268,11 @@ def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | N
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the mean of the outputs over those of a white, and what else varies most of these, as the second plane and
-    those beside it; None if they are no spectrum. Rounded: no two machines find the same vectors."""
+    """Return the leading components of a spectrum, or None if the outputs are not a spectrum.
+
+    The second component is the mean of the outputs relative to white. The first and the third are the directions in which
+    the targets vary most otherwise. They are rounded, because eigenvectors differ slightly from machine to machine.
+    """
     if not has_components(head):
         return None
     targets = np.average([each.outputs for each in solutions.values()], axis=0, weights=copies) / np.outer(white, white)
@@ -235,7 +291,7 @@ def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
-    """Return DN of dark current in a frame; InputFileError if that fills its pixels."""
+    """Return the dark signal of a frame in DN, or raise an InputFileError if it fills the pixels."""
     dark = camera.dark_signal(frame.dark_time)
     if not dark < camera.white_level - camera.black_level:
         raise InputFileError(
@@ -245,7 +301,7 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return white (output) of a frame's light at Y = 1, or at a mean of 1 where no output is called Y."""
+    """Return the white (output) of a frame at Y = 1, or at a mean of 1 if no output is called Y."""
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
         raise InputFileError(f"white of scene {frame.scene} is not a positive white of the outputs {', '.join(outputs)}")
@@ -256,8 +312,22 @@ def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.flo
 
 
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
-    """Return the pass that learns the next layer on a table."""
-    assert table.camera is not None  # tables have had one since there are layers
+    """Prepare the training of the next refinement layer of a table.
+
+    Parameters
+    ----------
+    table : TransformTable
+        Table with the layers trained so far.
+    recipe : TrainingRecipe
+    mosaics : tuple of int, (frame)
+        Number of mosaics of each frame.
+    seed : int
+
+    Returns
+    -------
+    LayerPass
+    """
+    assert table.camera is not None  # every table with layers has a camera
     own = recipe.layer[len(table.later)]
     powers = {"brightness_power": own.brightness_power, "error_power": own.error_power}
     learning = for_noise(recipe, table.camera).learning
@@ -281,8 +351,10 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
 
 
 def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
-    """Return the layer that follows those of `table`, from the sums of all canonical sites; beside coarse chroma with the
-    noise of what that compares, and with what plain clipped areas become."""
+    """Solve the next refinement layer of `table` from the sums of all canonical sites.
+
+    If the layer uses coarse chroma, it also gets the noise of the coarse planes and the colours of clipped areas.
+    """
     learned = learn_layer(layer, rule, sums)
     if not layer.recipe.coarse_chroma:
         return learned
@@ -291,16 +363,19 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """Return the usual pass, and those beside it for each other noise that the recipe wants."""
+    """Return the usual pass, followed by a pass for each further noise of the recipe."""
     return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
-    """Return the usual table with others as its transforms for these noises."""
+    """Return the table with the transforms of other tables added, each for its noise."""
     conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
     return replace(usual, conditions=tuple(conditions))
 
 
 def by_noise(table: TransformTable) -> list[TransformTable]:
-    """Return the transforms of a table of no single lights at each noise, those for the camera's first, as tables."""
+    """Return the transforms for each noise as separate tables, those for the noise of the camera first.
+
+    The table must not have transforms for single lights.
+    """
     return [replace(table, conditions=()), *map(table.under, table.conditions)]
