@@ -1,5 +1,8 @@
-"""Training mosaics: pieces of frames as the camera sees them at some level, noisy and noise-free, and what the layers before
-make of them for the next one (docs/method.md#layers)."""
+"""Training mosaics for refinement layers (docs/method.md#layers).
+
+A mosaic is a piece of a training frame as the camera records it at some level, with and without noise. The previous layers
+render it, and the result is the input of the next layer.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -23,23 +26,23 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import runs_of
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # pixels, of the part of a frame whose mean is at the level that is drawn
-SHEET = 1 << 17  # pixels that layers see together: the more there are of a class, the less each takes
+LARGEST_SIDE = 156  # pixels, side of the part of a frame whose mean is set to the drawn level
+SHEET = 1 << 17  # pixels that are rendered together, because large classes cost less per pixel
 
 
 @dataclass(frozen=True)
 class Mosaics:
-    """Pieces of frames of one size below one another, each with CFA phase (0, 0)."""
+    """Pieces of frames, all of the same size and stacked vertically, each with CFA phase (0, 0)."""
 
     count: int
     values: NDArray[np.uint16]  # (row, col) DN, noisy
     clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: as `values`
     target: Floats  # (output, row, col) in the table's output unit
-    usable: NDArray[np.bool_] | None = None  # (row, col) pixels that layers may learn from; None: all
+    usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
-        """Return the mosaics of all parts, of one width."""
+        """Stack the mosaics of all parts, which have the same width."""
         values, target = (np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "target"))
         clean = [part.clean for part in parts if part.clean is not None]
         usable = None
@@ -51,18 +54,21 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """Recipe by which frames become mosaics."""
+    """How frames become mosaics."""
 
     camera: CameraModel
     recipe: LearningRecipe
-    dark: float  # DN of dark current in frames that the table is for
-    achromatic: float  # share of the mosaics that show their scene without colour
+    dark: float  # dark signal in DN of frames that the table is for
+    achromatic: float  # fraction of the mosaics that show their scene without colour
     noisy: bool  # whether the camera's noise is added
-    inner: int  # pixels, side of the square that is learned from, in frames that are large enough
-    margin: int  # pixels that are read beyond that square
+    inner: int  # pixels, side of the square of training rows if the frame is large enough
+    margin: int  # pixels that are read around that square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Return rows and columns of the mosaics of a frame: periods of the array, unless the frame has less than one."""
+        """Return the rows and columns of the mosaics of a frame.
+
+        They are whole periods of the CFA unless the frame is smaller than one period.
+        """
         most = min(*frame, LARGEST_SIDE)
         wanted = min(self.inner + 2 * self.margin, most)
         rows, cols = (min(-(-wanted // period), most // period) * period or most for period in self.camera.cfa.shape)
@@ -70,9 +76,25 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
-    """Yield `count` mosaics of a frame, one by one. Simulated ones are turned and mirrored at random and shown at drawn
-    levels, the last of them without colour; real pairs, whose noise cannot be separated from the scene, as they are. None of
-    a frame with nothing to learn from within the margin."""
+    """Yield mosaics of a frame.
+
+    Mosaics of simulated frames are rotated and mirrored at random and shown at random levels. The last of them are without
+    colour. Mosaics of real pairs are unchanged, because their noise cannot be separated from the scene. A frame that is too
+    small for the margin has no mosaics.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+    count : int
+        Number of mosaics.
+    exposed : Exposed
+    rng : numpy.random.Generator
+
+    Yields
+    ------
+    Mosaics
+        One mosaic at a time.
+    """
     camera, shape = exposed.camera, exposed.shape(frame.raw.shape)
     if min(shape) <= 2 * exposed.margin:
         return
@@ -106,14 +128,16 @@ def _shown(
         )
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        as_rounded = not (exposed.noisy or exposed.recipe.rescale)  # at dark levels rounding is noise, too
+        as_rounded = not (exposed.noisy or exposed.recipe.rescale)  # at dark levels, rounding acts as noise
         part_usable = None if usable is None else _turned(usable, piece)[0]
         yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target, part_usable)
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return the pixels (1, row, col) with no ignored one within a margin, which is all that layers read about each; None:
-    all pixels of the frame."""
+    """Return the mask (1, row, col) of pixels without an ignored pixel within `margin`; None if all pixels are usable.
+
+    Layers read nothing beyond the margin.
+    """
     if frame.ignored is None:
         return None
     from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
@@ -122,8 +146,10 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
 
 
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
-    """Yield mosaics that follow one another and are of one size together, up to SHEET pixels; those of other than whole
-    periods one by one."""
+    """Stack successive mosaics of equal size into sheets of up to `SHEET` pixels.
+
+    Mosaics whose height is not a multiple of `period` are yielded one by one.
+    """
     parts: list[Mosaics] = []
     for each in mosaics:
         if parts and (
@@ -155,8 +181,20 @@ Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and ro
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Return a piece of this `shape` of a turned frame, at `place` from 0 to 1 along each axis, and the part about it whose
-    level is drawn."""
+    """Draw a rotated and mirrored piece of a frame, and the larger part around it whose mean is set to the drawn level.
+
+    Parameters
+    ----------
+    frame, shape : tuple of int
+        Rows and columns of the frame and of the piece.
+    place : list of float
+        Position of the piece along each axis, from 0 to 1.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    part, piece : Turn
+    """
     turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
     parts, pieces = [], []
     for length, side, share in zip(frame[::-1] if turns % 2 else frame, shape, place, strict=True):
@@ -174,50 +212,61 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
 
 
-AT_ONCE = 1 << 10  # pixels whose windows stay in the caches
-DARKEST_LEVEL = 1e-4  # share of full scale: rows of darker pixels get no more weight
+AT_ONCE = 1 << 10  # number of pixels whose windows fit the caches
+DARKEST_LEVEL = 1e-4  # fraction of full scale below which rows of darker pixels get no more weight
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics below one another after one or several layers, where these have read all that lies about a pixel."""
+    """Mosaics as one or more layers render them, without the margins where these layers lack neighbours."""
 
     count: int
     target: Floats  # (row, col, output)
     label: Integers  # (row, col) class of the first layer
-    brightness: Floats  # (row, col) mean over the channels of their means, share of full scale, were none clipped
-    noisy: NDArray[np.int32]  # (plane, row, col) what the next layer reads, in steps
-    clean: Floats | None  # (plane, row, col) the same without noise, by the classes of the noisy one; None: there is none
-    # (row, col, output) where layers correct the first one's outputs, what these lack without noise, and what noise adds
+    brightness: Floats  # (row, col) mean of the channel means, fraction of full scale, as if none clipped
+    noisy: NDArray[np.int32]  # (plane, row, col) input of the next layer, in plane steps
+    clean: Floats | None  # (plane, row, col) without noise, with the classes of `noisy`; None: no noise
+    # (row, col, output) if layers correct outputs of the first layer: errors of these without noise, and noise
     missing: Floats | None = None
-    spread: Floats | None = None  # None: there is no noise
-    usable: NDArray[np.bool_] | None = None  # (row, col) pixels that may be learned from; None: all
+    spread: Floats | None = None  # None: no noise
+    usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
 
     @property
     def light(self) -> Floats:
-        """Return the planes without noise."""
+        """The planes without noise."""
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return indices (pixel) of the usable pixels that are at least `margin` away from the edge of their mosaic."""
+        """Return the indices of usable pixels that are at least `margin` pixels from the edge of their mosaic."""
         inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
         return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Return planes (…, row, col) of `count` mosaics without a margin of each."""
+    """Return planes (…, row, col) of `count` stacked mosaics without the margin of each mosaic."""
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
 
 
 def margin_of(side: int) -> int:
-    """Return pixels about each that a layer of windows of `side` reads planes of, for its classes or its windows."""
+    """Return how many pixels a layer with windows of `side` pixels reads on each side, including its class features."""
     return max(REACH, side // 2)
 
 
 class FirstLayer:
-    """A first layer in fixed point; `outputs`: in floating point, where layers correct what it makes."""
+    """The first layer in fixed point.
+
+    If later layers correct its outputs, it also computes these outputs in floating point.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    rule : ClassRule
+    fixed : FixedPoint
+    outputs : MosaicLayer, optional
+        The same layer in floating point, if its outputs are to be corrected.
+    """
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
         self.camera, self.rule, self.fixed = camera, rule, fixed
@@ -229,7 +278,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Return classes and planes of mosaics."""
+        """Render mosaics: classes and planes."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -246,14 +295,14 @@ class FirstLayer:
 
 
 class PlaneStage:
-    """A layer in fixed point that reads planes and after which another does."""
+    """A refinement layer in fixed point that is followed by another layer."""
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Return the mosaics after one layer more."""
+        """Render mosaics with this layer."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -271,7 +320,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Transforms in fixed point, applied to windows by class; beside them some with an intercept in floating point."""
+    """Fixed-point transforms of windows, class by class, with optional floating-point transforms beside them."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
@@ -285,9 +334,28 @@ class _Transforms:
     def __call__(
         self, noisy: NDArray, clean: NDArray | None, side: int, count: int, label: Integers
     ) -> tuple[NDArray[np.int32], Floats | None, Floats]:
-        """Return planes (plane, row, col) of the windows of `side` in sources (source, row, col) of `count` mosaics, of the
-        classes `label` (row, col): of noisy ones, which are whole numbers, that float64 adds exactly; without rounding, of
-        those without noise, if there are any; and what the transforms beside make of each (source, row, col, output)."""
+        """Transform the windows of mosaics.
+
+        Parameters
+        ----------
+        noisy : ndarray, (source, row, col)
+            Integers with noise. Float64 adds them exactly.
+        clean : ndarray or None, (source, row, col)
+            The same without noise. Its planes are not rounded.
+        side : int
+            Side of the windows, in pixels.
+        count : int
+            Number of stacked mosaics.
+        label : ndarray, (row, col)
+            Classes.
+
+        Returns
+        -------
+        planes : ndarray, (plane, row, col)
+        clean_planes : ndarray or None, (plane, row, col)
+        made : ndarray, (1 or 2, row, col, output)
+            Results of the floating-point transforms, with noise and, if `clean` is given, without.
+        """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
         offset = ((np.arange(len(noisy))[:, None, None] * rows + reach[:, None]) * cols + reach).reshape(-1)

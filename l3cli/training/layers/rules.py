@@ -1,8 +1,8 @@
-"""Class rules of a plane layer: by structure (docs/method.md#structure), or by a tree grown for it (docs/method.md#trees).
+"""Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
 
-A tree grows from a sample of the layer's rows, best first: of all splits of all leaves the one is made by which the squared
-error of refitted filters falls most, less what the freedom of their taps alone would bring, if that is more than chance. The
-tree is one for all sites, each of which has filters of its own.
+The tree is grown on a sample of the rows, best split first. The best split is the one that lowers the squared error of
+refitted filters most. What additional filter taps alone would gain is subtracted, and the rest must be more than chance.
+All sites share one tree, but each has its own filters.
 """
 
 import heapq
@@ -26,15 +26,15 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.rows import row_weights
 from l3cli.training.symmetry import orientations
 
-CUTS = 5  # thresholds that are tried for a test: quantiles of its quotient
-QUOTIENTS = 1 << 13  # of a site's rows that tell these quantiles, a little more at most
-TREE_SIDE = 64  # pixels, of the squares that a tree's rows are of: less than is learned from, as there are few of each
-SPLIT_SIDE = 3  # pixels, of the windows that splits are judged by where there is no noise for larger ones to average
-ROWS_PER_TAP = 4  # of a site that a leaf has at least
-FINE = 2.0**16  # steps of a column's largest value: products of a million rows add up to less than 2^53, exactly
-RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of a tap, and of an output, which splits do not change
+CUTS = 5  # number of thresholds to try for each test, at quantiles of its quotient
+QUOTIENTS = 1 << 13  # approximate number of rows per site from which these quantiles are computed
+TREE_SIDE = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few rows
+SPLIT_SIDE = 3  # pixels, side of the windows for evaluating splits if there is no noise to average
+ROWS_PER_TAP = 4  # smallest number of rows per tap that a leaf needs at each site
+FINE = 2.0**16  # steps per largest value of a column; sums over a million rows stay below 2^53, so exact
+RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of the taps and of the outputs, which splits do not change
 OUTPUTS = 3
-SURE = 3.0  # standard deviations of what a split gains by chance that it has to gain: the best of many is seldom farther off
+SURE = 3.0  # standard deviations of the chance gain that a split must exceed, because the best of many is chosen
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -42,7 +42,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class TreeSample:
-    """Rows of one canonical site, as it sees them."""
+    """Training rows of one canonical site, in its orientation."""
 
     # (row, tap, then output) windows of noisy mosaics' planes, and targets in units of what errors look like, both weighted
     columns: Floats | Array
@@ -55,8 +55,10 @@ class TreeSample:
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSample":
-        """Return columns rounded to multiples of a power of two each, so that sums of their products are exact in whatever
-        order they are added."""
+        """Return the sample with each column rounded to multiples of a power of two.
+
+        Sums of products of columns are then exact, whatever the order of addition.
+        """
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / FINE, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
@@ -66,20 +68,20 @@ class TreeSample:
         return self.numerators[test].take(rows), self.denominators[EVERY[test].denominator].take(rows)
 
     def passed(self, test: int, cuts: Floats, rows: Indices) -> NDArray[np.int8]:
-        """Return how many of the cuts, thresholds of a test, the rows (row) are above."""
+        """Return for each row how many of the thresholds `cuts` of a test it exceeds."""
         numerator, denominator = self.compared(test, rows)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return numerators (test, pixel) and denominators of `pixels` as a site sees them that is learned in an orientation."""
+    """Return numerators (test, pixel) and denominators of `pixels`, turned to the orientation in which a site is trained."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
 
 
 class Tree(NamedTuple):
-    """Nodes as TreeRule has them."""
+    """Nodes of a tree, as in `TreeRule`."""
 
     test: NDArray[np.uint8]
     threshold: NDArray[np.float32]
@@ -96,8 +98,21 @@ Mapped = Callable[[Callable[[int], tuple[Floats, Array]], Iterable[int]], Iterab
 
 
 def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tree:
-    """Return a tree of at most so many leaves from the samples of all canonical sites; of one leaf if there are none.
-    `mapped` may work in several threads."""
+    """Grow a decision tree on samples of all canonical sites.
+
+    Parameters
+    ----------
+    samples : sequence of TreeSample
+        One per canonical site. Without samples the tree has one leaf.
+    leaves : int
+        Largest number of leaves.
+    mapped : callable
+        A replacement for `map`, which may use several threads.
+
+    Returns
+    -------
+    Tree
+    """
     samples = [one.on_grid() for one in samples]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
@@ -126,7 +141,10 @@ def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tr
 
 
 def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapped) -> _Split | None:
-    """Return the split of a leaf's rows of every site that gains most; None if none gains and leaves enough."""
+    """Return the split of a leaf that lowers the error most.
+
+    The result is None if no split gains more than chance or if too few rows would be left on a side.
+    """
     taps = samples[0].columns.shape[1] - OUTPUTS
     if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
         return None
@@ -156,7 +174,7 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapp
 
 
 def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return by how much (cut) the error of one site falls; −∞ where too few rows are left on a side."""
+    """Return by how much each threshold (cut) lowers the error of a site, −∞ if too few rows are left on a side."""
     taps = sample.columns.shape[1] - OUTPUTS
     passed = sample.passed(test, cuts, rows)  # of increasing cuts
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
@@ -172,8 +190,10 @@ def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: Ar
 
 
 def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: Array) -> Array:
-    """Return the sums (end, column, column) of the rows before each of `ends`; those of the largest part are what the others
-    leave of `whole`."""
+    """Return the sums (end, column, column) of the rows before each of `ends`.
+
+    The largest part is not summed up: its sums are `whole` less those of the other parts.
+    """
     parts = list(itertools.pairwise([0, *ends, rows.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
     sums = np.zeros((len(parts), *whole.shape))
@@ -187,14 +207,13 @@ def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: Array
 
 
 def _sums(sample: TreeSample, rows: Indices) -> Array:
-    """Return the sums of products of columns (column, column) over rows, exact."""
+    """Return the exact sums of products of columns (column, column) over rows."""
     columns = sample.columns.take(rows, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return squared error (…) that the best filters of sums (…, column, column) leave: in Cholesky's factor, what is
-    left of the outputs."""
+    """Return the squared error that the best filters leave, from a Cholesky factor of sums (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
     diagonal = np.einsum("...ii->...i", systems)  # a view
@@ -204,15 +223,29 @@ def _error(sums: Array) -> Array:
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS, PILOT_SIDE = 48, 72  # over all frames, and pixels of a side: how noisy the first layer's luminance is
-BRIGHTEST = 0.8  # share of full scale up to which they tell
-FEWEST = 1000  # pixels of a level that tell
-LAB_SLOPES = (500.0, 116.0, 200.0)  # of a*, L* and b* with the planes of a white of 1
+PILOT_MOSAICS, PILOT_SIDE = 48, 72  # number over all frames, and side in pixels, of the mosaics for luminance_noise
+BRIGHTEST = 0.8  # fraction of full scale up to which pixels are measured
+FEWEST = 1000  # smallest number of pixels for a level to be used
+LAB_SLOPES = (500.0, 116.0, 200.0)  # derivatives of a*, L* and b* by the planes of a white of 1
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Return, for every frame whose index, `first` being that of the first, is a multiple of `every`, sums of squared
-    differences that noise makes between pixels two apart of the luminance, and their number (2, level)."""
+    """Measure the noise of the luminance that the previous layers make.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    frames : iterable of TrainingPair
+    first : int
+        Index of the first frame.
+    every : int
+        Only frames whose index is a multiple of this number are measured.
+
+    Returns
+    -------
+    list of ndarray, (2, level)
+        For each measured frame, the sum of squared noise differences between pixels two apart, and the number of pixels.
+    """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
@@ -234,7 +267,18 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return the scale at which noise has a standard deviation of SIGMA, from `luminance_noise` of all frames in order."""
+    """Return the scale that gives gradients of noise a standard deviation of `structure.SIGMA`.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    noise : iterable of ndarray, (2, level)
+        From `luminance_noise` for all frames, in order.
+
+    Returns
+    -------
+    GradientScale
+    """
     squares, count = np.sum([np.zeros((2, layer.rule.levels)), *noise], axis=0)
     known = np.flatnonzero((count >= min(FEWEST, count.max())) & (squares > 0))
     deviation = np.ones(layer.rule.levels)
@@ -245,7 +289,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Return classes by level and structure."""
+    """Return the class rule by level and structure."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -259,8 +303,21 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSample]]:
-    """Return, for every frame, the first of which has the index `first`, rows of each canonical site that a tree is grown
-    on."""
+    """Sample the rows on which a tree is grown.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    scale : GradientScale
+    frames : iterable of TrainingPair
+    first : int
+        Index of the first frame.
+
+    Returns
+    -------
+    list of dict of int to TreeSample
+        For each frame, the sample of each canonical site.
+    """
     side = min(layer.recipe.side, SPLIT_SIDE) if layer.learning.noise == "none" else layer.recipe.side
     see, reading, sampled = layer.seer(), layer.reading(side), []
     judged, turns = _judged(layer), layer.turns
@@ -298,7 +355,7 @@ def sample_tree(
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]], mapped: Mapped = map
 ) -> TreeRule:
-    """Return classes by the leaves of a tree grown on the samples of all frames in order, by `mapped` as in `grow`."""
+    """Grow a tree on the samples of all frames, in order, and return its class rule. `mapped` is as in `grow`."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
         [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites],
@@ -309,8 +366,10 @@ def tree_rule(
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """Return the matrix (judged, output) that brings errors of the outputs into the space in which they are judged: of X,
-    Y, Z steps of L*a*b* near white."""
+    """Return the matrix (output, 3) that converts errors of the outputs to the units in which they are evaluated.
+
+    For X, Y, Z these are L*a*b* differences near white.
+    """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)
     white = layer.white_point / layer.white_point[LUMINANCE]
