@@ -20,14 +20,14 @@ from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share
 
 MOST_PATCHES = 1_000_000_000
-MOST_REFINEMENT = 3  # layers after the first
-MOST_STRENGTH = 1e5  # an edge of the structure tensor's trace: what gradients reach lies far below
-MOST_OF_HIGHLIGHTS = 0.5  # where highlights begin: darker than that are the darkest levels of a camera that sees noise alone
-LEAST_SENSITIVE = 1 / 16  # of channels, relative: beyond, planes do not hold both dark and light (docs/method.md#exposures)
-LEAST_BETWEEN = 1 / 4  # the same where a layer between reads planes, in 16 bits (docs/method.md#planes)
-LEAST_STEP = 0.001  # between such edges, which are stored as integers
+MOST_REFINEMENT = 3  # largest number of layers after the first
+MOST_STRENGTH = 1e5  # largest edge of the trace of the structure tensor, far above what gradients reach
+MOST_OF_HIGHLIGHTS = 0.5  # largest `darkest` level as a fraction of `highlight_from`, for very noisy cameras
+LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel that planes can represent (docs/method.md#exposures)
+LEAST_BETWEEN = 1 / 4  # the same if an intermediate layer reads 16-bit planes (docs/method.md#planes)
+LEAST_STEP = 0.001  # smallest difference between such edges, which are stored as integers
 ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
-MOST_DRAWS = 1000  # levels of one patch: more tell nothing new
+MOST_DRAWS = 1000  # largest number of levels per patch; more would add no information
 
 
 class LearningRecipe(Recipe):
@@ -135,10 +135,26 @@ class TrainingRecipe(Recipe):
 
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Return the recipe with what it leaves to the camera: the darkest level, where it names none, is that of a signal as
-    large as its noise, but not below the levels of the classes (docs/method.md#level-rescaling); the brightest is so far
-    above where the least sensitive channel clips as it is elsewhere above where all do (docs/method.md#exposures).
-    RecipeError if planes between layers cannot hold what channels differ by."""
+    """Fill in the values that a recipe leaves to the camera.
+
+    If the recipe has no darkest level, it is the level at which the signal equals the noise, but not below the levels of the
+    classes (docs/method.md#level-rescaling). If the channels differ in exposure, the brightest level is raised so that the
+    least sensitive channel clips, too (docs/method.md#exposures).
+
+    Parameters
+    ----------
+    recipe : TrainingRecipe
+    camera : CameraModel
+
+    Returns
+    -------
+    TrainingRecipe
+
+    Raises
+    ------
+    RecipeError
+        If the sensitivities of the channels differ more than the planes between layers can represent.
+    """
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
     for further, least, layers in (
@@ -164,13 +180,16 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Return the recipe `for_camera` at its analog gain; a filter in time does not change it."""
+    """Return `for_camera` of the recipe for the camera without temporal filtering, which does not change the recipe."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
-    """Return the recipe of a draft: three tenths of the patches at a third of the levels, one
-    layer that suppresses noise as the last, no conditions."""
+    """Return the recipe of a draft.
+
+    A draft uses three tenths of the patches and a third of the levels. It has no further lights or noises and a single
+    layer, which suppresses noise as much as the last layer of the recipe.
+    """
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
     learning = msgspec.structs.replace(
@@ -182,7 +201,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise RecipeError, for a shard of a run, if transforms for each light are wanted, too."""
+    """Raise a RecipeError if a sharded run is to learn transforms for single lights."""
     if learning.lights:
         raise RecipeError(
             "learning.lights: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
@@ -191,7 +210,7 @@ def require_one_go(learning: LearningRecipe) -> None:
 
 
 def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
-    """Yield all that cannot be of [learning]."""
+    """Yield the faults of the [learning] section."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
         yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
@@ -208,7 +227,7 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
 
 
 def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
-    """Yield all that cannot be of [[layer]]."""
+    """Yield the faults of the [[layer]] sections."""
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):
@@ -227,7 +246,7 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
 
 
 def class_recipe_faults(recipe: TrainingRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all that is wrong with a recipe, for its camera if one is given."""
+    """Yield all faults of a class recipe, including those for its camera if one is given."""
     yield from learning_faults(recipe.learning)
     yield from layer_faults(recipe.layer)
     classes = recipe.classes

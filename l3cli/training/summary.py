@@ -1,4 +1,4 @@
-"""Summaries of a table, class by class, and of a class recipe: figures, and lines of text."""
+"""Summaries of tables and class recipes, as figures and as lines of text."""
 
 from typing import Any
 
@@ -19,21 +19,32 @@ from l3cli.physics.correlated_lights import temperature
 from l3cli.system.text import counted, size_text
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe
 
-WORST = 8  # classes named
+WORST = 8  # number of noisiest classes to list
 
 
 def insight(table: TransformTable) -> dict[str, Any]:
-    """Return the figures of a table, all in plain Python types.
+    """Return the figures of a table in plain Python types.
 
-    classes: all, trained, thin (fewer patches of their own than taps), filled (none). kinds: name and patches of each
-    chroma and saturation case. further: of each value of each further feature, by its name; not there if the rule has none.
-    noise_gain: √Σw² of each output, median and worst over trained classes. dc_gain: median over
-    trained unsaturated classes of what a flat unit signal of one channel adds to each output. condition: median and worst
-    over trained classes. worst: the trained classes of the largest noise gain (of Y if there is one), with their names.
-    All are of the first layer and of all lights together; later: of every layer after it `refinement_layer`. lights: names
-    of those that have transforms besides, and their colour temperatures in K; not there if none has. noises: analog gain and
-    share of the noise over time of each that has; not there if none has. spectra: the window
-    (pixel) that they are smoothed over, and the reach in brightness; not there if they are not.
+    Parameters
+    ----------
+    table : TransformTable
+
+    Returns
+    -------
+    dict
+        Figures of the first layer and of all lights together, except `later`, `lights` and `noises`:
+
+        * ``classes``: numbers of all, trained, thin (fewer patches than taps) and filled (no patches) classes
+        * ``kinds``: name and number of patches of each chroma and saturation case
+        * ``further``: the same for each value of each further feature, if the rule has any
+        * ``noise_gain``: √Σw² of each output, median and worst over the trained classes
+        * ``dc_gain``: what a uniform unit signal of one channel adds to each output, median over trained unsaturated classes
+        * ``condition``: condition number, median and worst over the trained classes
+        * ``worst``: the trained classes with the largest noise gain, of Y if there is a Y
+        * ``later``: `refinement_layer` of each further layer
+        * ``lights``: names and colour temperatures (K) of single lights with transforms of their own, if any
+        * ``noises``: analog gain and remaining fraction of the noise of further noise sets, if any
+        * ``spectra``: window (pixels) and brightness reach of the smoothing of spectra, if any
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -80,9 +91,20 @@ def _light(light: SceneLight) -> dict[str, Any]:
 
 
 def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
-    """Return the figures of a layer after the first: its classes, side (pixel) and number of its windows, levels, structures
-    (flat, and each strength without a direction and in each of them; or the leaves of a tree, its depth, and how many of its
-    nodes compare what, by name), noise_gain as in `insight`."""
+    """Return the figures of a refinement layer.
+
+    Parameters
+    ----------
+    layer : PlaneLayer
+    outputs : tuple of str
+
+    Returns
+    -------
+    dict
+        Numbers of classes, side of the windows in pixels, number of planes, levels and structures, and the noise gain as in
+        `insight`. Structure rules add their strengths and directions. Tree rules add leaves, depth and the number of nodes
+        for each test.
+    """
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
     return {
@@ -107,7 +129,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Return name and patches of each value of each further feature, which the classes have, `further_class`, (class)."""
+    """Return the name and the number of patches of each value of each further feature."""
     every = {}
     for (feature, axis), value in zip(
         further_features(table.first.rule), table.first.rule.split_further(further_class), strict=True
@@ -118,7 +140,7 @@ def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[st
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the median and largest of each column (class, name)."""
+    """Return the median and the largest value of each column of `values` (class, name)."""
     if not len(values):
         return {name: {"median": 0.0, "worst": 0.0} for name in names}
     return {
@@ -128,7 +150,7 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Return the median over the chosen classes of the sum of the weights of each channel: {output: {channel: gain}}."""
+    """Return {output: {channel: gain}}, the median over the chosen classes of the summed weights of each channel."""
     windows = window_channels(table.cfa, table.first.rule.patch)
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
@@ -143,12 +165,12 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
     }
 
 
-OUTPUTS = 3  # of pictures
-WEIGHT, OTHERS = 4, 12  # bytes of a weight or intercept; of the number of samples and the condition of a class
+OUTPUTS = 3  # number of outputs of a picture table
+WEIGHT, OTHERS = 4, 12  # bytes per weight or intercept, and per class for its sample count and condition
 
 
 def learned(insight: dict[str, Any]) -> list[str]:
-    """Return lines about classes, patches and gains of a table, from its `insight`."""
+    """Return lines of text about the classes, patches and gains in the result of `insight`."""
     classes = insight["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
@@ -185,7 +207,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
 
 
 def _refine(number: int, layer: dict[str, Any]) -> list[str]:
-    """Return lines about a layer after the first."""
+    """Return lines of text about a refinement layer."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [
@@ -197,7 +219,7 @@ def _refine(number: int, layer: dict[str, Any]) -> list[str]:
 
 
 def _kinds(layer: dict[str, Any]) -> str:
-    """Return the features by which a refinement layer distinguishes pixels where nothing is saturated."""
+    """Describe the features by which a refinement layer distinguishes unsaturated pixels."""
     if "leaves" in layer:
         tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
         by_test = f"; nodes by test: {tests}" if tests else ""
@@ -209,19 +231,31 @@ def _kinds(layer: dict[str, Any]) -> str:
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the classes of each layer, and the bytes of the table for a camera."""
+    """Return the `class_figures` of a recipe, with no lines of text."""
     return class_figures(recipe, source.camera), []
 
 
 def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[str, Any]:
-    """Return the classes of each layer, those near saturation at their most, and the bytes of the table for a camera, ready
-    for JSON."""
+    """Return the figures of a class recipe, ready for JSON.
+
+    Parameters
+    ----------
+    recipe : TrainingRecipe
+    camera : CameraModel or None
+        Camera for which the size of the table is computed, if any.
+
+    Returns
+    -------
+    dict
+        Classes per site of each layer, with the largest possible number of saturation cases. With a camera, also the size of
+        the table in bytes.
+    """
     classes = recipe.classes
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
     further: dict[str, int] = {}
     if camera is not None:
-        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # as the pilot has it
+        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # the rule of the pilot sample
         further = {axis.name: axis.size for axis in rule.axes}
     chromas = max(1, classes.chromas)
     first = levels * contrasts * int(np.prod(list(further.values()), initial=1)) * (chromas + cases - 1)
@@ -243,7 +277,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
 
 
 def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
-    """Return the classes a site of a refinement layer: leaves of a tree, or structures at every level."""
+    """Return the number of classes per site of a refinement layer."""
     if layer.leaves:
         return layer.leaves + cases - 1
     structures = 1 + len(layer.strengths) * (1 + DIRECTIONS)
@@ -251,7 +285,7 @@ def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
 
 
 def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
-    """Return the figures of a class recipe as lines."""
+    """Return lines of text about the figures of a class recipe."""
     further = "".join(f" × {size} values of {name}" for name, size in classes["further"].items())
     kinds = f"({classes['chromas']} chromas + {classes['saturation_cases'] - 1} saturation cases at most)"
     lines = []
