@@ -1,5 +1,7 @@
 """l3 render --deflicker: pictures of a lamp that flickers are equally bright, whatever else happens in the sequence."""
 
+import itertools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -61,3 +63,27 @@ def test_what_has_no_exposure_in_time_is_refused(table: Path, folder: Path, tmp_
     stills = sorted(folder.iterdir())[:2]
     assert "--deflicker" in refused(2, "render", table, *stills, "-o", tmp_path / "out", "--deflicker")
     assert "--deflicker" in refused(2, "render", table, folder, "-o", tmp_path / "out", "--format", "exr", "--deflicker")
+
+
+def test_a_resumed_run_gives_the_same_bytes(pipeline: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = pipeline / "table.h5"
+    clip = write_clip(tmp_path / "clip.npy", load(TransformTable, table), FLICKER)
+    call = ("render", table, clip, "--deflicker", *RUN)
+    assert l3(*call, "-o", tmp_path / "whole")[0] == 0
+    rename, named = os.replace, itertools.count(1)
+
+    def stopped(source: Path, path: Path) -> None:
+        if path.suffix == ".tif" and next(named) > 9:
+            raise KeyboardInterrupt
+        rename(source, path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", stopped)
+        assert l3(*call, "-o", tmp_path / "out")[0] != 0
+    assert 0 < len(list((tmp_path / "out").glob("*.tif"))) < COUNT
+    assert l3(*call, "-o", tmp_path / "out", "--resume")[0] == 0
+    whole, resumed = (
+        {path.name: path.read_bytes() for path in (tmp_path / name).glob("*.tif")} for name in ("whole", "out")
+    )
+    assert len(whole) == COUNT
+    assert resumed == whole

@@ -126,9 +126,10 @@ def render(
             table.absolute(), digest, options.backend, engine, known, rendition, destination.file_suffix, model, mix
         )
         chunks = _chunks(options.backend, engine, transforms, scheduler, sequence, console) if options.temporal else None
-        key = options.run_key(digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain)
-        if options.deflicker:  # the last frames are rendered as those after them are known
-            key = f"{key} {sequence.count}"
+        ends = [sequence.count] if options.deflicker else []  # the last frames depend on how many follow them
+        key = options.run_key(
+            digest, os.environ.get("L3_DEVICE"), choice, mix and astuple(mix), known.unlabelled_gain, *ends
+        )
         job = SequenceJob(sequence, destination, transforms, rendition, source, choice, pacing, chunks, options)
         digests = functools.partial(FrameDigests, inputs[0], job.follows)
         with (
