@@ -139,27 +139,38 @@ class RegionMean:
 
 
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
-    """Return the mean of a picture over a polygon, with its uncertainty.
+    """Average the outputs over a polygon, with the uncertainty of the mean.
 
-    Correlations between pixels are taken into account.
+    Neighbouring pixels share raw values, so their errors are correlated. The uncertainty of the mean allows for this.
 
     Parameters
     ----------
     picture : ndarray, (row, col, output)
-        Outputs as `l3cli.render` or `Renderer.outputs` gives them, in the picture's orientation.
+        Outputs of a frame, from `Renderer.outputs`.
     of : Uncertainty
-        Uncertainty of the same frame.
-    polygon : sequence of (row, col)
-        Corners of the polygon. Pixels whose centres lie inside are counted.
+        Uncertainty of the same frame, from `Renderer.uncertainty`.
+    polygon : sequence of (float, float)
+        Corners (row, col). Pixels count if their centres, at whole numbers, lie inside.
 
     Returns
     -------
     RegionMean
+        `mean` and `sigma` (output), the number of `pixels`, and `unusual`, the fraction of pixels that are clipped or whose
+        class has no training patches.
 
     Raises
     ------
     RecipeError
-        If no pixel lies inside, or picture and uncertainty have different shapes.
+        If no pixel lies inside the polygon, or if picture and uncertainty differ in shape.
+
+    Examples
+    --------
+    >>> import l3cli as l3
+    >>> renderer = l3.Renderer("table.h5")
+    >>> frame = l3.read_raw("unseen/00000_composition-5-0_raw.tif", renderer.table)
+    >>> grey = l3.region(renderer.outputs(frame), renderer.uncertainty(frame), [(10, 10), (10, 40), (30, 40), (30, 10)])
+    >>> grey.mean.shape, grey.sigma.shape, grey.pixels
+    ((3,), (3,), 600)
     """
     if picture.shape != of.sigma.shape:
         raise RecipeError(f"the picture is of shape {picture.shape}, its uncertainty {of.sigma.shape}; give one frame's")

@@ -41,7 +41,7 @@ CAMERA = [
     ("bits = 12", 'bits = "twelve"\nbitz = 3', ("Expected `int`, got `str` in [sensor.bits]", "unknown key `bitz`")),
     ("rows = 192\n", "", ("missing key `rows` in [sensor]",)),
     ("prnu = 0.005", "prnu = 0.5", ("0.5 % is 0.005",)),
-    ("focal_length_mm = 25", "focal_length_mm = 0.025", ("is 25 meant?",)),
+    ("focal_length_mm = 25", "focal_length_mm = 0.025", ("did you mean 25?",)),
     ('"g b"', '"g x"', ('"x" is not a channel',)),
     ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; give more than 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
@@ -117,7 +117,7 @@ column = "500nm"
 [[mono]]
 frames = ["there.tif"]
 exposure_us = 5
-spectrum = "watts.csv"  # as no light does
+spectrum = "watts.csv"  # outside the plausible range
 [[mono]]  # needs one of exposure_s
 frames = ["there.tif"]
 spectrum = "light.csv"

@@ -531,8 +531,8 @@ def test_the_page_states_what_is_done_with_every_tag_that_counts() -> None:
     for what, tags in rows[1:]:
         named[what.strip()] |= set(re.findall(r"\w+", tags))
     assert named["read"] == {*READ}
-    assert named["refused"] == {*REFUSED} - {"samples of three"}
-    assert named["warned"] == {*NOTED}
+    assert named["rejected"] == {*REFUSED} - {"samples of three"}
+    assert named["warning"] == {*NOTED}
     known = {name for code, name in tifffile.TIFF.TAGS.items() if 50706 <= code <= 52555}
     assert known - HARMLESS - set().union(*named.values()) == OF_OTHERS
 

@@ -262,7 +262,7 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
     timed = ("--exposure-time", 0.02)
     assert warnings("a.raw", "--size", right, *timed) == []
     (torn,) = warnings("a.raw", "--size", exchanged, *timed)
-    assert torn.endswith(f"give --size {right}: rows first, then columns")
+    assert torn.endswith(f"did you mean --size {right} (rows first)?")
     (swapped,) = warnings("b.raw", "--size", right, *timed)
     assert swapped.endswith("neighbours of one channel are unrelated; read it with --byte-order big")
     (long,) = warnings("a.raw", "--size", right, "--exposure-time", 20)

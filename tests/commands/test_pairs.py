@@ -186,7 +186,7 @@ def test_a_wrong_pair_is_one_line(
         (f"[[pair]]{first}offset = [9, 0]\n", 3, "beyond the raw frame"),
         (f"[[pair]]{first}offset = [-1, 0]\n", 2, "offset"),
         (f'[target]\noutputs = "CIE 1964"\n[[pair]]{first}', 3, "no channels called X10"),
-        (f'[target]\noutputs = "camera"\n[[pair]]{first}', 2, "camera's bands"),
+        (f'[target]\noutputs = "camera"\n[[pair]]{first}', 2, 'outputs cannot be "camera"'),
     ):
         (tmp_path / "scenes.toml").write_text(text)
         line = refused(code, "simulate", tmp_path / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "out.h5")

@@ -203,8 +203,8 @@ def test_values_above_the_converter_in_later_frames_are_reported_once(
     [
         (("-o", "a.jpg", "--bits", 16), "8 bits"),
         (("-o", "a.exr", "--exposure", 2), "--exposure"),
-        (("-o", "a.png", "--exposure", "+1"), "give 1 (times Y), or +1EV (brighter than auto)"),
-        (("-o", "a.png", "--exposure", "-1"), "auto, camera, or stops from it such as -1EV"),
+        (("-o", "a.png", "--exposure", "+1"), "give 1 (factor of Y) or +1EV (brighter than auto)"),
+        (("-o", "a.png", "--exposure", "-1"), "auto, camera, or EV relative to auto such as -1EV"),
         (("-o", "a.png", "--exposure", "30EV"), "-20…20 EV"),
         (("-o", "a.exr", "--exposure", "+1EV"), "--exposure"),
         (("-o", "a.png", "--white", "0.5;0.2"), "0.5;0.2"),
