@@ -191,7 +191,7 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     code, _, err = l3("render", table, tmp_path / "odd.dng", "--white", "camera", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     (line,) = [each for each in err.splitlines() if "fits no daylight, lamp or black body for the table's camera" in each]
-    assert "greys are made neutral by it, and no colour is corrected further" in line
+    assert "greys become neutral, other colours are not corrected" in line
     assert "it was taken by Canon EOS 550D, the table is for small Bayer" in err
 
 
