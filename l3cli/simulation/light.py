@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import curves_in_file
 from l3cli.artifacts.training_set import LightSpectrum
-from l3cli.errors import InputFileError, RecipeError
+from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.scene import NO_ILLUMINANT, Scene
 from l3cli.physics import spectra
 from l3cli.physics.display import fit_through
@@ -157,14 +157,18 @@ class Filters(NamedTuple):
 def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
     """Return the warnings of `beyond_known` for lights that are known by name.
 
-    Measured lights and the light of a scene are skipped, because their spectra are not available from a name.
+    Measured lights, the light of a scene, and names that are not those of a light are skipped, because no spectrum is
+    available from such a name. An artifact may contain any name.
     """
-    named = [
-        name
-        for name in dict.fromkeys(names)
-        if name != SCENE_LIGHT and not any(names_file(part) for _, part in mixture(name))
-    ]
-    warnings = (beyond_known(make_light(name, {}, camera.wavelength), {}, camera) for name in named)
+    warnings = []
+    for name in dict.fromkeys(names):
+        try:
+            if name == SCENE_LIGHT or any(names_file(part) for _, part in mixture(name)):
+                continue
+            light = make_light(name, {}, camera.wavelength)
+        except L3Error:
+            continue
+        warnings.append(beyond_known(light, {}, camera))
     return list(filter(None, warnings))
 
 

@@ -362,7 +362,7 @@ def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
     frame = np.full((192, 256), 64, dtype=np.uint16)
     with pytest.raises(InputFileError, match=r"alone\.tif is a single frame"):
         measure_level(Capture("alone.tif", 0.1, [frame]), body, no_defects())
-    with pytest.raises(InputFileError, match="single exposure"):
+    with pytest.raises(InputFileError, match="all dark frames have the same exposure"):
         noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
     captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
     with pytest.raises(InputFileError, match="channel r has 1 white exposures below saturation"):

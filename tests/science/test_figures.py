@@ -57,7 +57,9 @@ def judged(tmp_path: Path, l3: L3, capsys: pytest.CaptureFixture[str]) -> Callab
         )
         judge = ("evaluate", tmp_path / "t.h5", tmp_path / "b.h5", "--backend", "reference")
         code, out, err = l3(*judge, "--json")
-        assert (code, err) == (0, "")
+        assert code == 0
+        if "1000" not in camera:  # D65 ends at 830 nm
+            assert err == ""
         document = strict(out)
         print_tables(document)
         assert not NO_NUMBER.search(capsys.readouterr().out)

@@ -82,7 +82,7 @@ def test_a_recipe_names_gains(tmp_path: Path, l3: L3) -> None:
     save(camera, tmp_path / "camera.h5")
     assert equal(load(CameraModel, tmp_path / "camera.h5"), camera)
     for keys, words in (
-        ("gains = [2.0]", "names 1 gains, gain.read_noise_e 0"),
+        ("gains = [2.0]", "has 1 values, gain.read_noise_e 0"),
         ("gains = [1.0]\nread_noise_e = [1.0]", "is listed twice, or is 1"),
         ("gains = [2.0, 2.0]\nread_noise_e = [1.0, 1.0]", "2 is listed twice"),
         ("read_noise_before_e = 1000.0", "more than noise.read_noise_e"),
@@ -135,7 +135,7 @@ def test_calibration_measures_gain_and_read_noise_at_each_iso_speed(
     assert made.noise.read_noise == pytest.approx(4.0, rel=0.05)
 
     path.write_text(path.read_text().replace("iso = 800", "iso = 1600"))
-    assert "have 8" in refused(3, "calibrate", path, "-o", tmp_path / "no.h5")
+    assert "is 8.02 times the gain at ISO 100" in refused(3, "calibrate", path, "-o", tmp_path / "no.h5")
     path.write_text(path.read_text().replace("iso = 100\n", ""))
     assert "some [[dark]] and [[white]] captures state their iso" in refused(2, "calibrate", path, "-o", tmp_path / "no.h5")
 

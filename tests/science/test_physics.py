@@ -289,7 +289,7 @@ def test_inputs_replaced_during_it_are_refused(
         ("prnu", "0.5", "0.5 % is 0.005"),
         ("pixel_pitch_um", "0.004", "did you mean 4?"),
         ("pixel_pitch_um", "4e-6", "did you mean 4?"),
-        ("focal_length_mm", "0.025", "is 25 meant?"),
+        ("focal_length_mm", "0.025", "did you mean 25?"),
         ("f_number", "0.28", "no lens"),
     ],
 )

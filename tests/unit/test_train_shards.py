@@ -280,8 +280,8 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
 @pytest.mark.parametrize(
     ("shares", "why"),
     [
-        ("1", "--shares gives 1 shares for 2 training sets"),
-        ("1,2,3", "--shares gives 3 shares for 2 training sets"),
+        ("1", "--shares has 1 shares for 2 training sets"),
+        ("1,2,3", "--shares has 3 shares for 2 training sets"),
         ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
         ("0,0", "at least one proportion must be above zero"),
         ("1,x", "is not a number"),
