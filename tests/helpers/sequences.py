@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 import pytest
 import tifffile
-from astropy.io import fits
 
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
@@ -48,6 +47,8 @@ def write_stack(path: Path, mosaics: np.ndarray | None = None) -> Path:
     elif path.suffix == ".raw":
         mosaics.astype("<u2").tofile(path)
     elif path.suffix == ".fits":
+        from astropy.io import fits  # not installed where the VapourSynth filter is tested
+
         fits.PrimaryHDU(mosaics).writeto(path)
     elif path.suffix == ".tif":
         tifffile.imwrite(path, mosaics, photometric="minisblack")
