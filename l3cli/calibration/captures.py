@@ -43,7 +43,7 @@ class Sensor:
 
     @property
     def saturation(self) -> float:
-        """The DN from which a pixel counts as saturated."""
+        """Pixel value in DN from which a pixel counts as saturated."""
         black_level = self.dark.black_level.mean()
         return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
@@ -85,22 +85,31 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Set up Eq. 1 from the monochromatic captures.
+    """Set up the linear system of the spectral responsivities from monochromatic captures (docs/method.md#calibration).
 
-    Each equation is divided by the photons of its capture. Means are over whole frames: the lens's fall-off is the same for
-    all captures, and Eq. 2 finds the scale from the charts.
+    Each equation is divided by the number of photons in its capture. Its signal is the mean over the whole frame. The
+    fall-off of the lens is the same for all captures and is left in the scale, which the charts determine later.
+
+    Parameters
+    ----------
+    captures : sequence of MonoCapture
+    body : Body
+    sensor : Sensor
+        Noise and defects from the dark and white captures.
+    each : callable
+        Maps a function over the captures; may use several processes.
 
     Returns
     -------
     sweep : Sweep
-        The system. A channel does not use captures that saturate it.
+        The linear system. Captures that saturate a channel are not used for it.
     left_out : tuple of str
         One line for each saturated capture.
 
     Raises
     ------
     InputFileError
-        If a channel has no unsaturated capture or sees no light, or if a measured spectrum does not cover its light.
+        If a channel has no unsaturated capture or receives no light, or if a measured spectrum does not cover its light.
     """
     for capture in captures:
         if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
@@ -401,10 +410,24 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return the response (light, channel), averaged over patches, and its relative spread over patches.
+    """Return the response to each light, averaged over the patches, and its relative spread.
 
-    `rates` is (light, patch, channel), `photons` (light, patch). Uneven light changes a patch's value in all bands alike. It
-    is estimated in the brightest channel of each band and divided out.
+    Uneven illumination changes a patch by the same factor in all bands. The factor is estimated from the brightest channel
+    of each band and divided out before the spread is computed.
+
+    Parameters
+    ----------
+    rates : ndarray, (light, patch, channel)
+        Signals per second of exposure. NaN: saturated.
+    photons : ndarray, (light, patch)
+        Photons per second that the patches send.
+
+    Returns
+    -------
+    response : ndarray, (light, channel)
+        Mean signal per photon.
+    spread : ndarray, (light, channel)
+        Standard deviation over the patches, relative to the mean.
     """
     each = rates / photons[..., None]
     response = np.nanmean(each, axis=1)  # a patch may be saturated in every capture
