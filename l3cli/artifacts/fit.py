@@ -137,6 +137,19 @@ def guessed_light(probable: Mapping[str, float]) -> str:
 
 
 @dataclass(frozen=True)
+class PhotoWindow:
+    """Part of the sensor that photos show, if they do not show the whole sensor from its first pixel."""
+
+    first_site: NDArray[np.int64] = data("int64", "photo", "coordinate", doc="row, col of the CFA site of the first pixel")
+    size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
+
+    def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the first CFA site and the size of a photo."""
+        (row, col), (rows, cols) = self.first_site[photo].tolist(), self.size[photo].tolist()
+        return (row, col), (rows, cols)
+
+
+@dataclass(frozen=True)
 class PhotoFit:
     """Fit of the charts in photos, whose reflectances are known."""
 
@@ -174,6 +187,7 @@ class PhotoFit:
     )
     predicted: NDArray[np.float64] = data("float64", "photo", "photo_patch", "channel", unit="DN", doc="the model's value")
     likely: LightGuess | None = group(default=None)
+    window: PhotoWindow | None = group(default=None)  # None: every photo shows the whole sensor
 
     @property
     def misfit(self) -> NDArray[np.float64]:

@@ -43,7 +43,7 @@ def _draft(folder: Path, measurements: Path | None, output: Path, options: Draft
     """Write a draft of a measurement file. Raise UsageError if options of a calibration are given."""
     from l3cli.stages.calibration import draft
 
-    given = [name for name in ("photos", "light", "truth", "export", "sheet", "accept") if getattr(options, name)]
+    given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
         raise click.UsageError(f"--draft writes a measurement file and does not calibrate; leave {name} out")

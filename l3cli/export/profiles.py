@@ -44,7 +44,7 @@ DECLARED_AS = {  # quantity → its name among the camera's declared quantities
 }
 NOISE = ("dark current", "DSNU", "PRNU")
 Row = tuple[str, str, float | str, str, str]
-CURVES, RAWTOACES_JSON, DATASHEET = ALWAYS = ("responsivity.csv", "rawtoaces.json", "datasheet.csv")  # of every camera
+CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"  # of every camera
 DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"  # of some
 
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices in a DCP, which orders them by rising temperature
@@ -297,12 +297,6 @@ def _declared(name: str, camera: CameraModel) -> bool:
     """Return whether calibration took a quantity from a data sheet, or as 0."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
-
-
-def file_names(channels: Sequence[str], cfa: NDArray[np.integer]) -> list[str]:
-    """Return the names of the files that are exported for cameras with an array."""
-    dcp = (DCP,) if len(channels) >= MIN_CHANNELS else ()
-    return [*ALWAYS, *dcp, *((RASPBERRY_PI, PI_5, SIMPLE) if bayer_order(channels, cfa) else ())]
 
 
 class Exported(NamedTuple):

@@ -5,7 +5,6 @@ Also photographs of charts, and measurements from raw files that state everythin
 (docs/method.md#charts-in-photographs).
 """
 
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, CameraModel, Optics
+from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, Optics
 from l3cli.artifacts.camera_recipe import (
     F_NUMBER,
     FOCAL_MM,
@@ -31,7 +30,7 @@ from l3cli.artifacts.camera_recipe import (
 )
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError, raised_as
-from l3cli.frames.frame import RawFrame, least_period, shifted_cfa, tiled
+from l3cli.frames.frame import RawFrame, least_period
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -75,11 +74,10 @@ from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
 from l3cli.spectra import units
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import RELATIVE, CurveTable, without_noise
-from l3cli.system.files import sha256, stamp, write_whole
+from l3cli.system.files import sha256, stamp
 
 SEEN = (400.0, 700.0)  # nm, range that a measured light must cover
 GRID = np.arange(380.0, 781.0, 5.0)  # nm, grid of named lights and charts
-MOST = 65535  # DN, largest value of 16 bits
 Array = NDArray[np.float64]
 
 
@@ -216,35 +214,6 @@ def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
-
-
-# ------------------------------------------------------------------------------------------- what glare adds to a photo
-
-
-def offset_paths(folder: Path, photos: Sequence[PhotoCapture]) -> list[Path]:
-    """Return the file names that `export_offsets` writes, one per photo."""
-    numbers = [""] if len(photos) == 1 else [f"_{number + 1}" for number in range(len(photos))]
-    return [folder / f"{Path(photo.name).stem}{each}_offsets.tif" for photo, each in zip(photos, numbers, strict=True)]
-
-
-def export_offsets(camera: CameraModel, photos: Sequence[PhotoCapture], folder: Path) -> None:
-    """Write a dark frame for each photo of a chart, with the black level and the glare of each channel.
-
-    It is used to render the photo. Each file has two equal pages, whose difference says that it has no noise.
-    """
-    import tifffile
-
-    assert camera.fit is not None
-    assert camera.fit.photo is not None
-    for path, photo, glare in zip(offset_paths(folder, photos), photos, camera.fit.photo.glare, strict=True):
-        frame = photo.frames[0]
-        sites = tiled(shifted_cfa(camera.cfa, frame.phase), frame.values.shape)
-        values = np.clip(np.rint(camera.black_level + glare), 0, MOST).astype(np.uint16)[sites]
-        content = io.BytesIO()
-        with tifffile.TiffWriter(content) as file:
-            for _ in range(2):
-                file.write(values, compression="zlib", photometric="minisblack", metadata=None, software=None)
-        write_whole(path, content.getbuffer())
 
 
 def load_measurements(path: Path) -> Measurements:

@@ -55,11 +55,6 @@ class CalibrateOptions(ForceOptions, JobsOptions):
         metavar="CAMERA",
         bytes=False,
     )
-    export: OnePath = option(None, 'Also write the files of "l3 export" to this folder.', Output(), metavar="DIR")
-    sheet: OnePath = option(
-        None, "Also write an EMVA 1288 data sheet of the dark and white frames to this file (.html).", Output(),
-        metavar="FILE", bytes=False,
-    )  # fmt: skip
     accept: bool = option(
         False, "Write the model even if it fails its checks, for example because it predicts the charts badly."
     )

@@ -1,8 +1,8 @@
-"""The section of a camera model in a report, and its data sheet.
+"""The section of a camera model in a report.
 
-The section shows the colour filter array, the responsivities, the noise, and how well the model predicts the charts it was
-fitted to. The data sheet follows EMVA 1288 release 4.0: operation point, values per channel, and the plots of the standard
-(docs/measurement.md#data-sheet).
+It shows the colour filter array, the responsivities, the noise, and how well the model predicts the charts it was fitted to.
+If the noise was measured, a data sheet follows EMVA 1288 release 4.0: operation point, values per channel, and the plots of
+the standard (docs/measurement.md#data-sheet).
 """
 
 from typing import Any
@@ -43,13 +43,16 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     Returns
     -------
     Section
-        Sensor and array, responsivities, noise, and if the camera was fitted to charts its validation.
+        Sensor and array, responsivities, noise, data sheet if the noise was measured, and validation if the camera was
+        fitted to charts.
     """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
         Subsection("Responsivities", (Figures(responsivity_figures(camera)),)),
         Subsection("Noise", _noise_blocks(camera, figures)),
     ]
+    if camera.fit is not None and camera.fit.noise is not None:
+        parts.append(data_sheet(camera, camera.fit.noise))
     if camera.fit is not None and camera.fit.photo is not None:
         parts[2:2] = photo_subsections(camera, camera.fit.photo, figures)
     if camera.fit is not None and (blocks := validation_blocks(camera, camera.fit, figures)):
@@ -190,11 +193,8 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
     rows = tuple(
         (name, f"{tidy(entry['value'], 5)} {unit(entry['unit'])}".strip()) for name, entry in figures["camera"].items()
     )
-    blocks: list[Block] = []
-    if camera.fit is not None and camera.fit.noise is not None:
-        blocks.append(Figures((transfer_figure(camera, camera.fit.noise),)))
-    sheet = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
-    blocks.append(Table(f"The camera in EMVA 1288 terms{sheet}", ("quantity", "value"), rows))
+    declared = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
+    blocks: list[Block] = [Table(f"The camera in EMVA 1288 terms{declared}", ("quantity", "value"), rows)]
     rows_of_channels = figures["channels"].items()
     others = {name: {title: value for title, value in row.items() if title not in BANDS} for name, row in rows_of_channels}
     if any(others.values()):
@@ -244,29 +244,12 @@ LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the sat
 SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
 
 
-def data_sheet(camera: CameraModel) -> Section:
-    """Build the EMVA 1288 data sheet of a camera.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        A camera with measured noise (`camera.fit.noise`).
-
-    Returns
-    -------
-    Section
-        Operation point, values per channel, and plots.
-    """
-    assert camera.fit is not None
-    noise = camera.fit.noise
-    assert noise is not None
-    plots = [transfer_figure(camera, noise), linearity_figure(camera, noise), deviation_figure(camera, noise)]
-    parts = (
-        Subsection("Operation point", (operation_point(camera, noise),)),
-        Subsection("Figures", (figures_table(camera, noise), Text(MEANINGS))),
-        Subsection("Plots", (Figures((*plots, snr_figure(camera, noise), *responsivity_figures(camera))),)),
-    )
-    return Section("EMVA 1288 data sheet", f"{camera.name}, as measured, per channel.{drift_note(camera)}", parts)
+def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
+    """Build the EMVA 1288 data sheet of a camera whose noise was measured: operation point, values per channel and plots."""
+    plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
+    figures = Figures(tuple(plot(camera, noise) for plot in plots))
+    blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
+    return Subsection("EMVA 1288 data sheet", blocks)
 
 
 MEANINGS = (
@@ -330,7 +313,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
         ("dark current (e⁻/s)", noise.dark_current),
     ]
     rows = tuple((name, *(tidy(float(value), 4) for value in values)) for name, values in lines)
-    return Table("Figures of each channel", ("quantity", *camera.channels), rows)
+    return Table("EMVA 1288 figures of each channel", ("quantity", *camera.channels), rows)
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:

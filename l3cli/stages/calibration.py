@@ -20,26 +20,20 @@ from l3cli.calibration.draft.folder import Reading, compose_tables, first_lines,
 from l3cli.calibration.draft.names import natural, read_name
 from l3cli.calibration.draft.sorting import Spectra
 from l3cli.errors import L3Error, RecipeError
-from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.frames.measurement import CaptureFolder, FinishedCurves, SweepTable
 from l3cli.io.frames import list_captures, read_capture, read_spectra
 from l3cli.io.measurement_recipe import MeasurementRecipe
 from l3cli.io.measurements import (
     array_of,
-    export_offsets,
     inputs_of,
     inputs_of_photos,
     load_measurements,
     measurements_of,
-    offset_paths,
     photo_measurements,
 )
 from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
 from l3cli.recipes.toml import parse_recipe
-from l3cli.report.camera import data_sheet
-from l3cli.report.parts import render_page
-from l3cli.stages.export import write
 from l3cli.system.files import is_noting, write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work, is_dry
 from l3cli.system.text import counted
@@ -71,7 +65,7 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
     L3Error
         If the model predicts its charts badly and `accept` is not set, or if an output cannot be written.
     """
-    photos, light, truth, export = options.photos, options.light, options.truth, options.export
+    photos, light, truth = options.photos, options.light, options.truth
     console, force = options.console, options.force
     if (measurements is None) == (not photos):
         raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
@@ -79,28 +73,14 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         raise RecipeError("‹light› is for photos, and a measurement file names its lights itself; leave ‹light› out")
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))
-        exports = [export / name for name in ALWAYS] if export else []
-        sheet = options.sheet
-        if sheet is not None and sheet.suffix != ".html":
-            raise RecipeError(f"{sheet}: a data sheet is an HTML page; name a file that ends in .html")
-        for path in (output, *exports, *([sheet] if sheet else [])):
-            guard.guard_file(path, force)
+        guard.guard_file(output, force)
         inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
         guard.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
-        if sheet is not None and not (measured.darks and measured.whites):
-            raise RecipeError("a data sheet needs dark and white frames; add them to the measurements, or leave ‹sheet› out")
-        if export:
-            exports = [export / name for name in file_names(measured.body.channels, measured.body.cfa)]
-            exports += offset_paths(export, measured.photos)
-            for path in exports[len(ALWAYS) :]:
-                guard.guard_file(path, force)
         before_work(
             inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
             Made(output, f"camera model of {len(measured.body.channels)} channels"),
-            *(Made(path, "export") for path in exports),
-            *([Made(sheet, "data sheet")] if sheet else []),
         )
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
@@ -119,15 +99,6 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         if true is not None:
             result["truth"] = figures.compare(camera, true)
         save(camera, output)
-        if sheet is not None:
-            page = render_page(f"{camera.name}: data sheet", SHEET_LEAD, [data_sheet(camera)])
-            write_whole(sheet, page.encode())
-        result["curves"] |= {"file": str(output), "csv": None}
-        if export:
-            result["curves"]["csv"] = str(exports[0])
-            result["matrices"] = write(camera, export, console)
-            if measured.photos:
-                export_offsets(camera, measured.photos, export)
         for doubt in figures.doubts(camera):
             console.warn(doubt)
         if shortfall:
@@ -141,12 +112,11 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         if measured.curve is not None and not camera.responsivity_band.any():
             light = "photodiode" if isinstance(measured.curve, SweepTable) else "lamp_drift"
             console.info(f"no confidence band: to have one, state [uncertainty] {light} and wavelength_nm")
-        csv = result["curves"]["csv"] or f"l3 export {shlex.quote(str(output))} -o DIR"
+        csv = f"l3 export {shlex.quote(str(output))} -o DIR"
         console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
         return camera, result
 
 
-SHEET_LEAD = "In the terms of EMVA 1288, release 4.0, from dark and white frames."
 MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
 
 

@@ -13,8 +13,8 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.export import profiles
 from l3cli.export.folder import folder_files
-from l3cli.export.profiles import ALWAYS, file_names
 from l3cli.export.source import PREFIX, c_files
+from l3cli.io.glare import glare_files
 from l3cli.options.commands import ExportOptions
 from l3cli.physics.display import XYZ
 from l3cli.rendering.conditions import at_gain, known_gains, mix_for, mixed, noise_limits
@@ -22,7 +22,6 @@ from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.simulation.light import named_beyond_known
 from l3cli.stages.rendering.render import mix_of_given
-from l3cli.system.console import Console
 from l3cli.system.files import write_whole
 from l3cli.system.outputs import Made, OutputGuard, before_work
 from l3cli.system.text import a
@@ -65,26 +64,18 @@ def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(camera, *camera_files(camera))
-        for name in ALWAYS:
-            guard.guard_file(output / name, options.force)
         model = load_camera(camera)
-        names = file_names(model.channels, model.cfa)
-        for name in names[len(ALWAYS) :]:
+        texts, errors, note = profiles.export(model)
+        files: dict[str, str | bytes] = {**texts, **glare_files(model)}
+        for name in files:
             guard.guard_file(output / name, options.force)
-        before_work({"camera": camera_files(camera)}, *(Made(output / name, "export") for name in names))
-        errors = write(model, output, console)
-        console.info(f"{output}: {', '.join(names if errors else ALWAYS)} written")
+        before_work({"camera": camera_files(camera)}, *(Made(output / name, "export") for name in files))
+        for name, content in files.items():
+            write_whole(output / name, content)
+        if note:
+            console.report(note)
+        console.info(f"{output}: {', '.join(files)} written")
         return errors
-
-
-def write(camera: CameraModel, folder: Path, console: Console) -> dict[str, dict[str, dict[str, Any]]]:
-    """Write all files of a camera and report what is left out. Return the colour errors of the matrices for each light."""
-    files, errors, note = profiles.export(camera)
-    for name, content in files.items():
-        write_whole(folder / name, content)
-    if note:
-        console.report(note)
-    return errors
 
 
 def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]:

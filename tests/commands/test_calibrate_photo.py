@@ -79,8 +79,7 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     assert "chart.dng: classic, light D65" in out
     assert "one more photo, under" in out
     assert "not measured, taken as 0: dark current, DSNU, PRNU" in out
-    export = ("--export", tmp_path / "exported")
-    code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json", *export)
+    code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json")
     assert code == 0, err
     photo = json.loads(out)["photos"]["chart.dng"]
     assert photo["guessed"]
@@ -88,9 +87,27 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     assert sum(photo["probable lights"].values()) == pytest.approx(1)
     assert photo["light"] == next(iter(photo["probable lights"]))
     assert photo["probable lights"]["D65"] > 0.1
+    assert l3("export", tmp_path / "guessed.h5", "-o", tmp_path / "exported")[0] == 0
     offsets = tifffile.imread(tmp_path / "exported/chart_offsets.tif")
     assert offsets.shape == (2, 600, 800)
     assert abs(float(offsets.mean()) - BLACK) < 100
+
+
+def test_glare_of_a_photo_that_begins_at_another_site(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
+    cfa = np.array([[0, 1], [1, 2]], np.uint8)
+    camera = replace(bayer, rows=600, cols=800, bits=12, black_level=float(BLACK), white_level=float(WHITE), cfa=cfa)
+    write_dng(tmp_path / "chart.dng", mosaic(), camera, {"A": np.eye(3), "D65": np.eye(3)}, None, 0.01)
+    head = FILE.replace('"r g", "g b"', '"g r", "b g"').replace("cols = 800", "cols = 802")
+    path = measured(tmp_path, '[photo]\nframes = ["chart.dng"]\nlight = "D65"\n', head)
+    assert l3("calibrate", path, "-o", tmp_path / "camera.h5", "--quiet")[0] == 0
+    assert l3("export", tmp_path / "camera.h5", "-o", tmp_path / "out", "--quiet")[0] == 0
+    model = load(CameraModel, tmp_path / "camera.h5")
+    assert model.fit is not None
+    assert model.fit.photo is not None
+    offsets = np.rint(model.black_level + model.fit.photo.glare[0])
+    assert len(set(offsets)) > 1
+    for page in tifffile.imread(tmp_path / "out/chart_offsets.tif"):
+        np.testing.assert_array_equal(page, offsets[np.tile(cfa, (300, 400))])
 
 
 def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:

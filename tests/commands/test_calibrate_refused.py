@@ -263,8 +263,6 @@ def test_the_last_lines_state_peaks_widths_and_files(table: Path, tmp_path: Path
     assert 50 < float(red[2]) < 200
     written = f"{camera}: written, with the curves as dataset responsivity; as CSV: "
     assert err.splitlines()[-1] == f"{written}l3 export {camera} -o DIR"
-    err = l3("calibrate", table / "MEASUREMENTS.toml", "-o", camera, "--force", "--export", tmp_path / "out")[2]
-    assert err.splitlines()[-1] == f"{written}{tmp_path}/out/responsivity.csv"
 
 
 def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:

@@ -9,11 +9,10 @@ from l3cli.system.locks import sole_writer_of_file
 from tests.helpers.calls import L3, Refused
 
 SENTENCES = {  # a call that works, and what its dry run says
-    "calibrate lab/MEASUREMENTS.toml -o {out}/c.h5 --export {out}/e --truth camera.toml": (
+    "calibrate lab/MEASUREMENTS.toml -o {out}/c.h5 --truth camera.toml": (
         "reads frames: 85 files, ",
         "reads camera to compare with: {in}/camera.toml, ",
         "makes {out}/c.h5: camera model of 3 channels\n",
-        "makes {out}/e/rawtoaces.json: export\n",
     ),
     "export camera.h5 -o {out}/e": ("reads camera: {in}/camera.h5, ", "makes {out}/e/rawtoaces.json: export\n"),
     "calibrate --draft lab -o {out}/M.toml": ("reads frames: 85 files, ", "makes {out}/M.toml: draft of"),

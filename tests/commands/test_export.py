@@ -17,8 +17,6 @@ from l3cli.export.profiles import datasheet
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, delta_e_2000, lab, white_point
 from l3cli.simulation.light import colour_matrix, make_light
-from l3cli.stages.export import write
-from l3cli.system.console import Silent
 from tests.helpers import lenses
 from tests.helpers.calls import L3, Refused
 
@@ -35,6 +33,11 @@ def exported(bayer_recipe: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     folder = tmp_path_factory.mktemp("exported")
     assert run(["export", str(bayer_recipe), "-o", str(folder), "--quiet"]) == 0
     return folder
+
+
+def write_files(camera: CameraModel, folder: Path) -> None:
+    for name, content in profiles.export(camera).files.items():
+        (folder / name).write_text(content)
 
 
 def seen(camera: CameraModel, light: str) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +148,7 @@ def test_shading_is_undone_as_the_processors_interpolate(
     """A lens that halves the light in the corners, by a model of both processors: tables hold for the middles of cells, from
     which the corners of a grid are interpolated, and pixels from those. The coarse one goes on flat for half of a 12th."""
     camera = replace(bayer, flat_field=lenses.flat_field(bayer))
-    write(camera, tmp_path, Silent())
+    write_files(camera, tmp_path)
     alsc = read_tuning(tmp_path / name)["rpi.alsc"]
     assert alsc["luminance_strength"] == 1.0
     luminance = np.reshape(alsc["luminance_lut"], cells)
@@ -242,7 +245,7 @@ def test_names_of_channels_and_order_do_not_matter(exported: Path, bayer: Camera
     for names in (("r", "g", "w"), ("r", "red", "g"), ("r", "g", "b", "w")):
         assert profiles.bayer_order(names, bayer.cfa) is None
     assert profiles.bayer_order(bayer.channels, np.array([[0, 1], [2, 1]], np.uint8)) is None
-    write(replace(turned, name="c\udcff\nm"), tmp_path, Silent())  # of a file whose name is not a text
+    write_files(replace(turned, name="c\udcff\nm"), tmp_path)  # a name that is not a text
     assert "camera,,c??m,,recipe" in (tmp_path / "datasheet.csv").read_text()
     ours, theirs = (read_tuning(folder / "libcamera_rpi.json") for folder in (tmp_path, exported))
     dcps = [json.loads((folder / "dcp.json").read_text()) for folder in (tmp_path, exported)]
@@ -261,14 +264,3 @@ def test_refusals(exported: Path, bayer_recipe: Path, tmp_path: Path, refused: R
     assert "did you mean" in refused(2, "export", "fivebnd", "-o", tmp_path / "new")
     (tmp_path / "table.h5").write_bytes(b"no HDF5")
     assert "table.h5" in refused(3, "export", tmp_path / "table.h5", "-o", tmp_path / "new")
-
-
-def test_calibration_exports_the_same(pipeline: Path, tmp_path: Path, l3: L3) -> None:
-    to = ("-o", tmp_path / "camera.h5", "--export", tmp_path / "one", "--json", "--quiet")
-    code, out, err = l3("calibrate", pipeline / "lab/MEASUREMENTS.toml", *to)
-    assert code == 0, err
-    assert set(json.loads(out)["matrices"]) == {"A", "D50", "D65"}
-    assert l3("export", tmp_path / "camera.h5", "-o", tmp_path / "two", "--quiet")[0] == 0
-    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == FILES
-    for name in FILES:
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

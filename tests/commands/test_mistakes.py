@@ -51,8 +51,6 @@ MISTAKES = """
         raw.tif is a file, not a folder; name another output
     2 calibrate lab/MEASUREMENTS.toml -o new.toml
         .toml is for recipes; name an output
-    1 calibrate lab/MEASUREMENTS.toml -o new.h5 --export raw.tif
-        raw.tif is a file, not a folder
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
         table.h5 holds a transform table; give the file written by
     2 simulate camera.toml --camera scenes.toml -o new.h5

@@ -48,11 +48,11 @@ def _rendered(name: str, output: str, more: str = "") -> Sentence:
 
 SENTENCES = (
     Sentence(
-        "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept --export {out}/curves --truth curves.toml",
+        "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept --truth curves.toml",
         "lab/MEASUREMENTS.toml lab/*/*.tif lab/spectra/*.csv curves.toml curves.csv",
     ),
-    Sentence("calibrate table.toml -o {out}/camera.h5 --accept --export {out}", "table.toml sweep.csv diode.csv"),
-    Sentence("calibrate curves_of.toml -o {out}/camera.h5 --accept --export {out}", "curves_of.toml curves.json"),
+    Sentence("calibrate table.toml -o {out}/camera.h5 --accept", "table.toml sweep.csv diode.csv"),
+    Sentence("calibrate curves_of.toml -o {out}/camera.h5 --accept", "curves_of.toml curves.json"),
     Sentence("export curves.toml -o {out}", "curves.toml curves.csv"),
     Sentence(
         "simulate scenes.toml --camera curves.toml -o {out}/t.h5 --pictures {out}/p --dng {out}/d",

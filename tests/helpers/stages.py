@@ -75,7 +75,7 @@ SIMULATE = "simulate in/scenes.toml --camera in/camera.h5 -o out/training.h5 --q
 RENDER = "render in/table.h5 in/frames --backend reference --exposure 0.8 --quiet"
 STAGES = [
     Stage("lab", "lab in/camera.toml --recipe in/quick.toml -o out/lab --quiet"),
-    Stage("calibrate", "calibrate in/lab/MEASUREMENTS.toml -o out/camera.h5 --export out/curves --accept --quiet"),
+    Stage("calibrate", "calibrate in/lab/MEASUREMENTS.toml -o out/camera.h5 --accept --quiet"),
     Stage("simulate", SIMULATE, resumes=True),
     Stage("simulate, pictures", f"{SIMULATE} --pictures out/pictures --dng out/dng", resumes=True),
     Stage("train", "train in/training.h5 --classes in/classes.toml -o out/table.h5 --quiet"),

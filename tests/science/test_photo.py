@@ -337,8 +337,8 @@ def centres(fit: PhotoFit) -> np.ndarray:
 def test_its_own_colours(photo: Path, tmp_path: Path, l3: L3) -> None:
     (tmp_path / "scenes.toml").write_text(SCENES)
     camera, training, table = (tmp_path / name for name in ("camera.h5", "training.h5", "table.h5"))
-    exported = ("--export", tmp_path / "exported")
-    assert l3("calibrate", "--photo", photo, "--light", "A", "-o", camera, *exported)[0] == 0
+    assert l3("calibrate", "--photo", photo, "--light", "A", "-o", camera)[0] == 0
+    assert l3("export", camera, "-o", tmp_path / "exported")[0] == 0
     assert l3("simulate", tmp_path / "scenes.toml", "--camera", camera, "-o", training, "--jobs", "2")[0] == 0
     assert l3("train", training, "--classes", "single", "-o", table, "--jobs", "2")[0] == 0
     fit = fit_of(load(CameraModel, camera))
@@ -376,8 +376,9 @@ def errors(xyz: np.ndarray, light: str) -> np.ndarray:
 
 @pytest.mark.slow
 def test_a_real_chart_is_developed_by_what_is_exported(l3_data: Path, tmp_path: Path, l3: L3) -> None:
-    photo, to = l3_data / "raw/colorchart.dng", ("-o", tmp_path / "camera.h5", "--export", tmp_path)
-    assert l3("calibrate", "--photo", photo, "--light", "A", *to)[0] == 0
+    photo = l3_data / "raw/colorchart.dng"
+    assert l3("calibrate", "--photo", photo, "--light", "A", "-o", tmp_path / "camera.h5")[0] == 0
+    assert l3("export", tmp_path / "camera.h5", "-o", tmp_path)[0] == 0
     camera = load(CameraModel, tmp_path / "camera.h5")
     assert camera.fit is not None
     assert camera.fit.photo is not None

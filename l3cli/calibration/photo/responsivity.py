@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import Noise
-from l3cli.artifacts.fit import LightGuess, PhotoFit
+from l3cli.artifacts.fit import LightGuess, PhotoFit, PhotoWindow
 from l3cli.calibration import noise
 from l3cli.calibration.photo import estimate as priors
 from l3cli.calibration.photo.estimate import (
@@ -233,8 +233,16 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
         measured=_padded([shot.values for shot in shots], 0.0),
         predicted=_padded(list(posterior.predicted), 0.0),
         likely=LightGuess(CANDIDATES, np.array([[each[name] for name in CANDIDATES] for each in likely])),
+        window=_window([capture.frames[0] for capture in measurements.photos], measurements.body),
     )
     return curves_of(posterior), fit, sensor
+
+
+def _window(frames: Sequence[RawFrame], body: Body) -> PhotoWindow | None:
+    """Return which part of the sensor the frames show, or None if they show all of it."""
+    if all(frame.phase == (0, 0) and frame.values.shape == (body.rows, body.cols) for frame in frames):
+        return None
+    return PhotoWindow(np.array([frame.phase for frame in frames]), np.array([frame.values.shape for frame in frames]))
 
 
 def curves_of(posterior: Posterior) -> Curves:

@@ -1,0 +1,51 @@
+"""Glare that calibration found in photos of charts, as dark frames (docs/method.md#charts-in-photographs)."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+from l3cli.artifacts.camera import CameraModel
+from l3cli.frames.frame import shifted_cfa, tiled
+
+LARGEST_DN = 65535  # in 16 bits
+PAGES = 2  # of equal values: their difference says that the dark frame has no noise
+
+
+def glare_files(camera: CameraModel) -> dict[str, bytes]:
+    """Return a dark frame for each photo of a chart that the camera was calibrated from.
+
+    A dark frame contains the black level and the glare of each channel. `l3 render --dark` subtracts it from the photo, or
+    from another picture taken in the same place.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Any camera. There are no files for one that does not come from photos.
+
+    Returns
+    -------
+    dict of str to bytes
+        TIFF files, by name.
+    """
+    photo = camera.fit.photo if camera.fit else None
+    if photo is None:
+        return {}
+    files = {}
+    for number, (name, glare) in enumerate(zip(photo.names, photo.glare, strict=True)):
+        suffix = f"_{number + 1}" if len(photo.names) > 1 else ""
+        phase, shape = ((0, 0), (camera.rows, camera.cols)) if photo.window is None else photo.window.of(number)
+        values = np.clip(np.rint(camera.black_level + glare), 0, LARGEST_DN).astype(np.uint16)
+        content = io.BytesIO()
+        with tifffile.TiffWriter(content) as file:
+            for _ in range(PAGES):
+                file.write(
+                    values[tiled(shifted_cfa(camera.cfa, phase), shape)],
+                    compression="zlib",
+                    photometric="minisblack",
+                    metadata=None,
+                    software=None,
+                )
+        files[f"{Path(name).stem}{suffix}_offsets.tif"] = content.getvalue()
+    return files
