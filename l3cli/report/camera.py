@@ -402,4 +402,9 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         inside = (mean > 0) & (measured > 0) & (mean < LINEAR_RANGE[1] * gain * noise.saturation_capacity[channel])
         snr = mean[inside] / np.sqrt(measured[inside])
         plot.dots(mean[inside] / gain, snr, key.colour, colours.MARKS[key.mark], series=key.label)
-    return plot.figure("Signal over noise", "Temporal noise only. Dotted: an ideal sensor with photon noise only.", keys)
+    best = ", ".join(
+        f"{name} {tidy(10 * np.log10(float(capacity)), 3)} dB"
+        for name, capacity in zip(camera.channels, noise.saturation_capacity, strict=True)
+    )
+    finding = f"SNR max: {best}. Temporal noise only. Dotted: an ideal sensor with photon noise only."
+    return plot.figure("Signal over noise", finding, keys)
