@@ -21,7 +21,8 @@ AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
     "Start": ["install", "how-l3-works", "tutorial", "glossary"],
     "How-to": [
-        "own-lab", "raw-files", "video", "spectral-scenes", "arrays", "class-recipes", "measurement", "evaluate", "programs",
+        "own-lab", "raw-files", "video", "many-machines", "spectral-scenes", "arrays", "class-recipes", "measurement", "evaluate",
+        "programs", "green-webcam", "export",
     ],
     "Reference": [
         "commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts", "python",
@@ -76,7 +77,7 @@ def with_demo(readme: str) -> str:
         return readme
     words = '<a href="demo.html">Render a raw file in this browser</a>: a Bayer DNG, <a href="demo.dng">this one</a>'
     head, after, rest = readme.partition("\n\n*Part of a simulated frame")
-    return f"{head}\n\n{words} or yours; it is sent nowhere ([how](programs.md#a-browser)).{after}{rest}"
+    return f"{head}\n\n{words} or yours; it is sent nowhere ([how](export.md#a-table-in-a-browser)).{after}{rest}"
 
 
 def contents(pages: set[str]) -> str:

@@ -24,7 +24,6 @@ from tests.helpers.readme import PAGES, blocks, commands, fenced
 
 PAGE = PAGES["programs.md"]
 RECIPES = {title: blocks(f"{text}\n")[0] for title, text in re.findall(r"^## (.+)\n((?:(?!^## ).*\n)*)", PAGE, re.M)}
-del RECIPES["A green webcam"], RECIPES["A browser"]  # test_webcam.py, test_browser_page.py
 RGGB = np.array([[0, 1], [1, 2]])
 
 

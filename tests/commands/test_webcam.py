@@ -1,4 +1,4 @@
-"""A green webcam (docs/programs.md): raw photos to tuning files, of a simulated camera whose lens loses light by colour."""
+"""A green webcam (docs/green-webcam.md): raw photos to tuning files, of a simulated camera whose lens loses light by colour."""
 
 import json
 import re
@@ -20,7 +20,7 @@ from tests.helpers import lenses, photos
 from tests.helpers.calls import L3
 from tests.helpers.readme import PAGES, blocks, commands
 
-BLOCKS = blocks(PAGES["programs.md"].partition("## A green webcam")[2].partition("## A browser")[0])
+BLOCKS = blocks(PAGES["green-webcam.md"])
 BLACK, SECONDS = 256.0, 0.02
 
 
