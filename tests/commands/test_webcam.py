@@ -1,4 +1,4 @@
-"""A green webcam (docs/green-webcam.md): raw photos to tuning files, of a simulated camera whose lens loses light by colour."""
+"""docs/green-webcam.md: from raw photos to tuning files, for a simulated camera whose lens loses light by colour."""
 
 import json
 import re
