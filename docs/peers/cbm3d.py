@@ -17,7 +17,7 @@ import numpy as np
 from rivals import CFA, PLAIN, Array, Denoiser, Noise, NotInstalled, Rival, installed
 
 from l3cli.evaluation.demosaic import menon
-from l3cli.frames.frame import tiled
+from l3cli.physics.mosaic import tiled
 
 OPPONENT = np.array([[1 / 3, 1 / 3, 1 / 3], [1 / 2, 0.0, -1 / 2], [1 / 4, -1 / 2, 1 / 4]])  # CBM3D's luminance and chromas
 FLATS = 24  # of noise alone, whose mean power is the spectrum

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.fit import Fit
 from l3cli.artifacts.schema import LARGEST_VALUE, Artifact, data, group
 from l3cli.errors import InputFileError, raised_as
-from l3cli.frames.frame import tiled
 from l3cli.physics import lens, spectra
+from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
 DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; for the last two the whole line is defective
@@ -22,7 +22,7 @@ MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
 MAX_BITS = 16
 ROUNDING = 1e-6  # by which a quantum efficiency may exceed 1
-MAX_WAVELENGTHS, LONGEST_NM = 10_000, 20_000  # number of samples of a spectrum; longest wavelength
+MAX_WAVELENGTHS = 10_000  # number of samples of a spectrum
 QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
 
 
@@ -223,8 +223,8 @@ def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
     """Raise ValueError unless wavelengths, in nm, increase and are those of light."""
     if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
         raise ValueError(f"wavelength must be 2 to {MAX_WAVELENGTHS} increasing values")
-    if not (wavelength[0] > 0 and wavelength[-1] <= LONGEST_NM):
-        raise ValueError(f"wavelength must lie in 0…{LONGEST_NM} nm")
+    if not (wavelength[0] > 0 and wavelength[-1] <= spectra.LONGEST_NM):
+        raise ValueError(f"wavelength must lie in 0…{spectra.LONGEST_NM} nm")
 
 
 @dataclass(frozen=True, repr=False)

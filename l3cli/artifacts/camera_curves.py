@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST_NM, MAX_WAVELENGTHS, ROUNDING
+from l3cli.artifacts.camera import MAX_WAVELENGTHS, ROUNDING
 from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.recipes.faults import Fault, fault
@@ -58,8 +58,8 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
         key = "responsivity.wavelength_nm"
         if not (0 < first < last and step > 0):
             yield fault(f"{key} must be first < last with a positive step", key)
-        elif (last - first) / step >= MAX_WAVELENGTHS or last > LONGEST_NM:
-            yield fault(f"{key} may have at most {MAX_WAVELENGTHS} values, up to {LONGEST_NM} nm", key)
+        elif (last - first) / step >= MAX_WAVELENGTHS or last > spectra.LONGEST_NM:
+            yield fault(f"{key} may have at most {MAX_WAVELENGTHS} values, up to {spectra.LONGEST_NM} nm", key)
     yield from column_faults(declared.columns, channels, "responsivity.columns")
     if declared.gaussians is None:
         return

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.frames.frame import array_rows
+from l3cli.physics.mosaic import array_rows
 
 SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z, and X, Y, Z blurred as the eye blurs chroma
 WEIGHTINGS = ("seen", "linear")

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import saturation
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, sites
-from l3cli.frames.frame import pad_mosaic, shifted_cfa, tiled
+from l3cli.frames.frame import pad_mosaic
+from l3cli.physics.mosaic import shifted_cfa, tiled
 
 
 @dataclass(frozen=True)

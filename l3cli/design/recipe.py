@@ -20,8 +20,8 @@ from l3cli.artifacts.camera_recipe import (
     load_camera,
 )
 from l3cli.errors import RecipeError, suggestion
-from l3cli.frames.frame import array_rows
 from l3cli.physics import spectra
+from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.builtin import CURVES, find_recipe
 from l3cli.recipes.faults import Fault, fault, inside
 from l3cli.recipes.toml import (

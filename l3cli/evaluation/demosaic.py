@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from l3cli.errors import L3Error
 from l3cli.evaluation.quality import cropped
-from l3cli.frames.frame import pad_mosaic, tiled
+from l3cli.frames.frame import pad_mosaic
+from l3cli.physics.mosaic import tiled
 from l3cli.system.plugins import BASELINES, blamed, described, plugins
 
 Array = NDArray[np.floating]

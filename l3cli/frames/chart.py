@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from l3cli.frames.frame import tiled
+from l3cli.physics.mosaic import tiled
 
 CORE = 0.25  # half the side of a patch's core, in cells, which excludes frames of patches and blurred edges
 OUTLIER = 5.0  # robust standard deviations from which a pixel is dust, a scratch or hot

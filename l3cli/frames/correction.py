@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import RawFrame, array_rows
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
+from l3cli.physics.mosaic import array_rows
 from l3cli.system.files import require_same
 
 if TYPE_CHECKING:

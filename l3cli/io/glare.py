@@ -7,7 +7,7 @@ import numpy as np
 import tifffile
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.frame import shifted_cfa, tiled
+from l3cli.physics.mosaic import shifted_cfa, tiled
 
 LARGEST_DN = 65535  # in 16 bits
 PAGES = 2  # of equal values: their difference says that the dark frame has no noise

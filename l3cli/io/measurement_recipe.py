@@ -26,7 +26,7 @@ from l3cli.artifacts.camera_recipe import (
     settings_of,
     share_faults,
 )
-from l3cli.frames.frame import array_rows
+from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, KeyPath, Positive, Recipe, toml_key, toml_value
 from l3cli.spectra.file import names_file

@@ -30,7 +30,7 @@ from l3cli.artifacts.camera_recipe import (
 )
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError, raised_as
-from l3cli.frames.frame import RawFrame, least_period
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -69,6 +69,7 @@ from l3cli.io.measurement_recipe import (
 )
 from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, neutral_of_channels
 from l3cli.physics import charts, spectra
+from l3cli.physics.mosaic import least_period
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
 from l3cli.spectra import units

@@ -8,9 +8,9 @@ import contextlib
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
+from l3cli.parallel.pool import WorkerPool
 from l3cli.system.limits import ONE_BLAS_THREAD
 
 if TYPE_CHECKING:
@@ -45,17 +45,6 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
-
-
-@dataclass(frozen=True)
-class WorkerPool:
-    """Workers that compute function(item) for each item: pool(function, items) yields the results in order."""
-
-    size: int  # number of workers
-    _map: Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
-
-    def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-        return self._map(function, items)
 
 
 @contextlib.contextmanager

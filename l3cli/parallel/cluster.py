@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 from l3cli import __version__
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.parallel import WorkerPool
+from l3cli.parallel.pool import WorkerPool
 from l3cli.system.limits import ONE_BLAS_THREAD
 
 T = TypeVar("T")

@@ -22,6 +22,7 @@ DAYLIGHT = Quantity(4000, 25_000, "K")  # range in which CIE daylight is defined
 # Correlated colour temperatures of the CIE daylights in K, for today's value of the second radiation constant (CIE 15)
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
 UNSEEN = 1e-9  # luminous efficiency below which light counts as invisible; rounding beyond 830 nm leaves more
+LONGEST_NM = 20_000  # wavelength, of any spectrum
 SPRAGUE_STEP = 20.0  # nm, widest band spacing for which a reflectance is interpolated as a smooth curve
 Array = NDArray[np.floating]
 

@@ -13,7 +13,8 @@ from l3cli.classes.decide import label_mosaic
 from l3cli.classes.planes import CHROMA, FixedPoint, coarse, planes_basis, refined_fixed_point
 from l3cli.classes.refinement import label_planes, mirrored, taps_behind
 from l3cli.classes.windows import Integers
-from l3cli.frames.frame import RawFrame, pad_mosaic, shifted_cfa
+from l3cli.frames.frame import RawFrame, pad_mosaic
+from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 

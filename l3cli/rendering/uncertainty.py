@@ -25,7 +25,8 @@ from l3cli.artifacts.table import MosaicLayer, TransformTable
 from l3cli.classes.clipping import KEPT, block_means, block_sides, plain_blocks
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
-from l3cli.frames.frame import RawFrame, shifted_cfa, tiled, upright
+from l3cli.frames.frame import RawFrame, upright
+from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import at_table_levels, mosaic_of
 from l3cli.rendering.renderer import Renderer
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST_NM, MAX_WAVELENGTHS, CameraModel
+from l3cli.artifacts.camera import MAX_WAVELENGTHS, CameraModel
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
@@ -26,7 +26,7 @@ MARGIN = 0.08  # fraction of the frame's height; width of the border around the 
 MOUNT = 0.03  # reflectance between and around the patches
 OVEREXPOSED = 2.0  # full scales; signal of the steps that are repeated with overexposure
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
-Nanometres = Annotated[float, msgspec.Meta(gt=0, le=LONGEST_NM)]
+Nanometres = Annotated[float, msgspec.Meta(gt=0, le=spectra.LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
 Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # two or more: noise is measured on pairs of frames
 SMALLEST_SENSOR = (64, 96)  # rows, columns; fewest pixels that resolve the patches of a chart

@@ -31,9 +31,8 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import LONGEST_NM
 from l3cli.errors import InputFileError
-from l3cli.physics.spectra import colour_science
+from l3cli.physics.spectra import LONGEST_NM, colour_science
 from l3cli.recipes.toml import LARGEST
 from l3cli.spectra import units
 from l3cli.spectra.cgats import is_cgats, read_cgats

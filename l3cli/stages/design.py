@@ -38,11 +38,11 @@ from l3cli.design.task import Task, designed
 from l3cli.errors import L3Error, RecipeError, listed
 from l3cli.evaluation.evaluation import raw_of
 from l3cli.evaluation.quality import Target
-from l3cli.frames.frame import least_period
 from l3cli.frames.scene import Scene
 from l3cli.options.commands import DesignOptions, MomentsOptions, PartsOptions, SimulateOptions, TrainOptions
 from l3cli.parallel import WorkerPool, workers
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
+from l3cli.physics.mosaic import least_period
 from l3cli.recipes.builtin import find_recipe
 from l3cli.recipes.toml import load_recipe, read_text, toml_value
 from l3cli.simulation.frame import SimulationRun, spectral_planes

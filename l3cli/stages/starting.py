@@ -24,7 +24,7 @@ from l3cli.calibration.photo.recipe import PhotoCamera, SensorNoise, gains_of, n
 from l3cli.calibration.photo.responsivity import ColourMatrix
 from l3cli.design.recipe import camera_texts
 from l3cli.errors import InputFileError, RecipeError, suggestion
-from l3cli.frames.frame import RawFrame, array_rows, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body, Measurements, Stated
 from l3cli.frames.raw_sanity import BELOW, ArrayDoubt, PhaseDoubt, array_doubt, black_doubt, phase_doubt, share_below_black
 from l3cli.io.curves import shipped_statistics
@@ -34,6 +34,7 @@ from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
 from l3cli.options.commands import InitOptions
+from l3cli.physics.mosaic import array_rows, shifted_cfa
 from l3cli.recipes.builtin import (
     COMMON,
     CURVES,

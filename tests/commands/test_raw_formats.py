@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.errors import InputFileError, RecipeError
-from l3cli.frames.frame import shifted_cfa
 from l3cli.frames.packings import PACKINGS
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.io.frames import read_frame
@@ -22,6 +21,7 @@ from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.raw.fits import INSTALL
 from l3cli.io.raw.headerless import content_of, make_layout
 from l3cli.io.sequences import find_frames
+from l3cli.physics.mosaic import shifted_cfa
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import FIVE_BAND
 from tests.helpers.raw_files import RGGB

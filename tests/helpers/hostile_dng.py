@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from l3cli.errors import InputFileError
-from l3cli.frames.frame import shifted_cfa
 from l3cli.io.raw.files import read_raw
+from l3cli.physics.mosaic import shifted_cfa
 from tests.helpers.cameras import BAYER
 from tests.helpers.dng_files import BYTE, LONG, SHORT, Tags, lossless_jpeg, packed, write_dng
 from tests.helpers.hostile import Workshop

@@ -34,10 +34,10 @@ from l3cli.evaluation.quality import (
     spectral_angle,
     ssim,
 )
-from l3cli.frames.frame import tiled
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.figures import sign
+from l3cli.physics.mosaic import tiled
 from l3cli.physics.spectra import colour_science
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS

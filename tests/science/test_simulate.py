@@ -12,11 +12,11 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel, Noise, Optics
 from l3cli.artifacts.training_set import open_training_set
-from l3cli.frames.frame import tiled
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.io.pictures.registry import write_picture
 from l3cli.physics import spectra
 from l3cli.physics.lens import diffraction_transfer, relative_illumination
+from l3cli.physics.mosaic import tiled
 from l3cli.simulation import fields, light, procedural, sensor
 from l3cli.simulation.frame import blurred_channels, lens_transfer, low_rank_transfer, project, simulate
 from l3cli.simulation.light import make_target

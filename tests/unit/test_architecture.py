@@ -3,6 +3,7 @@
 
 import ast
 import functools
+import graphlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -84,6 +85,32 @@ def test_imports_go_down_and_never_across() -> None:
             place, there = layer(parts[0]), layer(package)
             allowed = there < place or (there == place and place < 4)
             assert allowed, f"{path}: {parts[0]} (layer {place}) imports {name} (layer {there})"
+
+
+def imported_at_start(tree: ast.Module) -> Iterator[ast.ImportFrom | ast.Import]:
+    """Yield the imports of a module outside of functions."""
+    inside = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) for inner in ast.walk(node)}
+    yield from (n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom | ast.Import) and id(n) not in inside)
+
+
+def test_no_imports_in_circles() -> None:
+    """Neither modules nor packages import each other in a circle, also within a layer."""
+    modules: dict[str, set[str]] = {}
+    packages: dict[str, set[str]] = {}
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+             for path in PACKAGE.rglob("*.py")}  # fmt: skip
+    for module, path in paths.items():
+        if module == PACKAGE.name:  # it offers the API, and every module may ask it for the version
+            continue
+        for node in imported_at_start(ast.parse(path.read_text())):
+            of = node.module or "" if isinstance(node, ast.ImportFrom) else ""
+            names = {f"{of}.{alias.name}".lstrip(".") for alias in node.names}
+            imported = {name if name in paths else of for name in names} & paths.keys() - {module, PACKAGE.name}
+            modules.setdefault(module, set()).update(imported)
+            package = module.split(".")[1]
+            packages.setdefault(package, set()).update({name.split(".")[1] for name in imported} - {package})
+    for graph in (modules, packages):
+        graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def test_libraries_enter_by_their_one_door() -> None:

@@ -13,9 +13,10 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import Clipping, Condition, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, clipping_maps, replaced
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
+from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.exposure import LightMeter
 from l3cli.rendering.opencl import work

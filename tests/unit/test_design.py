@@ -34,7 +34,7 @@ from l3cli.design.search import (
     independent_outputs,
     symmetries,
 )
-from l3cli.frames.frame import least_period
+from l3cli.physics.mosaic import least_period
 
 TERMS, NOISE = 3, Noise(floor=9.0, dark=0.0, full=6000.0, prnu=0.01)
 CURVES = np.array([[0.4, 0.1, 0.0], [0.1, 0.5, 0.1], [0.0, 0.1, 0.4], [0.5, 0.6, 0.5]])

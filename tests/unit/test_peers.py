@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import l3cli
 from l3cli.evaluation.demosaic import bilinear, menon
-from l3cli.frames.frame import tiled
+from l3cli.physics.mosaic import tiled
 from tests.helpers.cameras import BAYER, bayer_camera
 from tests.helpers.paths import ROOT
 from tests.helpers.tables import random_table

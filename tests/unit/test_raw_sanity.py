@@ -9,9 +9,10 @@ import pytest
 import scipy.io
 
 from l3cli.artifacts.camera_recipe import known_arrays, parse_cfa
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.raw_sanity import array_doubt, black_doubt, phase_doubt
 from l3cli.io.frames import raw_content
+from l3cli.physics.mosaic import shifted_cfa
 from tests.helpers.cameras import BAYER, X_TRANS
 
 RGBW = [[3, 2, 3, 1], [2, 3, 1, 3], [3, 1, 3, 0], [1, 3, 0, 3]]

@@ -24,7 +24,7 @@ from l3cli.calibration.draft.sorting import (
     unknown_unit,
 )
 from l3cli.errors import listed
-from l3cli.frames.frame import array_rows
+from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.toml import toml_value
 from l3cli.spectra.table import CurveTable
 from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE

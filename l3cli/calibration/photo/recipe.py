@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_GAIN
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, MIN_F_NUMBER, MIN_FOCAL_MM, PITCH_UM
-from l3cli.frames.frame import array_rows
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
+from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.builtin import CURVES
 from l3cli.recipes.toml import toml_value
 from l3cli.system.text import printable

@@ -41,9 +41,10 @@ from l3cli.frames.chart import (
     photon_transfer,
     through,
 )
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoCapture, SensorFigures
 from l3cli.physics import spectra
+from l3cli.physics.mosaic import shifted_cfa
 
 UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # relative spread of the illumination without a white shot, and after correction by one
 LEAST_SHARE = 0.5  # fraction of the patches that every channel needs

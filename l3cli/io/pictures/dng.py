@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
-from l3cli.frames.frame import Shot, tiled
+from l3cli.frames.frame import Shot
 from l3cli.io.pictures.icc import D50
 from l3cli.io.pictures.registry import Label, Picture
 from l3cli.io.raw.cfa_codes import channel_codes
@@ -38,6 +38,7 @@ from l3cli.io.tags import (
     shot_entries,
     text_entry,
 )
+from l3cli.physics.mosaic import tiled
 from l3cli.physics.spaces import REC2020, adaptation_matrix
 from l3cli.system.files import write_whole
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.frames.frame import shifted_cfa, tiled
+from l3cli.physics.mosaic import shifted_cfa, tiled
 
 if TYPE_CHECKING:  # the process that decodes starts without them
     from l3cli.artifacts.camera import CameraModel

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import plan_correction
-from l3cli.frames.frame import tiled, with_one_black_level
+from l3cli.frames.frame import with_one_black_level
 from l3cli.io import tags
 from l3cli.io.isolated import isolated
 from l3cli.io.raw import RawContent
@@ -25,6 +25,7 @@ from l3cli.io.raw.dng_colour import as_shot_neutral
 from l3cli.io.raw.libraw import opened
 from l3cli.io.raw.opcodes import Opcodes, bad_pixels, gain_of_pixels, read_opcodes
 from l3cli.io.video import storable_rate
+from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import require_picture
 
 WHITE_CODE = LETTERS.index("W")

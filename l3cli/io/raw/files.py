@@ -17,7 +17,7 @@ import numpy as np
 
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
@@ -26,6 +26,7 @@ from l3cli.io.raw.headerless import Layout, layout_of, stdin
 from l3cli.io.raw.unread import refuse_unread
 from l3cli.io.raw.values import SCALED_BLACK, SCALED_WHITE, as_dn, scaled_dn
 from l3cli.io.tags import believable_shot
+from l3cli.physics.mosaic import shifted_cfa
 from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.tree import REACH
 from l3cli.errors import InputFileError
-from l3cli.frames.frame import RawFrame, shifted_cfa, tiled
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import CorrelatedLight, light_of, light_of_neutral, light_of_white, temperature, uv
 from l3cli.physics.display import adaptation_matrix, display_white, fit_through
+from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError, shortened
 from l3cli.frames.chart import Located, corner_cells, locate, through
-from l3cli.frames.frame import RawFrame, shifted_cfa
+from l3cli.frames.frame import RawFrame
 from l3cli.physics import charts, correlated_lights, spectra
 from l3cli.physics.display import scene_white
+from l3cli.physics.mosaic import shifted_cfa
 from l3cli.physics.spaces import BRADFORD
 from l3cli.rendering.exposure import SpreadSamples
 from l3cli.rendering.white.scene_white import GREY_LEVEL, Grey, SceneWhite, Square, WhiteBalance, Whites, plain_balance
