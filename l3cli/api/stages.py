@@ -388,7 +388,7 @@ def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) 
     """
     from l3cli.stages.training import train as stage
 
-    return stage.train(_paths(training), Path(output), options)
+    return stage.train(_paths(training), Path(output), options)[0]
 
 
 @by_keyword(RenderOptions)
@@ -471,7 +471,7 @@ def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOption
     from l3cli.stages import evaluation
 
     with file_of(table) as file:
-        return evaluation.evaluate(file, Path(frames), options)
+        return evaluation.evaluate(file, Path(frames), options)[0]
 
 
 def _paths(given: Name | Sequence[Name]) -> tuple[Path, ...]:

@@ -1,7 +1,6 @@
 """The command line: imports a command when it is called, and reports every error in one place."""
 
 import errno
-import functools
 import importlib
 import sys
 from collections.abc import Callable
@@ -11,13 +10,10 @@ import click
 
 from l3cli import __version__
 from l3cli.cli.results import Record, Result, begin
-from l3cli.cli.terminal import drop, prepare, show, to_stderr
+from l3cli.cli.terminal import drop, prepare, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.parallel import one_blas_thread, without_plots
-from l3cli.system.console import Logged
-from l3cli.system.files import close_ledger
 from l3cli.system.limits import require_address_space, require_settings
-from l3cli.system.outputs import Planned
 from l3cli.system.signals import Terminated, heed, leave_to_python
 
 if TYPE_CHECKING:
@@ -113,31 +109,24 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run `l3 ARGUMENTS` and return its exit code."""
-    Logged.current, record = None, begin(arguments)
-    results: list[Result] = []
-    try:
-        code = _guarded(lambda: _called(arguments, record, results))
-        if record is None or not (results or record.error):  # such as help
-            return code
-        shown = _guarded(lambda: record.show(next(iter(results), None), code))
-        return code or shown
-    finally:
-        close_ledger()
+    record, results = begin(arguments), list[Result]()
+    code = _guarded(lambda: _called(arguments, record, results), record)
+    if not record.as_json or not (results or record.error):  # such as help
+        return code
+    shown = _guarded(lambda: record.show(next(iter(results), None), code), record)
+    return code or shown
 
 
-def _called(arguments: list[str], record: Record | None, results: list[Result]) -> int:
+def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
     """Run the command and return its exit code.
 
     The result is appended to `results`, and printed unless it goes into the JSON record.
     """
-    try:
-        result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False)
-    except Planned as plan:
-        result = Result(plan.document(), functools.partial(show, *plan.lines))
+    result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
     if not isinstance(result, Result):
         return result if isinstance(result, int) else 0
     results.append(result)
-    if result.text and not record:
+    if result.text and not record.as_json:
         result.text()
     sys.stdout.flush()
     if result.fault:
@@ -145,8 +134,15 @@ def _called(arguments: list[str], record: Record | None, results: list[Result]) 
     return result.code
 
 
-def _guarded(work: Callable[[], int | None]) -> int:
-    """Run `work` and return its exit code. Report any error on stderr."""
+def _guarded(work: Callable[[], int | None], record: Record) -> int:
+    """Run `work` and return its exit code. Report any error on stderr and in the record."""
+
+    def fail(message: str, code: int) -> int:
+        line = " ".join(message.split())
+        to_stderr(f"l3: {line}")
+        record.fail(line, code)
+        return code
+
     try:
         code = work()
         sys.stdout.flush()
@@ -154,29 +150,29 @@ def _guarded(work: Callable[[], int | None]) -> int:
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.ClickException as error:
-        return _fail(_usage(error), 2)
+        return fail(_usage(error), 2)
     except L3Error as error:
-        return _fail(str(error), error.exit_code)
+        return fail(str(error), error.exit_code)
     except BrokenPipeError:
         drop(sys.stdout)  # the reader of the pipe has closed it
         return 1
     except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted", 130)
+        return fail("interrupted", 130)
     except Terminated:
-        return _fail("terminated", 143)
+        return fail("terminated", 143)
     except MemoryError:
-        return _fail("out of memory; use fewer --jobs or smaller frames", 1)
+        return fail("out of memory; use fewer --jobs or smaller frames", 1)
     except ImportError as error:
-        return _fail(f"cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
+        return fail(f"cannot load a library: {error}; free some memory, or reinstall l3cli", 1)
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
-        return _fail("out of memory or threads; use fewer --jobs, or raise the limits (ulimit -v, ulimit -u)", 1)
+        return fail("out of memory or threads; use fewer --jobs, or raise the limits (ulimit -v, ulimit -u)", 1)
     except OSError as error:
         if error.filename is None:
             drop(sys.stdout)
         advice = ADVICE.get(error.errno or 0, "")
-        return _fail(f"{error.filename or 'input/output'}: {error.strerror or error}{advice}", 1)
+        return fail(f"{error.filename or 'input/output'}: {error.strerror or error}{advice}", 1)
 
 
 def _usage(error: click.ClickException) -> str:
@@ -192,13 +188,3 @@ def _usage(error: click.ClickException) -> str:
     if not isinstance(error, click.UsageError) or error.ctx is None:
         return message
     return f'{message}{"" if message.endswith("?") else ";"} see "{error.ctx.command_path} --help"'
-
-
-def _fail(message: str, code: int) -> int:
-    line = " ".join(message.split())
-    to_stderr(f"l3: {line}")
-    if Record.current is not None:
-        Record.current.fail(line, code)
-    if Logged.current is not None:
-        Logged.current.heard("error", line)
-    return code

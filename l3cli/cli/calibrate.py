@@ -14,7 +14,7 @@ from l3cli.options.commands import DraftOptions
 @click.command()
 @click.argument("measurements", type=declared.FILE, metavar="[MEASUREMENTS.toml]", required=False)
 @declared.output("Camera model to write; with --draft the measurement file")
-@declared.of(DraftOptions, declared.trust, declared.dry_run)
+@declared.of(DraftOptions, declared.trust)
 def calibrate(measurements: Path | None, output: Path, options: DraftOptions) -> Result:
     """Estimate the spectral responsivities, gain and noise of a camera from lab measurements, or from photos of a
     ColorChecker.
@@ -35,8 +35,8 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
         raise click.UsageError(f"{measurements} is a raw file; give a photo of a ColorChecker with --photo")
     from l3cli.stages.calibration import calibrate as stage
 
-    _, result = stage(measurements, output, options)
-    return Result(result, lambda: show(*figures.as_text(result, terminal.width())))
+    _, result, files = stage(measurements, output, options)
+    return Result(result, lambda: show(*figures.as_text(result, terminal.width())), files=files)
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
@@ -47,5 +47,5 @@ def _draft(folder: Path, measurements: Path | None, output: Path, options: Draft
     if measurements is not None or given:
         name = "MEASUREMENTS.toml" if measurements is not None else f"--{given[0].removesuffix('s')}"
         raise click.UsageError(f"--draft writes a measurement file and does not calibrate; leave {name} out")
-    draft(folder, output, options)
-    return Result({"measurements": str(output)})
+    files = draft(folder, output, options)
+    return Result({"measurements": str(output)}, files=files)

@@ -10,6 +10,7 @@ from l3cli.cli.results import Result
 from l3cli.cli.terminal import show
 from l3cli.errors import InputFileError
 from l3cli.options.commands import CheckOptions
+from l3cli.system.files import files_to_read
 
 
 class AnyRecipe(declared.RecipeFile):
@@ -44,6 +45,7 @@ def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
     from l3cli.stages.check import check as stage
 
     judged = stage(recipes)
+    files = files_to_read({"recipes": [file for judgement in judged for file in (judgement.path, *judgement.files)]})
     fault, faulty = None, [judgement for judgement in judged if judgement.findings]
     if faulty:
         count = sum(len(judgement.findings) + judgement.more for judgement in faulty)
@@ -54,5 +56,6 @@ def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
         from l3cli.stages.report import plot
 
         plot(judged, options.plot, options)
+        files = files.and_wrote(options.plot)
     lines = [line for judgement in judged for line in as_text(judgement, terminal.width())]
-    return Result({"files": [judgement.document() for judgement in judged]}, lambda: show(*lines), fault)
+    return Result({"files": [judgement.document() for judgement in judged]}, lambda: show(*lines), fault, files=files)

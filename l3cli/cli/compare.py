@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("evaluations", type=declared.FILE, nargs=-1, required=True, metavar="EVALUATION.json…")
 @declared.output("HTML page with the curves", required=False)
-@declared.of(CompareOptions, declared.dry_run)
+@declared.of(CompareOptions)
 def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
     """Compare the evaluations of several cameras at each luminance: which camera is better where, and where each one clips.
 
@@ -28,8 +28,8 @@ def compare(evaluations: tuple[Path, ...], output: Path | None, options: Compare
     """
     from l3cli.stages.comparison import compare as stage
 
-    comparison = stage(evaluations, output, options)
-    return Result(comparison.document(), lambda: _text(comparison))
+    comparison, files = stage(evaluations, output, options)
+    return Result(comparison.document(), lambda: _text(comparison), files=files)
 
 
 def _text(comparison: "Comparison") -> None:

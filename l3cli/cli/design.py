@@ -26,7 +26,7 @@ SHOWN = 20  # arrays printed at most
     help="Camera model, camera recipe, name of a recipe, or design recipe. Only its lens and pixel matter.",
 )
 @declared.output("Moments to write")
-@declared.of(MomentsOptions, declared.trust, declared.dry_run)
+@declared.of(MomentsOptions, declared.trust)
 def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> Result:
     """Compute the second moments of scene spectra behind a lens and pixel. The error of any array follows from them.
 
@@ -35,9 +35,10 @@ def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -
     """
     from l3cli.stages.design import gather_moments
 
-    made = gather_moments(scenes, camera, output, options)
+    made, files = gather_moments(scenes, camera, output, options)
     lights = {each.illuminant: each.terms for each in made.light}
-    return Result({"moments": str(output), "patches": int(made.light[0].patches.sum()), "spectra": lights})
+    document = {"moments": str(output), "patches": int(made.light[0].patches.sum()), "spectra": lights}
+    return Result(document, files=files)
 
 
 class _WithMoments(click.Command):
@@ -54,7 +55,7 @@ class _WithMoments(click.Command):
 @click.command(cls=_WithMoments)
 @click.argument("recipe", type=declared.RecipeFile("designs"), metavar="DESIGN.toml")
 @declared.output("Design to write")
-@declared.of(DesignOptions, declared.dry_run)
+@declared.of(DesignOptions)
 def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
     """Rank colour filter arrays by their predicted error, without training them. DESIGN.toml is a recipe, or the name of
     one that comes with l3, with the pixel, the filters, the arrays to try and the lights.
@@ -67,8 +68,8 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
     """
     from l3cli.stages.design import design as stage
 
-    made = stage(recipe, output, options)
-    return Result({"design": str(output), **_document(made)}, lambda: _text(made))
+    made, files = stage(recipe, output, options)
+    return Result({"design": str(output), **_document(made)}, lambda: _text(made), files=files)
 
 
 def _document(made: "Design") -> dict[str, Any]:

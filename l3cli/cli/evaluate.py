@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("table", type=declared.FILE, required=False, metavar="TABLE.h5")
 @click.argument("frames", type=declared.FILE, required=False, metavar="TRAINING.h5")
-@declared.of(SequenceOptions, declared.dry_run)
+@declared.of(SequenceOptions)
 def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) -> Result:
     """Render the raw frames of a training set that TABLE was not trained on, and compare the pictures with their targets.
 
@@ -52,8 +52,8 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
         raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES and optionally --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
-    document = stage(table, frames, options)
-    return Result(document, lambda: print_tables(document))
+    document, files = stage(table, frames, options)
+    return Result(document, lambda: print_tables(document), files=files)
 
 
 def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> Result:
@@ -64,8 +64,8 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
             raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
     from l3cli.stages.evaluation import evaluate_sequence
 
-    figures = evaluate_sequence(sequence, options)
-    return Result(figures.document(), lambda: print_sequence(figures))
+    figures, files = evaluate_sequence(sequence, options)
+    return Result(figures.document(), lambda: print_sequence(figures), files=files)
 
 
 WIDE = 110  # characters: narrower tables leave out the metrics LESS_NEEDED, which the JSON holds

@@ -16,7 +16,7 @@ from l3cli.options.option import declarations
 @click.command()
 @click.argument("artifact", type=declared.CAMERA, metavar="CAMERA|TABLE.h5")
 @declared.output("Folder to write to", metavar="DIR")
-@declared.of(ExportOptions, declared.dry_run)
+@declared.of(ExportOptions)
 def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
     """Write files for other software.
 
@@ -34,9 +34,11 @@ def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
     from l3cli.stages.export import export_table, is_table
 
     if is_table(artifact):
-        return Result({"files": export_table(artifact, output, options)})
+        names, files = export_table(artifact, output, options)
+        return Result({"files": names}, files=files)
     if of_tables := options.chosen():
         flag = declarations(ExportOptions)[next(iter(of_tables))].flag or next(iter(of_tables))
         raise RecipeError(f"‹{flag}› is for transform tables; {artifact} is a camera: leave it out")
-    matrices = export_camera(artifact, output, options)
-    return Result({"matrices": matrices}, lambda: show(*matrix_lines(matrices, terminal.width())) if matrices else None)
+    matrices, files = export_camera(artifact, output, options)
+    text = (lambda: show(*matrix_lines(matrices, terminal.width()))) if matrices else None
+    return Result({"matrices": matrices}, text, files=files)

@@ -10,6 +10,7 @@ from l3cli.cli.results import Result
 from l3cli.cli.terminal import folded, show
 from l3cli.errors import InputFileError
 from l3cli.options.commands import InfoOptions
+from l3cli.system.files import files_to_read
 from l3cli.system.text import figure, printable
 
 if TYPE_CHECKING:
@@ -40,9 +41,10 @@ def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> R
         raise click.UsageError("give one file; only --verify takes INPUTs, the files that it was made from")
     from l3cli.stages.information import content, versions
 
+    files = files_to_read({"artifact": [file]} if file else {})
     document = versions() if file is None else content(file)
     lines = _version_lines(document) if file is None else _lines(document)
-    return Result(document, lambda: _show(lines))
+    return Result(document, lambda: _show(lines), files=files)
 
 
 def _show(lines: list[str]) -> None:
@@ -54,12 +56,13 @@ def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
     """Verify an artifact. The result carries an InputFileError if an input does not match."""
     from l3cli.stages.information import verification
 
+    files = files_to_read({"artifact": [file], "inputs": inputs})
     result = verification(file, inputs)
     fault = None
     if result.strangers:
         named = ", ".join(str(path) for path in result.strangers)
         fault = InputFileError(f"{named}: {file} was not made from it; give the original file, or make {file} again")
-    return Result(result.document(), lambda: show(*_verified(file, result)), fault)
+    return Result(result.document(), lambda: show(*_verified(file, result)), fault, files=files)
 
 
 def _lines(content: dict[str, Any]) -> list[str]:

@@ -23,7 +23,7 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("recipe", required=False, metavar="[RECIPE]", shell_complete=_completed)
 @click.argument("folder", type=declared.FILE, required=False, metavar="[DIR]")
 @click.argument("more", nargs=-1, metavar="")
-@declared.of(InitOptions, declared.dry_run)
+@declared.of(InitOptions)
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
     """Create the folder DIR with recipes for a camera and a Makefile that makes a picture and a report from them. DIR also
     gets the same pipeline for Snakemake and for Slurm job arrays.
@@ -58,10 +58,9 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
                 raise click.UsageError(f"--from takes one {what} and one folder; give them alone")
             if of_photos:
                 raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; leave it out with a {what}")
-            make(single, named[0], options)
-            return Result({"folders": [str(named[0])]})
-        made = start_from([*options.photos, *named[:-1]], named[-1], options)
-        return Result({"folders": [str(each) for each in made]})
+            return Result({"folders": [str(named[0])]}, files=make(single, named[0], options))
+        made, files = start_from([*options.photos, *named[:-1]], named[-1], options)
+        return Result({"folders": [str(each) for each in made]}, files=files)
     if of_photos:
         raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; give them with --from")
     if more:
@@ -81,17 +80,13 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     if recipe.endswith(".toml"):
         if folder is None:
             raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} mine"')
-        start_recipe(Path(recipe), folder, options)
-        return Result({"folders": [str(folder)]})
+        return Result({"folders": [str(folder)]}, files=start_recipe(Path(recipe), folder, options))
     if recipe not in known and recipe not in by_name:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
     if folder is None:
         raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
-    if recipe in known:
-        start(known[recipe], folder, options)
-    else:
-        start_named(recipe, folder, options)
-    return Result({"folders": [str(folder)]})
+    files = start(known[recipe], folder, options) if recipe in known else start_named(recipe, folder, options)
+    return Result({"folders": [str(folder)]}, files=files)
 
 
 def _list(recipes: dict[str, str]) -> None:

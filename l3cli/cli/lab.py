@@ -12,7 +12,7 @@ from l3cli.options.commands import LabOptions
 @click.command()
 @click.argument("camera", type=declared.CAMERA, metavar="CAMERA")
 @declared.output("Folder to write to", metavar="DIR")
-@declared.of(LabOptions, declared.dry_run)
+@declared.of(LabOptions)
 def lab(camera: Path, output: Path, options: LabOptions) -> Result:
     """Simulate the lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of one
     ("l3 init" lists them) or a camera.h5.
@@ -22,4 +22,5 @@ def lab(camera: Path, output: Path, options: LabOptions) -> Result:
     """
     from l3cli.stages.lab import measure
 
-    return Result({"measurements": str(measure(camera, output, options))})
+    measurements, files = measure(camera, output, options)
+    return Result({"measurements": str(measurements)}, files=files)

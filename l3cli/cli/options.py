@@ -1,7 +1,6 @@
 """Options of the command line, built from their declarations in l3cli/options, and the options that every command has."""
 
 import functools
-import importlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,14 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from l3cli.cli.results import JSON, recorded
+from l3cli.cli.results import JSON, Record, Recorded
 from l3cli.cli.terminal import ErrorsOnly, Terminal, with_options
 from l3cli.options.option import Choice, Declaration, File, Flag, Options, Reader, Recipe, Text, declarations
+from l3cli.system import limits
+from l3cli.system.console import Console, Logged
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
-
-    from l3cli.system.console import Console
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -134,13 +133,12 @@ def _log(context: click.Context, parameter: click.Parameter, path: Path | None) 
     context.meta[LOG] = path
 
 
-def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> "Console":
+def _console(context: click.Context, parameter: click.Parameter, quiet: bool) -> Console:
+    record = context.ensure_object(Record)
     console: Console = ErrorsOnly() if quiet else Terminal()
     if context.meta[LOG] is not None:
-        from l3cli.system.console import Logged
-
-        console = Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
-    return recorded(console)
+        console = record.log = Logged(console, context.meta[LOG], context.info_name or "l3", with_options)
+    return Recorded(console, record)
 
 
 _QUIET = click.option(
@@ -156,21 +154,12 @@ _JSON = click.option(  # results.begin has read it already
 )  # fmt: skip
 
 
-def _mode(name: str, module: str, what: str) -> Callable[[F], F]:
-    """Add a flag that runs the whole command inside the context manager `name` of a module."""
-
-    def enter(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-        if wanted:
-            context.with_resource(getattr(importlib.import_module(module), name)())
-
-    return click.option(f"--{name.replace('_', '-')}", is_flag=True, expose_value=False, callback=enter, help=what)
+def _trust(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        context.with_resource(limits.trust())
 
 
-trust = _mode(
-    "trust", "l3cli.system.limits",
-    "Decode raw, image, MATLAB and video files in this process instead of in an isolated process with limits.",
-)  # fmt: skip
-dry_run = _mode(
-    "dry_run", "l3cli.system.outputs",
-    "Make all checks that come before the work, show what would be read and written, and write nothing.",
+trust = click.option(
+    "--trust", is_flag=True, expose_value=False, callback=_trust,
+    help="Decode raw, image, MATLAB and video files in this process instead of in an isolated process with limits.",
 )  # fmt: skip

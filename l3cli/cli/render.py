@@ -10,6 +10,7 @@ from l3cli.cli.results import Record, Result
 from l3cli.cli.terminal import show_table, with_options
 from l3cli.errors import L3Error
 from l3cli.options.render import RenderOptions
+from l3cli.system.files import all_files
 from l3cli.system.signals import Terminated
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
 @declared.output(
     "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m on stdout)"
 )
-@declared.of(RenderOptions, declared.trust, declared.dry_run)
+@declared.of(RenderOptions, declared.trust)
 @click.option(
     "--watch", "--every", hidden=True, is_eager=True, expose_value=False, callback=_refuse_watching,
     help="Removed: use --resume to render new files in a folder.",
@@ -49,7 +50,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
-    if Record.current is not None and output == Path("-"):
+    if click.get_current_context().ensure_object(Record).as_json and output == Path("-"):
         raise click.UsageError("--json and -o - both write to stdout; name an output file or leave --json out")
     from l3cli.io.isolated import start
     from l3cli.io.raw.files import is_photo, needs_isolation
@@ -83,7 +84,7 @@ def clips_result(summary: "Summary", fault: BaseException | None = None, show_te
     """Return the result of l3 render. It prints a table if `show_text` is set, or if `fault` ended a run over many clips."""
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
-    return Result(document, text, fault, summary.exit_code)
+    return Result(document, text, fault, summary.exit_code, all_files(summary.files))
 
 
 def _worded(value: Any) -> Any:

@@ -12,7 +12,7 @@ from l3cli.options.commands import ReportOptions
 @click.command()
 @click.argument("artifacts", type=declared.FILE, nargs=-1, required=True, metavar="ARTIFACT.h5|SEQUENCE.json…")
 @declared.output("HTML page to write")
-@declared.of(ReportOptions, declared.dry_run)
+@declared.of(ReportOptions)
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> Result:
     """Show camera models, training sets and transform tables on one HTML page that needs no network.
 
@@ -25,5 +25,5 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
     """
     from l3cli.stages.report import report as stage
 
-    stage(artifacts, output, options)
-    return Result({"page": str(output)})
+    files = stage(artifacts, output, options)
+    return Result({"page": str(output)}, files=files)

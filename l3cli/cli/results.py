@@ -4,13 +4,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from l3cli import __version__
 from l3cli.cli.terminal import Terminal, finite, show_json, with_options
 from l3cli.errors import InputFileError, L3Error
-from l3cli.system.console import Console, Passing
-from l3cli.system.files import Dated, Ledger, close_ledger, dated, open_ledger, outputs_of, require_regular, sha256
+from l3cli.system.console import Console, Logged, Passing
+from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys of "run"
@@ -27,16 +27,19 @@ class Result:
     text: Callable[[], object] | None = None  # prints the document for people; None: messages have said it already
     fault: BaseException | None = None  # error that the result reports, or that ended the command early
     code: int = 0  # exit code without a fault
+    files: FilesUsed = field(default_factory=FilesUsed)
 
 
 @dataclass
 class Record:
-    """What happened during a command, and its messages; only for --json."""
+    """The course of a command: its log, and the messages and times that --json prints.
 
-    current: ClassVar["Record | None"] = None  # record of the running command
+    Click passes it on as the `obj` of its contexts.
+    """
 
-    ledger: Ledger
     command: str = ""
+    as_json: bool = False
+    log: Logged | None = None  # which also receives the final error
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     left_out: int = 0  # warnings and messages beyond MOST_MESSAGES
@@ -53,20 +56,19 @@ class Record:
             self.left_out += 1
 
     def fail(self, message: str, code: int) -> None:
-        """Record the error that ended the command."""
+        """Record the error that ended the command, also in the log."""
+        if self.log is not None:
+            self.log.heard("error", message)
         self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
         """Print the document as JSON, with the course of the command under "run". Digests are left out after an
         interruption."""
-        seconds, console = time.monotonic() - self.start, recorded(self.console)
+        seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
-        roles, outputs = (
-            (self.ledger.inputs, outputs_of(self.ledger)) if is_whole else ({}, [])
-        )  # digests would delay Ctrl-C
-        close_ledger()
-        inputs = {role: [_file(path, at, console) for path, at in files.items()] for role, files in roles.items()}
-        made = [_file(path, dated(path), console) for path in outputs]
+        files = result.files if result is not None and is_whole else FilesUsed()  # digests would delay Ctrl-C
+        inputs = {role: [_file(path, at, console) for path, at in read.items()] for role, read in files.read.items()}
+        outputs = [_file(path, dated(path), console) for path in dict.fromkeys(map(Path.absolute, files.written))]
         document = finite(result.document if result else {}, console)
         run = {
             "format": RUN_FORMAT,
@@ -81,7 +83,7 @@ class Record:
             "seconds": round(seconds, 6),
             "steps": [{"what": what, "count": n, "seconds": round(s, 6)} for what, (n, s) in self.steps.items()],
             "inputs": inputs,
-            "outputs": made,
+            "outputs": outputs,
         }
         show_json({**document, "run": run})
 
@@ -100,13 +102,10 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
     return {"path": str(path), "bytes": size, "sha256": digest}
 
 
-def begin(arguments: list[str]) -> Record | None:
-    """Return a new record if the arguments contain --json. It must exist before the arguments are parsed, which may fail."""
+def begin(arguments: list[str]) -> Record:
+    """Return the record of a call. It must exist before the arguments are parsed, which may fail."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    Record.current = None
-    if JSON in before:
-        Record.current = Record(open_ledger(), next(iter(arguments), ""))
-    return Record.current
+    return Record(next(iter(arguments), ""), as_json=JSON in before)
 
 
 class Recorded(Passing):
@@ -127,8 +126,3 @@ class Recorded(Passing):
 
     def heard(self, level: str, message: str) -> None:
         self._record.add(self._record.messages if level == "info" else self._record.warnings, message)
-
-
-def recorded(console: Console) -> Console:
-    """Return a console that also writes to the record, if there is one."""
-    return console if Record.current is None else Recorded(console, Record.current)

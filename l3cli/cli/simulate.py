@@ -19,7 +19,7 @@ from l3cli.options.commands import SimulateOptions
     help="Camera model, camera recipe (.toml), or the name of a recipe that comes with l3.",
 )
 @declared.output("Training set to write")
-@declared.of(SimulateOptions, declared.trust, declared.dry_run)
+@declared.of(SimulateOptions, declared.trust)
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Result:
     """Simulate raw frames of many scenes with a camera, and the ideal pictures of these scenes.
 
@@ -30,5 +30,6 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     """
     from l3cli.stages.simulation.simulate import simulate as stage
 
-    frames, bad = stage(scenes, camera, output, options)
-    return Result({"training_set": str(output), "frames": frames, "scenes_left_out": bad}, code=1 if bad else 0)
+    made = stage(scenes, camera, output, options)
+    document = {"training_set": str(output), "frames": made.frames, "scenes_left_out": made.scenes_left_out}
+    return Result(document, code=1 if made.scenes_left_out else 0, files=made.files)

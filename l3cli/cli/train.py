@@ -12,7 +12,7 @@ from l3cli.options.commands import ShardOptions
 @click.command()
 @click.argument("files", type=declared.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
 @declared.output("Transform table to write; with --shard the partial sums")
-@declared.of(ShardOptions, declared.dry_run)
+@declared.of(ShardOptions)
 def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Result:
     """Learn a table of local linear transforms from one or more training sets.
 
@@ -45,10 +45,10 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     if options.first and not options.shard:
         raise click.UsageError("--first is for shards; give --shard, too")
     if options.shard:
-        train_shard(files, options.shard, output, options)
-        return Result({"partial_sums": str(output), "shard": list(options.shard)})
-    table = (merge_shards if options.merge else train_whole)(files, output, options)
+        used = train_shard(files, options.shard, output, options)
+        return Result({"partial_sums": str(output), "shard": list(options.shard)}, files=used)
+    table, used = (merge_shards if options.merge else train_whole)(files, output, options)
     layers = [{"classes": classes, "without_patches": unfilled} for classes, unfilled in filling(table)]
     lights = [light.name for light in table.lights]
     made = {"table": str(output), "layers": layers, "pass": table.history[-1].options.get("pass")}
-    return Result(made | ({"lights": lights} if lights else {}))
+    return Result(made | ({"lights": lights} if lights else {}), files=used)

@@ -34,12 +34,14 @@ from l3cli.io.measurements import (
 from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
 from l3cli.recipes.toml import parse_recipe
-from l3cli.system.files import is_noting, write_whole
-from l3cli.system.outputs import Made, OutputGuard, before_work, is_dry
+from l3cli.system.files import FilesUsed, files_to_read, write_whole
+from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
 
-def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions) -> tuple[CameraModel, dict[str, Any]]:
+def calibrate(
+    measurements: Path | None, output: Path, options: CalibrateOptions
+) -> tuple[CameraModel, dict[str, Any], FilesUsed]:
     """Calibrate a camera from a measurement file, or from raw photos of a ColorChecker, and write its model.
 
     Parameters
@@ -78,10 +80,7 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
         guard.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
         true = load_camera(truth) if truth else None
         measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
-        before_work(
-            inputs.files | {"camera to compare with": camera_files(truth) if truth else []},
-            Made(output, f"camera model of {len(measured.body.channels)} channels"),
-        )
+        files = files_to_read(inputs.files | {"camera to compare with": camera_files(truth) if truth else []})
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
@@ -114,13 +113,13 @@ def calibrate(measurements: Path | None, output: Path, options: CalibrateOptions
             console.info(f"no confidence band: to have one, state [uncertainty] {light} and wavelength_nm")
         csv = f"l3 export {shlex.quote(str(output))} -o DIR"
         console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
-        return camera, result
+        return camera, result, files.and_wrote(output)
 
 
 MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
 
 
-def draft(folder: Path, output: Path, options: DraftOptions) -> str:
+def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     """Write a draft of a measurement file for the captures in a folder, or for its tables if it has no frames.
 
     Frames do not state the sensor, array and optics, so these come from the camera in the options.
@@ -136,8 +135,8 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
 
     Returns
     -------
-    str
-        Text of the draft.
+    FilesUsed
+        Captures and tables that were read, and the draft.
 
     Raises
     ------
@@ -156,16 +155,11 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
         guard.guard_file(output, options.force, recipe=True)
         known = load_camera(camera) if camera else None
         listing = list_captures(folder)
-        if is_dry() or is_noting():
-            contents = counted(len(listing.frames), "frame") if listing.frames else counted(len(listing.tables), "table")
-            inputs = {
-                "frames": [folder / name for name in listing.frames],
-                "tables": [folder / name for name in listing.tables],
-            }
-            before_work(inputs, Made(output, f"draft of a measurement file of {contents}"))
+        frames, tables = ([folder / name for name in names] for names in (listing.frames, listing.tables))
+        files = files_to_read({"frames": frames, "tables": tables})
         notes, name = list[str](), folder.absolute().name
-        if not listing.frames and (tables := spectra_of(listing, output, notes)):
-            text, contents = compose_tables(tables, known, name, notes), f"{counted(len(tables), 'table')}, no frames"
+        if not listing.frames and (spectra := spectra_of(listing, output, notes)):
+            text, contents = compose_tables(spectra, known, name, notes), f"{counted(len(spectra), 'table')}, no frames"
         else:
             notes = list(listing.notes)
             reading = Reading(lambda path: read_capture(folder / path), array_of, console.progress)
@@ -187,7 +181,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> str:
             console.warn(f"l3 calibrate cannot use it yet: {problem}")
         then = "fill in what is marked TODO, then" if text.missing else "next"
         console.info(written if problem else f"{written}; {then}: l3 calibrate {output} -o camera.h5")
-        return str(text)
+        return files.and_wrote(output)
 
 
 def _problem(text: str, output: Path) -> str:

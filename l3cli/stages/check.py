@@ -36,7 +36,6 @@ from l3cli.simulation.recipe import SceneRecipe, curve_faults, scene_faults, sho
 from l3cli.simulation.sources import wanted_scenes
 from l3cli.simulation.summary import camera_lines, camera_meaning, lab_lines, lab_meaning, scene_lines
 from l3cli.stages.simulation.preparation import prepare, refusals, scene_files, size_of, unknown_of
-from l3cli.system.files import note_inputs
 from l3cli.training.recipe import TrainingRecipe, class_recipe_faults
 from l3cli.training.summary import class_lines, class_meaning
 
@@ -281,7 +280,6 @@ def check(given: Sequence[str]) -> list[Judgement]:
         judged[path] = judge(path, cameras[(neighbours or [*cameras])[0]] if cameras else None)
         if judged[path].kind == CAMERA and not judged[path].findings:
             cameras[path] = load_camera(path)
-    note_inputs({"recipes": [file for path in meant for file in (path, *judged[path].files)]})
     return [judged[path] for path in meant]
 
 

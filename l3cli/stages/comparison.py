@@ -8,14 +8,14 @@ from typing import Any
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.comparison import Comparison, curve_of, named_by_files, require_comparable, same_scenes
 from l3cli.options.commands import CompareOptions
-from l3cli.system.files import write_whole
+from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.limits import read_bounded
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.outputs import OutputGuard
 
 GIVE = 'give what "l3 evaluate --json" prints'
 
 
-def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> Comparison:
+def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:
     """Compare the metrics of several cameras at each luminance.
 
     Parameters
@@ -43,6 +43,7 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
         if page is not None:
             guard.protect(*evaluations)
             guard.guard_file(page, options.force)
+        files = files_to_read({"evaluations": evaluations})
         documents = [_read(path) for path in evaluations]
         given = list(zip(evaluations, documents, strict=True))
         curves = {
@@ -53,10 +54,10 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
         comparison = Comparison(curves, same_scenes(documents))
         if comparison.doubt:
             console.warn(comparison.doubt)
-        before_work({"evaluations": evaluations}, *([Made(page, "page")] if page is not None else []))
         if page is not None:
             _write_page(comparison, page)
-        return comparison
+            files = files.and_wrote(page)
+        return comparison, files
 
 
 def _read(path: Path) -> dict[str, Any]:

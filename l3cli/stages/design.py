@@ -56,8 +56,8 @@ from l3cli.stages.simulation.units import is_of_run, key_of
 from l3cli.stages.training.train import train
 from l3cli.system.checkpoint import PartsFolder, parts_folder
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import dated, refuse_existing, sha256, write_whole
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, dated, files_to_read, refuse_existing, sha256, write_whole
+from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
 T = TypeVar("T")
@@ -87,7 +87,7 @@ class Parts(PartsFolder):
 PARTS = 8  # that the scenes are divided into, whatever the number of processes
 
 
-def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> SceneMoments:
+def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
     """Write the moments of a scene recipe behind the lens and pixel of a camera (model, recipe or design recipe), whatever
     its filters. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if the output cannot be
     written."""
@@ -105,8 +105,9 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         text = f"{read_text(scenes)}\n{read_text(camera) if is_design(camera) else recipe_text(camera)}"
         stage = Stage("design moments", options.chosen(), text, digests)
         parts = Parts(parts_folder(output), key_of(stage))
-        if _begin(output, "scene moments", parts, {"scene recipe": [scenes], **inputs}, options):
-            return load(SceneMoments, output)
+        used = files_to_read({"scene recipe": [scenes], **inputs}).and_wrote(output)
+        if _is_finished(output, parts, options):
+            return load(SceneMoments, output), used
         for unknown in unknown_of(run, pixel):
             console.warn(unknown)
         wanted = [
@@ -140,16 +141,20 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
             save(moments, output)
         spectra_of = ", ".join(f"{each.illuminant} {each.terms} spectra" for each in lights)
         console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
-        return moments
+        return moments, used
 
 
-def _begin(output: Path, what: str, parts: Parts, reads: Mapping[str, Sequence[Path]], options: PartsOptions) -> bool:
-    """Return whether the run has ended before, so that with `resume` nothing is left to do; end a dry run here. L3Error if
-    another output is there that may not be replaced."""
+def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
+    """Return whether an earlier run has finished the output, so that with `resume` nothing is left to do.
+
+    Raises
+    ------
+    L3Error
+        If another output exists that may not be replaced.
+    """
     finished = options.resume and not options.force and is_of_run(output, parts.key)
     if not finished:
         refuse_existing(output, options.force)
-    before_work(reads, *([] if finished else [Made(output, what)]))
     if finished:
         options.console.info(f"{output} is finished already")
     return finished
@@ -293,7 +298,7 @@ RUNS, STARTS = 2, 4  # of annealing, from random arrays; of tuning, the first of
 TUNED = " (tuned)"  # behind the name of an array with tuned filters
 
 
-def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
+def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
     """Write the design of a recipe: its arrays by predicted error. RecipeError or InputFileError if recipe, moments or files
     cannot be used, L3Error if the output cannot be written."""
     if options.moments is None:
@@ -313,8 +318,9 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
         parts = Parts(parts_folder(output), key_of(stage))
-        if _begin(output, "design", parts, {"recipe": files, "moments": [options.moments]}, options):
-            return load(Design, output)
+        used = files_to_read({"recipe": files, "moments": [options.moments]}).and_wrote(output)
+        if _is_finished(output, parts, options):
+            return load(Design, output), used
         filters = Filters.of(dict(zip(task.names, task.curves, strict=True)), task.scenes.wavelength)
         for unknown in named_beyond_known((light.illuminant for light in task.lights), filters):
             console.warn(unknown)
@@ -330,7 +336,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> Design:
             save(made, output)
         found = counted(made.tried, "array"), counted(len(made.filters), "filter"), counted(len(made.levels), "level")
         console.info(f"{output}: {', '.join(found)}")
-        return made
+        return made, used
 
 
 @dataclasses.dataclass(frozen=True)

@@ -47,8 +47,8 @@ from l3cli.simulation.recipe import Lens
 from l3cli.simulation.sensor import expose
 from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import sha256
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, files_to_read, sha256
+from l3cli.system.outputs import OutputGuard
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
 BRIGHT = 1e4  # cd/m² of a white in charts: exposures are so short that dark current is negligible
@@ -156,7 +156,7 @@ ONE_LIGHT = 0.001  # spread in CIE 1960 uv up to which the lights of a training 
 UNLIKE = 1.05  # ratio of brightness from which metrics of lightness would compare exposures
 
 
-def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, Any]:
+def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
     """Evaluate a table on the frames of a training set, beside its baselines and its rivals.
 
     Parameters
@@ -170,6 +170,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
     -------
     dict
         The document of `l3 evaluate --json`.
+    FilesUsed
+        Table, frames and pictures of rivals, and the pictures that were written.
 
     Raises
     ------
@@ -198,13 +200,11 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                     raise InputFileError(
                         f"{path} holds {len(files)} pictures, but {frames} holds {len(reader)} frames; give one per frame"
                     )
-            made = []
             if pictures is not None:
                 key = options.run_key(sha256(table), sha256(frames), files=picture_files)
                 refuse_other_run(pictures, key, options.force)
-                made = [Made(pictures, f"pictures of {len(reader)} frames")]
             theirs = {f"pictures of {name}": files for name, (_, files) in others.items()}
-            before_work({"table": [table], "frames": [frames], **theirs}, *made)
+            used, written = files_to_read({"table": [table], "frames": [frames], **theirs}), list[Path]()
             if pictures is not None:
                 unfinished.enter_context(incomplete_folder(pictures, key, options.force))
             if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
@@ -216,7 +216,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
                 frame, planes = evaluate_frame(evaluation, renderers, reader, index, shown)
                 if pictures is not None:
                     for name, picture in frame_pictures(frame, planes).items():
-                        write_picture(pictures / f"{frame_name(index, frame.scene)}_{name}.png", picture)
+                        written.append(pictures / f"{frame_name(index, frame.scene)}_{name}.png")
+                        write_picture(written[-1], picture)
             by_gain = figures_by_gain(transforms, reader, options.backend, console, options.viewing, options.border)
             document = document_of(evaluation, renderers, reader.head, by_gain)
             frames_lights = map(reader.light, range(len(reader)))
@@ -226,7 +227,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> dict[str, A
             warn_of_other_lights(at_own, document, {each.illuminant: each.white for each in frames_lights}, console)
         if reason := cache_warning():
             console.warn(reason)
-        return document
+        return document, used.and_wrote(*written)
 
 
 def document_of(
@@ -401,7 +402,7 @@ def _name_of(rival: Path) -> str:
 # ------------------------------------------------------------------------------------------------------ sequences
 
 
-def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigures:
+def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[SequenceFigures, FilesUsed]:
     """Evaluate rendered pictures or a video over time, optionally against an ideal sequence with known motion.
 
     Parameters
@@ -428,7 +429,8 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
         raise RecipeError(
             f"{rendered}: ‹border› {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}; give a smaller one"
         )
-    before_work({"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()})
+    roles = {"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()}
+    used = files_to_read(roles)
     evaluation = SequenceEvaluation(str(rendered), None if ideal is None else str(ideal), margin)
     light = np.zeros(2)
     for ours_now, ideal_now, motion in console.progress(paired(ours, wanted), ours.count, "frames"):
@@ -440,4 +442,4 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> SequenceFigur
             f"{rendered} is {ratio:.3g} times as bright as {ideal}; render it with ‹exposure› {1 / ratio:.3g} times as large"
         )
     with raised_as(InputFileError, rendered):
-        return evaluation.figures()
+        return evaluation.figures(), used

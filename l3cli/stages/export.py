@@ -22,8 +22,8 @@ from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.simulation.light import named_beyond_known
 from l3cli.stages.rendering.render import mix_of_given
-from l3cli.system.files import write_whole
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, files_to_read, write_whole
+from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a
 
 LOW_NOISE_README = """
@@ -46,13 +46,15 @@ def is_table(path: Path) -> bool:
     return kind == TransformTable.kind
 
 
-def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict[str, dict[str, Any]]]:
+def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str, dict[str, dict[str, Any]]], FilesUsed]:
     """Write the files of a camera model or recipe into a folder.
 
     Returns
     -------
     dict
         Colour errors of the matrices, for each light.
+    FilesUsed
+        Files of the camera, and those that were written.
 
     Raises
     ------
@@ -69,22 +71,24 @@ def export(camera: Path, output: Path, options: ExportOptions) -> dict[str, dict
         files: dict[str, str | bytes] = {**texts, **glare_files(model)}
         for name in files:
             guard.guard_file(output / name, options.force)
-        before_work({"camera": camera_files(camera)}, *(Made(output / name, "export") for name in files))
+        used = files_to_read({"camera": camera_files(camera)})
         for name, content in files.items():
             write_whole(output / name, content)
         if note:
             console.report(note)
         console.info(f"{output}: {', '.join(files)} written")
-        return errors
+        return errors, used.and_wrote(*(output / name for name in files))
 
 
-def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]:
+def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[list[str], FilesUsed]:
     """Write a transform table into a folder, as C source or as arrays.
 
     Returns
     -------
     list of str
         Names of the files.
+    FilesUsed
+        The table and the files.
 
     Raises
     ------
@@ -138,8 +142,8 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> list[str]
             files["README.md"] += readme.encode()
         for name in files:
             guard.guard_file(output / name, options.force)
-        before_work({"table": [table]}, *(Made(output / name, "export", len(content)) for name, content in files.items()))
+        used = files_to_read({"table": [table]})
         for name, content in files.items():
             write_whole(output / name, content)
         console.info(f"{output}: {', '.join(files)} written")
-        return list(files)
+        return list(files), used.and_wrote(*(output / name for name in files))

@@ -22,7 +22,7 @@ from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
-from l3cli.system.files import note_inputs, sha256
+from l3cli.system.files import sha256
 from l3cli.system.limits import trusted
 
 WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)  # small enough to be read at once
@@ -41,7 +41,6 @@ def content(file: Path) -> dict[str, Any]:
     InputFileError
         If the file is not an artifact.
     """
-    note_inputs({"artifact": [file]})
     described = describe(file)
     if described["kind"] == TransformTable.kind:
         from l3cli.training.summary import insight
@@ -79,7 +78,6 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
     InputFileError
         If a byte has changed, or if the artifact is incomplete or holds invalid values.
     """
-    note_inputs({"artifact": [file], "inputs": inputs})
     intact = verify(file)
     _read_whole(file)
     return Verification(intact, *chain(intact.history, {path: sha256(path) for path in inputs}))

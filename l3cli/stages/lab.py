@@ -19,14 +19,14 @@ from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, 
 from l3cli.simulation.light import camera_unknown
 from l3cli.simulation.sensor import DefectRecipe
 from l3cli.spectra.units import PHOTON_RADIANCE
-from l3cli.system.files import note_output, refuse_existing, refuse_protected
+from l3cli.system.files import FilesUsed, files_to_read, refuse_existing, refuse_protected
 from l3cli.system.locks import sole_writer_of_folder
-from l3cli.system.outputs import Made, OutputGuard, before_work, refuse_unwritable
+from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 MONO = "spectra/mono.csv"  # spectrum of the light at each step of the monochromator
 
 
-def measure(camera: Path, output: Path, options: LabOptions) -> Path:
+def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, FilesUsed]:
     """Simulate the lab measurements of a camera and write them into a folder.
 
     Parameters
@@ -42,6 +42,8 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
     -------
     Path
         The measurement file in the folder.
+    FilesUsed
+        Recipes that were read, and all files of the folder.
 
     Raises
     ------
@@ -65,12 +67,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
         captures = plan(model, chosen, seed)
         for name in _names(captures):
             refuse_protected(output / name)
-        frames = sum(capture.trials for capture in captures)
-        before_work(
-            {"camera": camera_files(camera), "lab recipe": [recipe] if recipe else []},
-            Made(output, f"{len(_names(captures)) - frames} files of spectra and measurements"),
-            Made(output, f"{frames} frames of {model.rows}×{model.cols}", 2 * frames * model.rows * model.cols),
-        )
+        used = files_to_read({"camera": camera_files(camera), "lab recipe": [recipe] if recipe else []})
         if note := columns_left_out(camera):
             console.info(note)
         for unknown in camera_unknown(camera, model, chosen.lights):
@@ -81,13 +78,11 @@ def measure(camera: Path, output: Path, options: LabOptions) -> Path:
         with workers(options.jobs) as pool:
             for _ in console.progress(pool(write_frame, work), len(work), "frames"):
                 pass
-        for name in _names(captures):  # other processes wrote some of them
-            note_output(output / name)
         files.write_measurements(_described(model, chosen, captures, output), file)
         console.info(
             f"{file}: {len(captures)} captures, {len(work)} frames; next: l3 calibrate {shlex.quote(str(file))} -o camera.h5"
         )
-        return file
+        return file, used.and_wrote(*(output / name for name in _names(captures)))
 
 
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:

@@ -44,8 +44,8 @@ from l3cli.simulation.procedural import chart_places
 from l3cli.stages.check import CAMERA, Judgement
 from l3cli.stages.evaluation import FrameRenderers, document_of, evaluate_frame, figures_by_gain, for_frames
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import note_places, sha256, write_whole
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, files_to_read, sha256, write_whole
+from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 
 # of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
@@ -55,7 +55,7 @@ SEQUENCE = ".json"  # suffix of an evaluation of a sequence
 CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
 
 
-def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> None:
+def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
     """Write a page on camera models, training sets and transform tables; InputFileError if one is none of these, is damaged,
     or does not fit the others, RecipeError or L3Error if the output cannot be written."""
     if output.suffix != ".html":
@@ -65,7 +65,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         guard.protect(*artifacts)
         guard.guard_file(output, options.force)
         given = _read(artifacts)
-        before_work({"artifacts": artifacts}, Made(output, "page"))
+        files = files_to_read({"artifacts": artifacts})
         _require_luminance(given, options.at)
         title, lead, sections = _compose(given, options, console)
         page = render_page(title, lead, sections).encode()
@@ -74,6 +74,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
             console.warn(reason)
         much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
         console.info(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
+        return files.and_wrote(output)
 
 
 # --------------------------------------------------------------------------------------------------- what is given
@@ -328,7 +329,6 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
         guard.protect(*(file for each in judged for file in (each.path, *each.files)))
         guard.protect(*(file for path in paths for file in camera_files(path)))
         guard.guard_file(output, options.force)
-        note_places([output])
         cameras = [(path, load_camera(path)) for path in paths]
         sections = [camera_section(camera, figures_of_camera(camera), path.name) for path, camera in cameras]
         title = ", ".join(camera.name for _, camera in cameras)

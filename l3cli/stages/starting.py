@@ -48,8 +48,8 @@ from l3cli.recipes.builtin import (
 )
 from l3cli.simulation.lab import SMALLEST_SENSOR
 from l3cli.system.console import Console
-from l3cli.system.files import atomic_output, blamed_on, refuse_protected, require_regular
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
+from l3cli.system.outputs import OutputGuard
 
 COLOURS = set(LETTERS.lower())  # letters that a row of ‹pattern› may write without blanks
 NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # nona Bayer: common in telephones, but not a recipe of its own
@@ -63,7 +63,7 @@ WRITTEN = (*COMMON, "camera.toml", CURVES)  # files written to a folder
 Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, with the metadata of each
 
 
-def start(starter: Path, folder: Path, options: InitOptions) -> None:
+def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Write the folder of a recipe or benchmark that comes with l3.
 
     Each file appears only when it is complete.
@@ -90,14 +90,14 @@ def start(starter: Path, folder: Path, options: InitOptions) -> None:
         contents = {name: origin.read_bytes() for name, origin in origins.items()}
         contents |= known_camera(contents) if curves else {}
         contents |= {} if starter.is_dir() else for_lights(contents)
-        made = [Made(folder / name, "copy", len(content)) for name, content in contents.items()]
-        before_work({"recipes": origins.values()}, *made)
+        used = files_to_read({"recipes": origins.values()})
         write_folder(folder, contents)
         edits = f"put your curves into {curves.name} and your values into camera.toml, then " if curves else ""
         options.console.info(f"{folder}: {summary(starter)}; next: {edits}make -C {shlex.quote(str(folder))}")
+        return used.and_wrote(*(folder / name for name in contents))
 
 
-def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> None:
+def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Write the folder of a user's own camera recipe, with its base recipe and its curves.
 
     Raises
@@ -121,20 +121,22 @@ def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> None:
                 texts[names[file]] = texts[names[file]].replace(
                     f"{quote}{stated}{quote}".encode(), f"{quote}{name}{quote}".encode()
                 )
-        _write_recipes(folder, common_files(camera.rows, camera.cols) | texts, {"recipe": files})
+        used = _write_recipes(folder, common_files(camera.rows, camera.cols) | texts, {"recipe": files})
         options.console.info(f"{folder}: {camera.name}; next: make -C {shlex.quote(str(folder))}")
+        return used
 
 
-def start_named(name: str, folder: Path, options: InitOptions) -> None:
+def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
     """Write the folder of a camera that l3 knows by name (l3cli/io/known_cameras). Raise L3Error as `start` does."""
     with OutputGuard(options.console) as guard:
         guard.guard_folder(folder, options.force, *WRITTEN)
         camera = named_camera(name)
-        _write_recipes(folder, _contents(camera), {})
+        used = _write_recipes(folder, _contents(camera), {})
         options.console.info(_camera_line(folder, camera))
+        return used
 
 
-def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
+def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Write the folder of the best array of a design.
 
     Raises
@@ -151,17 +153,19 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> None:
         camera = design.camera(*design.winner)
         texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
         contents = common_files(camera.rows, camera.cols) | {name: text.encode() for name, text in texts.items()}
-        _write_recipes(folder, contents, {"design": [path]})
+        used = _write_recipes(folder, contents, {"design": [path]})
         options.console.info(
             f"{folder}: {camera.name}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
         )
+        return used
 
 
-def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> None:
-    """Write a recipe folder, and refuse a camera that cannot be simulated. A dry run ends before anything is written."""
-    before_work(reads, *(Made(folder / each, "recipe", len(content)) for each, content in contents.items()))
+def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
+    """Write a recipe folder, and refuse a camera that cannot be simulated."""
+    used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
+    return used.and_wrote(*(folder / name for name in contents))
 
 
 def named_camera(name: str) -> PhotoCamera:
@@ -181,7 +185,7 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 # --------------------------------------------------------------------------------------------------- from raw files
 
 
-def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> list[Path]:
+def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tuple[list[Path], FilesUsed]:
     """Write the recipe folder of the camera that took some raw files.
 
     Parameters
@@ -197,6 +201,8 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
     -------
     list of Path
         The folders that were written.
+    FilesUsed
+        The raw files, and the files and links that were written.
 
     Raises
     ------
@@ -220,22 +226,18 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> li
             for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
         }
         contents = {place: _contents(camera) for place, camera in made.items()}
-        sizes = {place / name: len(content) for place, texts in contents.items() for name, content in texts.items()}
         links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
         for link in links:
             if not link.is_symlink():  # a link from an earlier call points to the photo, and may be replaced
                 refuse_protected(link)
-        before_work(
-            {"photos": files},
-            *(Made(path, "recipe", size) for path, size in sizes.items()),
-            *(Made(path, f"link to {photo}") for path, photo in links.items()),
-        )
+        used = files_to_read({"photos": files})
         for place, camera in made.items():
             write_folder(place, contents[place])
             load_camera(place / "camera.toml")  # refuses a camera that cannot be simulated
             _link(place / _shown(camera), links[place / _shown(camera)])
             console.info(_camera_line(place, camera))
-    return list(made)
+    written = [place / name for place, texts in contents.items() for name in texts]
+    return list(made), used.and_wrote(*written, *links)
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:

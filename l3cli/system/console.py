@@ -107,8 +107,6 @@ class Logged(Passing):
         If the file cannot be written.
     """
 
-    current: "Logged | None" = None  # log of the running command, which also receives its final error
-
     def __init__(self, console: Console, path: Path, command: str, wording: Callable[[str], str] = str) -> None:
         super().__init__(console)
         self._path, self._command, self._wording = path, command, wording
@@ -116,7 +114,6 @@ class Logged(Passing):
         if path.exists() and not (path.is_file() and _is_log(path)):
             raise RecipeError(f"{path} is not a log of l3's; name another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
-        Logged.current = self
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         """Show progress on the inner console. The log gets only the start and the end."""

@@ -1,4 +1,4 @@
-"""Files: complete outputs, inputs identified by SHA-256, and a ledger of what a command reads and writes.
+"""Files: complete outputs, inputs identified by SHA-256, and records of the files that a stage used.
 
 A process that writes a temporary file holds a lock (flock) on it, which the kernel releases even after SIGKILL. So a
 temporary file without a lock was left by a killed run. Locks on outputs are in locks.py.
@@ -14,7 +14,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
@@ -23,59 +23,40 @@ from l3cli.system.signals import uninterrupted
 Dated = list[int]  # size in bytes, time of the last change in ns
 
 
-@dataclass
-class Ledger:
-    """Inputs by role, as they were when they were recorded, and outputs in the order in which they were finished."""
+@dataclass(frozen=True)
+class FilesUsed:
+    """Files that a stage has read and written.
 
-    inputs: dict[str, dict[Path, Dated | None]] = field(default_factory=dict)
-    outputs: dict[Path, None] = field(default_factory=dict)
-    places: dict[Path, None] = field(default_factory=dict)  # files and folders that the command will make
+    Attributes
+    ----------
+    read : dict
+        For each role, such as "table", its files with their size and time before they were read (None: not a file).
+    written : tuple of Path
+        Finished output files.
+    """
 
+    read: Mapping[str, Mapping[Path, Dated | None]] = field(default_factory=dict)
+    written: tuple[Path, ...] = ()
 
-_open: Ledger | None = None
-
-
-def open_ledger() -> Ledger:
-    """Start a new ledger, which replaces the current one, and return it."""
-    global _open
-    _open = Ledger()
-    return _open
-
-
-def close_ledger() -> None:
-    """Stop recording."""
-    global _open
-    _open = None
+    def and_wrote(self, *paths: Path) -> "FilesUsed":
+        """Return the same files and further outputs."""
+        return replace(self, written=(*self.written, *paths))
 
 
-def is_noting() -> bool:
-    """Return whether a ledger is open."""
-    return _open is not None
+def files_to_read(roles: Mapping[str, Iterable[Path]]) -> FilesUsed:
+    """Return a record of input files by their role, made before they are read, so that later changes are noticed."""
+    return FilesUsed({role: {path: dated(path) for path in paths} for role, paths in roles.items()})
 
 
-def note_inputs(roles: Mapping[str, Iterable[Path]]) -> None:
-    """Record files that are read, by their role."""
-    if _open is not None:
-        for role, paths in roles.items():
-            _open.inputs.setdefault(role, {}).update({path: dated(path) for path in paths})
-
-
-def note_places(paths: Iterable[Path]) -> None:
-    """Record the outputs: files, patterns of files, or folders. Other files that are written do not count as outputs."""
-    if _open is not None:
-        _open.places.update(dict.fromkeys(path.absolute() for path in paths))
-
-
-def note_output(path: Path) -> None:
-    """Record a finished output file."""
-    if _open is not None:
-        _open.outputs[path.absolute()] = None
-
-
-def outputs_of(ledger: Ledger) -> list[Path]:
-    """Return the finished files that exist and belong to the recorded outputs."""
-    folders = {place.parent for place in ledger.places} | set(ledger.places)
-    return [path for path in ledger.outputs if not folders.isdisjoint(path.parents) and path.is_file()]
+def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
+    """Return the files of several runs together."""
+    read: dict[str, dict[Path, Dated | None]] = {}
+    written: list[Path] = []
+    for part in parts:
+        for role, files in part.read.items():
+            read.setdefault(role, {}).update(files)
+        written += part.written
+    return FilesUsed(read, tuple(written))
 
 
 def dated(path: Path) -> Dated | None:
@@ -211,7 +192,6 @@ def _put_in_place(temporary: Path, path: Path) -> None:
     """Rename a file, and make sure that content and name are on disk."""
     _flush(temporary)
     os.replace(temporary, path)
-    note_output(path)
     try:
         _flush(path.parent)
     except OSError as error:

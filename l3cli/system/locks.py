@@ -9,14 +9,11 @@ import fcntl
 import os
 import threading
 from collections.abc import Iterator
-from contextvars import ContextVar
 from pathlib import Path
 
 from l3cli.errors import L3Error
 from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refuse_protected, shortened, sweep
 from l3cli.system.signals import uninterrupted
-
-_WITHOUT_WRITING: ContextVar[bool] = ContextVar("without writing", default=False)
 
 
 class ThreadLock:
@@ -39,16 +36,6 @@ class ThreadLock:
 
 
 @contextlib.contextmanager
-def without_writing() -> Iterator[None]:
-    """Create no locks and remove nothing during the block; only refuse outputs that another run is writing."""
-    token = _WITHOUT_WRITING.set(True)
-    try:
-        yield
-    finally:
-        _WITHOUT_WRITING.reset(token)
-
-
-@contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
     """Keep other runs from writing `path` during the block, and remove temporary files that killed runs left of it.
 
@@ -63,7 +50,7 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
         If another run is writing the file, or if its folder cannot be written.
     """
     with _locked(path, path.with_name(_lock_name(path.name))) as locked:
-        if locked and not _WITHOUT_WRITING.get():
+        if locked:
             sweep(path.parent, path)
         yield locked
 
@@ -76,7 +63,7 @@ def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] 
     end. Temporary files of killed worker processes are removed, too.
     """
     with _locked(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
-        swept = [folder, *(folder / each for each in inside)] if locked and not _WITHOUT_WRITING.get() else []
+        swept = [folder, *(folder / each for each in inside)] if locked else []
         for each in swept:
             sweep(each)
         try:
@@ -94,10 +81,6 @@ def _lock_name(name: str) -> str:
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
     """Hold `lock` during the block. Folders created for it are removed if they stay empty."""
     refuse_protected(lock)  # it will be removed
-    if _WITHOUT_WRITING.get():
-        _refuse_held(lock, output)
-        yield True
-        return
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         descriptor = _take(lock, output)
@@ -110,21 +93,6 @@ def _locked(output: Path, lock: Path) -> Iterator[bool]:
         for folder in made:
             with contextlib.suppress(OSError):
                 folder.rmdir()
-
-
-def _refuse_held(lock: Path, output: Path) -> None:
-    """Raise L3Error if another run holds the lock. Nothing is created or removed."""
-    descriptor = _existing(lock)
-    if descriptor is None:
-        return
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise _busy(output) from error
-    except OSError:
-        pass  # storage without locks
-    finally:
-        os.close(descriptor)
 
 
 def _busy(output: Path) -> L3Error:

@@ -50,13 +50,6 @@ def test_c_is_what_a_table_becomes_unless_it_is_reported_otherwise(table: Path, 
     assert "$" not in contents(tmp_path / "c")["README.md"].decode()
 
 
-def test_a_dry_run_names_the_files_and_writes_none(table: Path, tmp_path: Path, l3: L3) -> None:
-    code, out, err = l3("export", table, "-o", tmp_path / "c", "--dry-run")
-    assert code == 0
-    assert all(name in out + err for name in C_FILES)
-    assert not (tmp_path / "c").exists()
-
-
 def test_a_folder_is_written_alike_twice(table: Path, tmp_path: Path, l3: L3) -> None:
     for name in ("one", "two"):
         assert l3("export", table, "-o", tmp_path / name, "--to", "folder", "--quiet")[0] == 0

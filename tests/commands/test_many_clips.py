@@ -162,13 +162,8 @@ def test_two_clips_of_one_name_or_one_that_is_there_are_refused_before_work(
     assert "name a folder" in refused(2, "render", table, shots / "fold", shots / "v.mkv", "-o", tmp_path / "a.mp4", *FAST)
 
 
-def test_videos_in_a_folder_and_a_dry_run_of_them(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:
+def test_clips_of_a_folder_become_videos(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:
     call = ("render", table, shots / "stack.npy", shots / "fold", "-o", tmp_path / "out", "--format", "mkv", *FAST)
-    code, out, err = l3(*call, "--dry-run")
-    assert (code, err) == (0, "")
-    assert f"makes {tmp_path / 'out/stack.mkv'}: video of 5 frames" in out
-    assert f"makes {tmp_path / 'out/fold.mkv'}: video of 5 frames" in out
-    assert not (tmp_path / "out").exists()
     assert l3(*call)[0] == 0
     assert names(tmp_path / "out") == [STATE, "fold.mkv", "stack.mkv"]
 
@@ -330,16 +325,6 @@ def test_an_output_of_a_clip_that_is_still_there_is_not_replaced(l3: L3, tmp_pat
     assert f"was made of {shots / 'v.mkv'}, which is still there; name another folder" in err
     os.unlink(shots / "v.mkv")
     assert l3(*call, tmp_path / "tuesday/v.npy")[0] == 0
-
-
-def test_a_dry_run_of_the_same_again_names_what_is_new(again: Callable, l3: L3, table: Path, tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        np.save(tmp_path / f"in/{name}.npy", frames())
-        again()
-    np.save(tmp_path / "in/b.npy", frames(2))
-    code, out, _ = l3("render", table, tmp_path / "in", "-o", tmp_path / "out", "--resume", "--dry-run", *FAST)
-    assert (code, out.count("makes")) == (0, 1)
-    assert f"makes {tmp_path / 'out/b'}: pictures of 2 frames" in out
 
 
 def test_what_was_half_done_is_done_again(shots: Path, table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,6 @@ from l3cli.io.raw.files import RawOverrides, read_raw
 from l3cli.io.tags import LIBRAW_FLIP
 from l3cli.physics import spectra
 from l3cli.physics.display import SRGB_FROM_XYZ, adaptation_matrix, scene_white
-from l3cli.rendering import renderer
 from l3cli.rendering.display import make_display
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.system.files import sha256
@@ -284,17 +283,6 @@ def test_matrices_and_adaptation_are_those_of_colour_science() -> None:
     a, d65 = spectra.white_point("A"), spectra.white_point("D65")
     theirs = colour.adaptation.matrix_chromatic_adaptation_VonKries(a, d65, transform="Bradford")
     np.testing.assert_allclose(adaptation_matrix(3 * a, d65), theirs, atol=1e-12)
-
-
-def test_a_dry_run_makes_no_device_ready(
-    l3: L3, tmp_path: Path, table: Path, raw: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[str] = []
-    monkeypatch.setattr(renderer, "make_ready", made.append)
-    assert l3("render", table, raw, "-o", tmp_path / "a.png", "--dry-run")[0] == 0
-    assert made == []
-    assert l3("render", table, raw, "-o", tmp_path / "a.png")[0] == 0
-    assert made == ["opencl"]
 
 
 # ------------------------------------------------------------------------------------------------------- real files

@@ -175,13 +175,6 @@ def test_a_call_is_of_one_kind(ideal: Path, refused: Refused) -> None:
     assert "leaves no patch" in refused(2, "evaluate", "--sequence", ideal, "--border", 10)
 
 
-def test_a_dry_run_reads_no_picture(ideal: Path, tmp_path: Path, l3: L3) -> None:
-    code, out, err = l3("evaluate", "--sequence", ideal, "--ideal", ideal, "--dry-run")
-    assert code == 0
-    assert "4 files" in out + err
-    assert "nothing has been written" in out + err
-
-
 # ----------------------------------------------------------------------------------------------------------- report
 
 

@@ -262,3 +262,50 @@ def test_a_picture_is_read_alike_by_both_readers(tmp_path: Path, monkeypatch: py
     np.testing.assert_array_equal(away[0], place[0])
     assert away[1] == place[1]
     assert json.dumps(away[1])
+
+
+OUTPUTS = (  # calls in a folder in which the pipeline has run, whose output {out} exists
+    "calibrate lab/MEASUREMENTS.toml -o {out}/c.h5",
+    "calibrate --draft lab -o {out}/M.toml",
+    "simulate scenes.toml --camera camera.h5 -o {out}/t.h5",
+    "train training.h5 --classes classes.toml -o {out}/t.h5",
+    "train training.h5 --classes classes.toml --shard 1/2 -o {out}/s.h5",
+    "render table.h5 {raw} -o {out}/p.png",
+    "render table.h5 unseen/*_raw.tif -o {out}/p/####.tif",
+    "evaluate table.h5 unseen.h5 --pictures {out}/p",
+    "report camera.h5 table.h5 -o {out}/r.html",
+    "export camera.h5 -o {out}/e",
+    "lab camera.toml -o {out}/lab",
+    "init bayer {out}/demo",
+)
+
+
+@pytest.mark.parametrize("sentence", OUTPUTS)
+def test_an_output_that_exists_is_refused(sentence: str, pipeline: Path, tmp_path: Path, refused: Refused) -> None:
+    """Before any work, which would warn or report progress, and without touching it or leaving anything."""
+    raw = next((pipeline / "unseen").glob("*_raw.tif"))
+    names = {path.name for path in pipeline.iterdir()}
+    words = sentence.format(out=tmp_path, raw=raw).split()
+    call = [str(pipeline / word) if index and word.partition("/")[0] in names else word for index, word in enumerate(words)]
+    output = next(Path(word) for word in call if word.startswith(str(tmp_path)))
+    folder = output.parent if output.suffix else output
+    folder.mkdir(exist_ok=True)
+    mine = [folder / f"{number:04d}.tif" for number in range(40)] if "#" in output.name or not output.suffix else [output]
+    mine += [] if output.suffix else [folder / "MEASUREMENTS.toml", folder / "rawtoaces.json"]
+    for path in mine:
+        path.write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    assert str(tmp_path) in refused(1, *call)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert {path.read_text() for path in mine} == {"mine"}
+
+
+def test_wrong_inputs_are_refused(pipeline: Path, tmp_path: Path, refused: Refused) -> None:
+    calls = {
+        "none.tif": (3, "render", pipeline / "table.h5", pipeline / "none.tif", "-o", tmp_path / "p.png"),
+        "table.h5": (3, "train", pipeline / "table.h5", "-o", tmp_path / "t.h5"),
+        "camera.toml": (2, "calibrate", pipeline / "camera.toml", "-o", tmp_path / "c.h5"),
+    }
+    for name, (code, *call) in calls.items():
+        assert name in refused(code, *call)
+    assert not list(tmp_path.iterdir())

@@ -24,12 +24,9 @@ from l3cli.io.video import USUAL_RATE, VideoChoice
 from l3cli.options.render import GAIN, RenderOptions
 from l3cli.rendering.temporal.chunks import CHUNK
 from l3cli.system.checkpoint import Checkpoint, key_in
-from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint, is_noting, require_regular, sha256
+from l3cli.system.files import FINISHED, UNFINISHED, FilesUsed, dated, files_to_read, fingerprint, sha256
 from l3cli.system.limits import read_bounded
-from l3cli.system.outputs import Made, before_work, is_dry
 from l3cli.system.text import counted
-
-KINDS = {"stream": "y4m stream of", "video": "video of", "pattern": "numbered pictures of", "folder": "pictures of"}
 
 
 def overrides(options: RenderOptions) -> RawOverrides:
@@ -81,23 +78,11 @@ def _nearest(place: int, grid: int) -> int:
     return (place + grid // 2) // grid * grid
 
 
-def plan(
-    table: Path, inputs: Sequence[Path], sequence: FrameSequence, destination: Destination, options: RenderOptions
-) -> None:
-    """Report the files that are read and made; in a dry run, after the refusals that come before work."""
-    if not (is_dry() or is_noting()):
-        return  # there may be many frames
+def input_files(table: Path, inputs: Sequence[Path], sequence: FrameSequence, options: RenderOptions) -> FilesUsed:
+    """Return the files that are read. Frames of a stream, which may be endless, are not listed."""
     frames = [] if sequence.is_stream else [frame for place, frame in enumerate(sequence.frames) if sequence.renders(place)]
     files = [reference.source for reference in frames if reference.source is not None]
-    if is_dry():
-        refuse_outputs(destination, sequence, options.force or options.resume)
-        for file in files if not options.skip_bad else ():
-            require_regular(file)
-    rendered = sequence.rendered
-    count = "as many frames as come" if rendered is None else f"{rendered} frame{'s' * (rendered > 1)}"
-    made = Made(destination.path, f"{KINDS.get(destination.kind, 'picture of')} {count}")
-    others = [] if options.uncertainty is None else [Made(options.uncertainty, "uncertainty of 1 frame")]
-    before_work({"table": [table], "inputs": files or inputs, "dark frames": options.dark}, made, *others)
+    return files_to_read({"table": [table], "inputs": files or inputs, "dark frames": options.dark})
 
 
 class PictureCheckpoint(Checkpoint):

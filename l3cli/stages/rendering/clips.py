@@ -32,8 +32,9 @@ from l3cli.stages.rendering.sequence import Tally
 from l3cli.system import files
 from l3cli.system.checkpoint import Checkpoint
 from l3cli.system.console import Gathering
+from l3cli.system.files import FilesUsed
 from l3cli.system.locks import sole_writer_of_folder
-from l3cli.system.outputs import OutputGuard, Planned, is_dry, refuse_unwritable
+from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
@@ -182,6 +183,7 @@ class Summary:
     frames: int = 0
     left_out: int = 0
     code: int | None = None  # exit code of the first clip that failed
+    files: list[FilesUsed] = field(default_factory=list)  # of each rendered clip
 
     def add(self, report: ClipReport) -> None:
         self.clips.append(report)
@@ -208,6 +210,7 @@ def alone(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOp
     tally = render(table, inputs, output, replace(options, console=heard))
     named = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
     summary.add(_report(named, output, tally, heard.warnings))
+    summary.files.append(tally.files)
     return summary
 
 
@@ -251,17 +254,13 @@ class ClipJob:
         with OutputGuard(self.console) as guard:
             refuse_unwritable(self.folder / STATE)
             guard.protect(self._path)
-            if not is_dry():
-                guard.hold(sole_writer_of_folder(self.folder), self.folder)
+            guard.hold(sole_writer_of_folder(self.folder), self.folder)
             self._take_over()
-            later = (L3Error, OSError) if resume and not is_dry() else (InputFileError, OSError)  # said when it is its turn
-            standings: list[Standing] = []
+            later = (L3Error, OSError) if resume else (InputFileError, OSError)  # said when it is its turn
             for source in sources:
                 with contextlib.suppress(*later):
                     guard.protect(*frame_files(source))
-                    standings.append(self._standing(source))
-            if is_dry():
-                self._plan(standings)
+                    self._standing(source)
             self._checkpoint.begin()  # now that nothing is refused: what it replaces may be another run's
             try:
                 for number, source in enumerate(sources, 1):
@@ -283,22 +282,6 @@ class ClipJob:
 
     def _note(self, output: Path, entry: Entry) -> None:
         self._checkpoint.add(output.name, asdict(entry))
-
-    def _plan(self, standings: Sequence[Standing]) -> None:
-        """Raise, in a dry run, Planned for all clips; what is wrong with the first one is raised."""
-        reads: dict[str, list[Path]] = {}
-        makes = []
-        for standing in standings:
-            if standing.is_finished:
-                continue
-            try:
-                force = self._options.force or standing.ours
-                render(self._path, (standing.source,), standing.output, replace(self._options, resume=False, force=force))
-            except Planned as plan:
-                makes += plan.makes
-                for role, paths in plan.reads.items():
-                    reads.setdefault(role, []).extend(paths)
-        raise Planned(reads, makes)
 
     def _standing(self, source: Path) -> Standing:
         """Return the state of a clip and its output. L3Error if something exists that may not be replaced."""
@@ -342,6 +325,7 @@ class ClipJob:
         ended = replace(begun, made=made, frames=tally.done, left_out=tally.failures, seconds=tally.seconds)
         self._note(output, replace(ended, frame_times=tally.frame_times))
         self.summary.add(_report(str(source), output, tally, heard.warnings))
+        self.summary.files.append(tally.files)
 
     def _fail(self, source: Path, output: Path, heard: Gathering, error: L3Error | OSError) -> None:
         """Report and count what is wrong with a clip; raise what would be wrong with every other one, too."""

@@ -25,7 +25,6 @@ from l3cli.rendering.display import Display
 from l3cli.rendering.rendition import Rendition, rendered, shown
 from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.system.files import require_same
-from l3cli.system.outputs import is_dry
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -190,12 +189,9 @@ def _renderer(
 def while_reading(
     backend: str, engine: Mapping[str, str | None], suffix: str | None, scheduler: "Scheduler | None"
 ) -> contextlib.AbstractContextManager[None]:
-    """Prepare, while a table is read, what this process renders and writes files of a suffix with; nothing in a dry
-    run. `engine`: options of the backend."""
+    """Prepare, while a table is read, what this process renders and writes files of a suffix with. `engine`: options of the
+    backend."""
     from l3cli.rendering.renderer import make_ready
-
-    if is_dry():
-        return contextlib.nullcontext()
 
     def work() -> None:
         if scheduler is None:

@@ -36,7 +36,7 @@ from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_a
 from l3cli.rendering.temporal.chunks import Chunks, filters
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
-from l3cli.stages.rendering.checkpoint import FrameDigests, checkpointed, overrides, part_of, plan, video_choice
+from l3cli.stages.rendering.checkpoint import FrameDigests, checkpointed, input_files, overrides, part_of, video_choice
 from l3cli.stages.rendering.executors import Renderers, RenderSetup, executor_of, while_reading
 from l3cli.stages.rendering.sequence import SequenceJob, Tally, render_frames
 from l3cli.system.console import Console
@@ -106,7 +106,7 @@ def render(
         _protected(sequence, guard)
         if sequence.missing and not options.skip_bad:
             raise sequence.absent(sequence.missing[0])
-        plan(table, inputs, sequence, destination, options)
+        used = input_files(table, inputs, sequence, options)
         if options.gain is None and not known.gains and (gain := gain_of_first(transforms, find(known), console)):
             known = replace(known, unlabelled_gain=gain)
             sequence = replace(sequence, frames=find(known).frames)
@@ -139,6 +139,8 @@ def render(
             if options.uncertainty is not None:  # first: a frame that is too small leaves no picture that is in the way
                 write_uncertainty(options.uncertainty, transforms, sequence, engine, options)
             tally = render_frames(job, executor, checkpoint, digests())
+            written = [*tally.written, *([] if options.uncertainty is None else [options.uncertainty])]
+            tally.files = used.and_wrote(*written)
         for text in filter(None, (odd_exposure_time(known.exposure, transforms), cache_warning())):
             console.warn(text)
         return tally

@@ -11,6 +11,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from l3cli.errors import InputFileError, L3Error
@@ -30,7 +31,7 @@ from l3cli.rendering.white.source import ChartSceneWhite, WhiteSource
 from l3cli.stages.rendering.checkpoint import FrameDigests, PictureCheckpoint
 from l3cli.stages.rendering.executors import Exposed, Local, Remote, Unread
 from l3cli.system.console import Console
-from l3cli.system.files import sha256
+from l3cli.system.files import FilesUsed, sha256
 
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
@@ -100,6 +101,8 @@ class Tally:
     failures: int = 0
     seconds: float = 0.0  # from the first frame's reading to the last one's writing
     frame_times: str | None = None  # EVEN, KEPT or LOST of what is shown in time; None: pictures
+    written: list[Path] = field(default_factory=list)
+    files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, options: RenderOptions, count: int = 1) -> None:
         """Report that a frame, or several, are left out; raise why, unless bad frames are skipped."""
@@ -175,8 +178,12 @@ def render_frames(
                 tally.leave_out(picture, options)
             else:
                 writing.put((reference, picture))
+                if job.destination.one_by_one:
+                    tally.written.append(job.destination.file(reference.number, reference.stem))
         if not tally.done:
             raise InputFileError("none of the frames could be read; nothing is written")
+    if job.destination.kind in ("pages", "video"):
+        tally.written.append(job.destination.path)
     if warnings.assumption:
         console.info(warnings.assumption)
     for text in warnings.lines():

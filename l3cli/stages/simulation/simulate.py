@@ -4,6 +4,7 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
@@ -30,26 +31,49 @@ from l3cli.stages.simulation.preparation import (
     unknown_of,
 )
 from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
-from l3cli.system.checkpoint import incomplete_folder, parts_folder, refuse_other_run
+from l3cli.system.checkpoint import incomplete_folder, parts_folder
 from l3cli.system.console import Console
-from l3cli.system.files import note_inputs, note_places, refuse_existing
-from l3cli.system.outputs import Made, OutputGuard, before_work, is_dry
+from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
+from l3cli.system.outputs import OutputGuard
 
 NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
 
 
-def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> tuple[int, int]:
-    """Write the training set of a scene recipe and a camera (model or recipe); how many frames it has, how many scenes were
-    left out. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if an output cannot be
-    written."""
+@dataclass(frozen=True)
+class Simulated:
+    """Result of a simulation: the number of frames, the number of scenes that were left out, and the files."""
+
+    frames: int
+    scenes_left_out: int
+    files: FilesUsed
+
+
+def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Simulated:
+    """Simulate the training set of a scene recipe and a camera (model or recipe), and write it.
+
+    Parameters
+    ----------
+    scenes, camera : Path
+        Scene recipe, and camera model or recipe.
+    output : Path
+        Training set to write.
+    options : SimulateOptions
+        Options of `l3 simulate`.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If recipe, camera or files cannot be used.
+    L3Error
+        If an output cannot be written.
+    """
     # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
     console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
     folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
     with OutputGuard(console) as guard:
         guard.protect(scenes, *camera_files(camera), *itertools.chain(*options.inputs().values()))
         guard.hold_file(output)
-        if not is_dry():
-            remove_finished(output)
+        remove_finished(output)
         refuse_existing(output, force or resume)
         for folder in folders:
             guard.hold_folder(folder, *WRITTEN)
@@ -67,47 +91,27 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         stands = resume and not force and is_of_run(output, key)
         if not stands:
             refuse_existing(output, force)
-        if is_dry():
-            for folder in folders:
-                refuse_other_run(folder, key, force)
-            going_on = not stands and stored.goes_on(resume, force)
-            _plan(run, files, (scenes, camera), [] if stands else [output], folders, going_on)
         if note := columns_left_out(camera):
             console.info(note)
         for text in unknown_of(run, model, camera):
             console.warn(text)
         note_unknown_fields(run, files, console)
-        note_inputs({"scene recipe": [scenes], **inputs})
-        note_places((output, *folders))
+        used = files_to_read({"scene recipe": [scenes], **inputs})
         with contextlib.ExitStack() as unfinished:
             for folder in folders:
                 unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    write_pictures(run, files, frames, options)
+                    pictures = write_pictures(run, files, frames, options)
             else:
                 with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
-                    write_pictures(run, files, stored, options)
+                    pictures = write_pictures(run, files, stored, options)
                     _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}{'; finished already' if stands else ''}")
-        return total, bad
-
-
-def _plan(
-    run: SimulationRun, files: list[list[Path]], recipes: tuple[Path, Path], sets: list[Path], folders: list[Path],
-    going_on: bool,
-) -> None:  # fmt: skip
-    """Report, in a dry run, what would be read and made: training sets and folders of pictures."""
-    total = sum(len(each) for _, each in shots(run.recipe, files)) if run.recipe.scene else 0
-    frames = f"{total + len(run.recipe.pair)} frames of {run.camera.rows}×{run.camera.cols}"
-    how = ", some of which are stored" if going_on else ""
-    size = (total + len(run.recipe.pair)) * run.frame_bytes
-    inputs = {"recipes": [recipes[0], *camera_files(recipes[1])], **input_files(run, files)}
-    made = (Made(path, f"training set, {frames}{how}, {size} bytes before compression") for path in sets)
-    before_work(inputs, *made, *(Made(folder, f"pictures of {frames}") for folder in folders))
+        return Simulated(total, bad, used.and_wrote(output, *pictures))
 
 
 def _simulate_frames(
@@ -147,24 +151,29 @@ WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into
 
 def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
-) -> None:
-    """Write the pictures and DNGs of all `frames`, as far as they are asked for; `files` are those of each source. Of clips
-    it is said how they are rendered as bright as the ideal pictures."""
+) -> list[Path]:
+    """Write the pictures and DNGs of all frames that the options ask for, and return their files.
+
+    `files` are the files of each source. A message names the exposure with which a clip is rendered as bright as its ideal
+    pictures.
+    """
+    written: list[Path] = []
     if options.pictures:
-        lengths = _write_motion(run, files, options.pictures)
+        lengths = _write_motion(run, files, options.pictures, written)
         first_of = {index: first for first, count in lengths.items() for index in range(first, first + count)}
-        for index, scale in _write_pictures(run, frames, options.pictures, first_of).items():
+        for index, scale in _write_pictures(run, frames, options.pictures, first_of, written).items():
             if index in lengths:
                 last = index + lengths[index] - 1
                 options.console.info(
                     f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures"
                 )
     if options.dng:
-        _write_dng(run, frames, options.dng)
+        _write_dng(run, frames, options.dng, written)
+    return written
 
 
 def _write_pictures(
-    run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, first_of: dict[int, int]
+    run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, first_of: dict[int, int], written: list[Path]
 ) -> dict[int, float]:
     """Write each frame as a raw mosaic and as the ideal picture of it.
 
@@ -180,6 +189,8 @@ def _write_pictures(
         Where the pictures are written.
     first_of : dict
         Of each frame of a clip, by its number, the number of the clip's first frame, whose exposure all of them have.
+    written : list of Path
+        To which the files are appended.
 
     Returns
     -------
@@ -201,19 +212,26 @@ def _write_pictures(
         if run.target.outputs != ("X", "Y", "Z"):
             planes = np.moveaxis(frame.target / np.float32(frame.white.max()), 0, -1)
             write_picture(folder / f"{name}_ideal.exr", planes, run.target.outputs)
+            written += [folder / f"{name}{RAW}", folder / f"{name}_ideal.exr"]
             continue
         first = first_of.get(index, index)
         if first not in exposures:
             exposures[first] = exposure_scale(frame.target[1])
         display = make_display(frame.white, exposures[first], bits=8)
         write_picture(folder / f"{name}{IDEAL}", encode(frame.target, display))
+        written += [folder / f"{name}{RAW}", folder / f"{name}{IDEAL}"]
         scales[index] = run.camera.output_unit * exposures[first] / frame.exposure
     return scales
 
 
-def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> dict[int, int]:
-    """Write the motion of each frame of a clip since the one before; return the number of frames of each clip by the
-    number of its first."""
+def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, written: list[Path]) -> dict[int, int]:
+    """Write the motion of each frame of a clip since the previous frame, and append the files to `written`.
+
+    Returns
+    -------
+    dict
+        The number of frames of each clip, by the number of its first frame.
+    """
     import numpy as np
 
     from l3cli.io.pictures.registry import write_picture
@@ -227,13 +245,14 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path) -> 
         for shot in clip:
             name = frame_name(shot.index, wanted.name)
             write_picture(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), CHANNELS)
+            written.append(folder / f"{name}{MOTION}")
             if shot.moment == 0:
                 lengths[shot.index] = wanted.source.motion.frames
     return lengths
 
 
-def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path) -> None:
-    """Write each raw frame as DNG, with the white balance of its light where that is known."""
+def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, written: list[Path]) -> None:
+    """Write each raw frame as DNG, with the white balance of its light if it is known, and append the files to `written`."""
     from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 
@@ -245,3 +264,4 @@ def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path)
         grey = None if light is None else neutral(camera, light)
         path = folder / f"{frame_name(index, frame.scene)}.dng"
         write_dng(path, frame.raw, camera, matrices, grey, frame.exposure)
+        written.append(path)

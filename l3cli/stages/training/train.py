@@ -36,7 +36,8 @@ from l3cli.stages.training.refinement_layers import (
 )
 from l3cli.stages.training.run import FIRST_PASS, LAYERS, TrainingRun, cached_for_a_run, open_run
 from l3cli.system.console import Console
-from l3cli.system.outputs import Made, OutputGuard, before_work
+from l3cli.system.files import FilesUsed, files_to_read
+from l3cli.system.outputs import OutputGuard
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums
 from l3cli.training.recipe import TrainingRecipe, draft_of, layer_faults, require_one_go
 from l3cli.training.sums import empty_sums
@@ -44,7 +45,7 @@ from l3cli.training.table import add_up, assemble, by_noise, finished_layer, lay
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, frame_blocks
 
 
-def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> TransformTable:
+def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tuple[TransformTable, FilesUsed]:
     """Train a transform table and write it.
 
     Parameters
@@ -60,6 +61,8 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> Tr
     -------
     TransformTable
         The table.
+    FilesUsed
+        Training sets, recipe and table.
 
     Raises
     ------
@@ -68,19 +71,21 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> Tr
     L3Error
         If the output cannot be written.
     """
-    with execution_of(training, output, options, "transform table") as (run, execution):
+    with execution_of(training, output, options) as (run, execution, used):
         table = _learn(run, execution)
         save(table, output)
     report_table(table, output, options.console)
-    return table
+    return table, used.and_wrote(output)
 
 
 @contextlib.contextmanager
 def execution_of(
-    training: tuple[Path, ...], output: Path, options: TrainOptions, what: str
-) -> Iterator[tuple[TrainingRun, Execution]]:
-    """Yield the run of these training sets, and who does its work, while the output is claimed for `what` is made; errors
-    in the recipe name its file."""
+    training: tuple[Path, ...], output: Path, options: TrainOptions
+) -> Iterator[tuple[TrainingRun, Execution, FilesUsed]]:
+    """Yield the run of these training sets, its workers, and the files that it reads, and keep the output locked.
+
+    Errors in the recipe name its file.
+    """
     classes, scheduler = options.classes, options.cluster()
     with OutputGuard(options.console) as guard:
         guard.protect(*training, *itertools.chain(*options.inputs().values()))
@@ -89,12 +94,10 @@ def execution_of(
             training = tuple(path.absolute() for path in training)  # for workers elsewhere
         run = open_run(training, options)
         runs_by_light(run)  # refused before any work
-        frames = sum(source.frames for source in run.training)
-        made = Made(output, f"{what} of {sum(run.patches)} patches in {frames} frames")
-        before_work({"training sets": training, "class recipe": [classes] if classes else []}, made)
+        used = files_to_read({"training sets": training, **options.inputs(all=False)})
         blamed = raised_as(RecipeError, classes or "the built-in class recipe", RecipeError)
         with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():  # workers start while the first reads
-            yield run, Execution(pool, scheduler is not None, options.console)
+            yield run, Execution(pool, scheduler is not None, options.console), used
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
@@ -119,12 +122,12 @@ def filling(table: TransformTable) -> list[tuple[int, int]]:
 NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
 
 
-def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> None:
+def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
     """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the first table that
-    the shards of a pass make, of the next one. Errors are those of `train`; InputFileError if that table is of another
-    run."""
+    the shards of a pass make, of the next one. Return the files that were read and written. Errors are those of `train`;
+    InputFileError if that table is of another run."""
     first = options.first
-    with execution_of(training, output, options, f"partial sums, shard {shard[0]} of {shard[1]},") as (run, execution):
+    with execution_of(training, output, options) as (run, execution, used):
         require_one_go(run.recipe.learning)
         table = load(TransformTable, first) if first else None
         warn_of_left_out_layers(run, options.console)
@@ -134,6 +137,7 @@ def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path
         else:
             pass_ = _last_pass(run, table, first) if table else first_pass(run, execution)
             _write_shard(run, shard, pass_, table, output, execution)
+    return used.and_wrote(output)
 
 
 def _write_shard(
@@ -193,25 +197,31 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
     return pass_of(run, table, LAST)
 
 
-def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> TransformTable:
-    """Make the table of all shards of a pass and write it; InputFileError if some are missing, doubled or of another run."""
+def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> tuple[TransformTable, FilesUsed]:
+    """Make the table of all shards of a pass and write it. Return it with the files that were read and written.
+
+    Raises
+    ------
+    InputFileError
+        If shards are missing, given twice, or belong to another run.
+    """
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(*shards)
         guard.guard_file(output, options.force)
-        table = _merged(shards, output)
+        used = files_to_read({"partial sums": shards})
+        table = _merged(shards)
         save(table, output)
         report_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
             console.info(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
-        return table
+        return table, used.and_wrote(output)
 
 
-def _merged(shards: tuple[Path, ...], output: Path) -> TransformTable:
+def _merged(shards: tuple[Path, ...]) -> TransformTable:
     with contextlib.ExitStack() as stack:
         readers = [stack.enter_context(open_partial_sums(path)) for path in shards]
         _require_all_shards(shards, [reader.head for reader in readers])
-        before_work({"partial sums": shards}, Made(output, f"transform table of {len(shards)} shards"))
         head = readers[0].head
         recipe, seed = _recipe_and_seed(readers[0], shards[0])
         if isinstance(head, PartialLayerSums):
