@@ -26,7 +26,7 @@ def artifact_pages() -> dict[str, str]:
 
 
 def section(kind: type[Artifact]) -> str:
-    made = f"Written by {code(kind.made_by.strip(chr(34)))}, format version {kind.version}. {plain(first(kind))}"
+    made = f"Written by {code(kind.made_by.strip(chr(34)))}. {plain(first(kind))}"
     found = list(rows(kind))
     if kind is TrainingSet:
         found += [each for name, group in GROUPS.items() for each in rows(group, f"{name}/00000/")]
@@ -40,10 +40,10 @@ def first(kind: type) -> str:
 
 
 def rows(kind: type, prefix: str = "", absent: bool = False) -> Iterator[tuple[str, ...]]:
-    for name, spec, optional in declared(kind):
+    for name, spec in declared(kind):
         if isinstance(spec, Spec):
             place = code(prefix + name)
             axes = ", ".join(map(plain, spec.axes)) or "—"
-            yield f"({place})" if optional or absent else place, spec.dtype, axes, plain(spec.unit), plain(spec.doc)
+            yield f"({place})" if spec.optional or absent else place, spec.dtype, axes, plain(spec.unit), plain(spec.doc)
         else:
-            yield from rows(spec.kind, f"{prefix}{name}/{'0/' if spec.several else ''}", optional or absent)
+            yield from rows(spec.kind, f"{prefix}{name}/{'0/' if spec.several else ''}", spec.optional or absent)

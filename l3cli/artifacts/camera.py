@@ -137,9 +137,7 @@ class NoiseScale:
     """Temporal noise relative to the camera's: changed by another analog gain, or reduced by a temporal filter."""
 
     gain: float = data("float64", doc="analog gain over the camera's", default=1.0)
-    noise_left: float = data(
-        "float64", doc="share of the noise variance over time that a filter has left", default=1.0, formerly="shot"
-    )
+    noise_left: float = data("float64", doc="share of the noise variance over time that a filter has left", default=1.0)
 
     def __post_init__(self) -> None:
         if not self.gain > 0:
@@ -276,7 +274,6 @@ class CameraModel(Artifact):
     """
 
     kind: ClassVar[str] = "camera model"
-    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 calibrate"'
 
     name: str = data("str", doc="what the camera is called")
@@ -299,10 +296,8 @@ class CameraModel(Artifact):
     )
     absolute: bool = data("bool", doc="whether responsivity is a quantum efficiency or only relative")
     gain: float = data("float64", unit="DN/e-", doc="conversion gain K")
-    black_level: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure", formerly="black")
-    white_level: float = data(
-        "float64", unit="DN", doc="value at which a pixel saturates: well or converter", formerly="white"
-    )
+    black_level: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
+    white_level: float = data("float64", unit="DN", doc="value at which a pixel saturates: well or converter")
     fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
     noise: Noise = group()
     optics: Optics = group()

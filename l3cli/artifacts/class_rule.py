@@ -157,7 +157,6 @@ class ClassRule:
         "int64",
         unit="(DN >> shift) times 16",
         doc="black level, taken off channel means for the chroma",
-        formerly="chroma_black",
     )
     chroma_weights: NDArray[np.int32] = data(
         "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"

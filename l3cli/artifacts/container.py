@@ -105,7 +105,7 @@ def seal(path: Path) -> None:
         os.pwrite(raw.fileno(), _block(raw), 0)
 
 
-def check(path: Path, made_by: str) -> bool:
+def check(path: Path, made_by: str) -> None:
     """Compare a file with the digest that it carries.
 
     Parameters
@@ -114,29 +114,22 @@ def check(path: Path, made_by: str) -> bool:
     made_by : str
         The command that writes such files, for messages.
 
-    Returns
-    -------
-    bool
-        False if the file is HDF5 without a user block: format version 1, or written by another program.
-
     Raises
     ------
     InputFileError
-        If the file is not HDF5, or differs from what was written.
+        If the file is no artifact, or differs from what was written.
     """
     try:
         with open_regular(path, f"give the file written by {made_by}") as raw:
             head = raw.read(BLOCK + len(SIGNATURE))
-            if head.startswith(SIGNATURE):
-                return False
-            block, ours = head[:BLOCK], head.startswith(TITLE)
-            if not ours and head[BLOCK:] != SIGNATURE:
+            has_title = head.startswith(TITLE)
+            if not has_title and SIGNATURE not in (head[: len(SIGNATURE)], head[BLOCK:]):
                 raise InputFileError(f"{path} is not an HDF5 file; give the file written by {made_by}")
-            if ours and block == _block(raw):
-                return True
+            if has_title and head[:BLOCK] == _block(raw):
+                return
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; give the file written by {made_by}") from error
-    what = "is truncated or damaged (checksum)" if ours else "is an HDF5 file but no l3 artifact, or damaged"
+    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but no l3 artifact, or damaged"
     raise InputFileError(f"{path} {what}; copy it again, or make it again with {made_by}")
 
 

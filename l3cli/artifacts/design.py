@@ -54,7 +54,6 @@ class SceneMoments(Artifact):
     """Second moments of scenes behind a lens and a pixel, whatever the filters (docs/arrays.md#which-array)."""
 
     kind: ClassVar[str] = "scene moments"
-    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 design moments"'
 
     pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
@@ -163,7 +162,6 @@ class Design(Artifact):
     """Arrays that can be built from a library of filters, best first, with their predicted errors."""
 
     kind: ClassVar[str] = "design"
-    version: ClassVar[int] = 2
     made_by: ClassVar[str] = '"l3 design"'
 
     name: str = data("str", doc="what the design is called")

@@ -28,7 +28,7 @@ class NoiseFit:
         "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
     )
     white_level_reached: bool = data(
-        "bool", doc="whether a white frame saturates; if not, white_level is the converter's top", formerly="white_reached"
+        "bool", doc="whether a white frame saturates; if not, white_level is the converter's top"
     )
     defects: NDArray[np.int64] = data(
         "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"

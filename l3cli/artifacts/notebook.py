@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.schema import Spec, declared, instances
+from l3cli.artifacts.schema import Spec, declared, instances, is_stored
 
 MAX_VALUES = 8  # longer arrays are described by their shape and range
 MAX_LETTERS = 60  # of a text
@@ -27,9 +27,9 @@ def html(title: str, content: Any) -> str:
 
 def _fields(content: Any) -> Iterator[str]:
     """Yield a table of the datasets, then a folded block per group."""
-    fields = [(name, spec, getattr(content, name)) for name, spec, _ in declared(type(content))]
+    fields = [(name, spec, getattr(content, name)) for name, spec in declared(type(content))]
     rows = [(name, _shape(spec, value), spec.unit, _preview(value), spec.doc) for name, spec, value in fields
-            if isinstance(spec, Spec)]  # fmt: skip
+            if isinstance(spec, Spec) and is_stored(content, name, spec)]  # fmt: skip
     if rows:
         cells = ("".join(f'<td style="text-align:left">{escape(cell)}</td>' for cell in row) for row in rows)
         yield f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"

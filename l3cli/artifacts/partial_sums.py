@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from l3cli.artifacts import store
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneRule, TransformTable, one_rule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
 USUAL, OTHERS = "sums", "condition_sums"  # groups of the sums at the camera's noise, and at other noise
-OLDER = "quiet_sums"  # group of the sums at other noise in files of format version 4
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,6 @@ class PartialSums(Artifact):
     """
 
     kind: ClassVar[str] = "partial sums"
-    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -106,13 +105,6 @@ class LayerSums:
         check(self)
 
 
-def _older_gradients(head: h5py.Group, path: Path) -> tuple[GradientScale, ...]:
-    """Return the gradient scales at other noise of a file of format version 4."""
-    held = store.members(head, path)
-    groups = [store.hard_group(head, name, path) for name in ("quiet_structure", "quiet_tree") if name in held]
-    return tuple(store.read_fields(group, GradientScale, path) for group in groups)
-
-
 @dataclass(frozen=True, repr=False)
 class PartialLayerSums(Artifact):
     """Head of a file of a refinement layer's partial sums, which are stored in the same groups as those of the first layer.
@@ -121,7 +113,6 @@ class PartialLayerSums(Artifact):
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
-    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
     shard: int = data("int64", doc="which part of the run this is, from 1 …")
@@ -135,7 +126,7 @@ class PartialLayerSums(Artifact):
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
     ratio_taps: int = data("int64", doc="taps behind those of the windows", default=0)
-    gradients: tuple[GradientScale, ...] = group(default=(), older=_older_gradients)  # of the rule, per other noise
+    gradients: tuple[GradientScale, ...] = group(default=())  # of the rule, per other noise
 
     @property
     def rule(self) -> PlaneRule:
@@ -184,7 +175,7 @@ class PartialSumsReader:
         kind = next(kind for kind in SUMS if kind.kind == root.attrs["kind"])
         self.head: Any = store.read_fields(root, kind, path, history=store.read_history(root, path))
         held = store.members(root, path)
-        self._sums = [store.hard_group(root, each, path) for each in (USUAL, OLDER) if each == USUAL or each in held]
+        self._sums = [store.hard_group(root, USUAL, path)]
         if OTHERS in held:
             others = store.hard_group(root, OTHERS, path)
             self._sums += [store.hard_group(others, str(number), path) for number in range(len(store.members(others, path)))]
@@ -228,12 +219,12 @@ def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iter
         The sums of each site of `head.sites`: first at the camera's noise, then at each other noise. Iterables are read one
         site at a time.
     """
-    with store.new_artifact(path, head.kind, head.version, head.history) as root:
+    with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)
-        store.name_axes(root, type(head), {}, head)
+        name_axes(root, type(head), {}, head)
         for number, sums in enumerate(sets):
             below = root.create_group(f"{OTHERS}/{number - 1}" if number else USUAL)
             for index, site in enumerate(sums):
                 group = below.create_group(f"{index:05d}")
                 store.write_fields(group, site)
-                store.name_axes(group, SUMS[type(head)], {})
+                name_axes(group, type(site), {})

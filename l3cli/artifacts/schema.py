@@ -6,9 +6,9 @@ read these declarations, so that a new field is declared in one place.
 """
 
 import dataclasses
+import functools
 import types
 import typing
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -28,7 +28,7 @@ class Spec:
     unit: str
     doc: str
     coordinate: bool = False  # whether it labels its axis, as wavelengths do; text with one axis always does
-    formerly: str = ""  # name of the dataset in older files
+    optional: bool = False  # whether it is stored only if it differs from the field's default
 
 
 def data(
@@ -37,8 +37,8 @@ def data(
     unit: str = "1",
     doc: str = "",
     default: Any = dataclasses.MISSING,
+    optional: Any = dataclasses.MISSING,
     coordinate: bool = False,
-    formerly: str = "",
 ) -> Any:
     """Declare a dataclass field that is stored as one dataset.
 
@@ -51,14 +51,18 @@ def data(
     unit, doc : str
         Unit and meaning, which are stored as attributes and shown by `l3 info`.
     default : optional
-        Value if the file does not hold the dataset. Without a default the dataset is required.
+        Default of the dataclass field. Files hold the dataset whatever its value.
+    optional : optional
+        Default of a field that is stored only if its value differs. An instance that has the default is written with the
+        same bytes as before the field was declared, so every field that is added to the format is optional. Give None for
+        arrays.
     coordinate : bool
         Whether the numbers label an axis whose name differs from the field's.
-    formerly : str
-        Name of the dataset in older files, which is read if there is no dataset with the field's name.
     """
-    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), formerly)
-    return field(metadata={"spec": spec}, default=default, repr=not axes)  # arrays would fill pages
+    is_optional = optional is not dataclasses.MISSING
+    spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), is_optional)
+    # repr: arrays would fill pages
+    return field(metadata={"spec": spec}, default=optional if is_optional else default, repr=not axes)
 
 
 @dataclass(frozen=True)
@@ -67,13 +71,10 @@ class Group:
 
     kind: type
     several: bool
-    since: int
-    older: Callable[[Any, Any], Any] | None  # builds the content from what older versions stored instead
+    optional: bool
 
 
-def group(
-    default: Any = dataclasses.MISSING, kw_only: bool = False, since: int = 0, older: Callable[[Any, Any], Any] | None = None
-) -> Any:
+def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
     """Declare a dataclass field that is stored as a group, or as a list of groups.
 
     The type of the field is a dataclass of declared fields, or `tuple[X, ...]` of such a dataclass X.
@@ -81,15 +82,11 @@ def group(
     Parameters
     ----------
     default : optional
-        None or (), if the group may be absent.
+        None or (), if the group may be absent. It is stored only if the field is set.
     kw_only : bool
         As in `dataclasses.field`.
-    since : int
-        Format version that introduced the group. In files of earlier versions its fields lie one level higher.
-    older : callable, optional
-        Builds the content from the HDF5 group and the path of a file that lacks this group.
     """
-    return field(metadata={"since": since, "older": older}, default=default, kw_only=kw_only)
+    return field(metadata={"group": True}, default=default, kw_only=kw_only)
 
 
 @dataclass(frozen=True)
@@ -108,10 +105,9 @@ class Stage:
 
 @dataclass(frozen=True, repr=False)
 class Artifact:
-    """Base class of the files that stages hand on. Subclasses set `kind`, `version` and `made_by`."""
+    """Base class of the files that stages hand on. Subclasses set `kind` and `made_by`."""
 
     kind: ClassVar[str]
-    version: ClassVar[int]
     made_by: ClassVar[str]
     history: tuple[Stage, ...] = field(default=(), kw_only=True)
 
@@ -135,30 +131,30 @@ class Artifact:
 # ------------------------------------------------------------------------------------------------ declarations
 
 
-_DECLARED: dict[type, tuple[tuple[str, Spec | Group, bool], ...]] = {}  # results of `declared`, by dataclass
+def declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
+    """Return the name and the declaration of each stored field of a dataclass."""
+    return _declared(cls)
 
 
-def declared(cls: type) -> tuple[tuple[str, Spec | Group, bool], ...]:
-    """Return the name, the declaration and whether it is optional, for each stored field of a dataclass."""
-    if cls not in _DECLARED:
-        _DECLARED[cls] = tuple(_declared(cls))
-    return _DECLARED[cls]
-
-
-def _declared(cls: type) -> Iterator[tuple[str, Spec | Group, bool]]:
+@functools.cache
+def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
     hints = typing.get_type_hints(cls)
+    found: list[tuple[str, Spec | Group]] = []
     for item in dataclasses.fields(cls):
-        spec = item.metadata.get("spec")
-        if spec is not None:
-            yield item.name, spec, item.default is not dataclasses.MISSING
-            continue
-        if "since" not in item.metadata:
-            continue
-        hint = hints[item.name]
-        several = typing.get_origin(hint) is tuple
-        members = typing.get_args(hint) if several or isinstance(hint, types.UnionType) else (hint,)
-        kind = next(typing.cast(type, member) for member in members if dataclasses.is_dataclass(member))
-        yield item.name, Group(kind, several, **item.metadata), item.default is not dataclasses.MISSING
+        if spec := item.metadata.get("spec"):
+            found.append((item.name, spec))
+        elif "group" in item.metadata:
+            hint = hints[item.name]
+            several = typing.get_origin(hint) is tuple
+            members = typing.get_args(hint) if several or isinstance(hint, types.UnionType) else (hint,)
+            kind = next(typing.cast(type, member) for member in members if dataclasses.is_dataclass(member))
+            found.append((item.name, Group(kind, several, item.default is not dataclasses.MISSING)))
+    return tuple(found)
+
+
+def is_stored(instance: Any, name: str, spec: Spec) -> bool:
+    """Return whether a file of an instance holds a dataset: always, unless it is optional and has its default."""
+    return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
@@ -187,12 +183,14 @@ def check(instance: Any) -> None:
 
 def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str, str], prefix: str) -> None:
     fields = declared(type(instance))
-    scopes = scopes | {name: prefix for name, spec, _ in fields if isinstance(spec, Spec) and spec.axes == (name,)}
-    for name, spec, _ in fields:
+    scopes = scopes | {name: prefix for name, spec in fields if isinstance(spec, Spec) and spec.axes == (name,)}
+    for name, spec in fields:
         value = getattr(instance, name)
         if not isinstance(spec, Spec):
             for place, each in instances(name, value).items():
                 _check(each, dict(lengths) if spec.several else lengths, scopes, f"{prefix}{place}/")
+            continue
+        if not is_stored(instance, name, spec):
             continue
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
@@ -218,7 +216,7 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
 
 def equal(one: Any, other: Any) -> bool:
     """Return whether all declared fields of two instances of a dataclass hold equal values."""
-    for name, spec, _ in declared(type(one)):
+    for name, spec in declared(type(one)):
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(spec, Spec):
             if not np.array_equal(np.asarray(a), np.asarray(b)):

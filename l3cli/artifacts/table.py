@@ -8,10 +8,8 @@ follow the noise.
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +17,6 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale, check_cfa, check_sen
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.artifacts.store import read_fields
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 PlaneRule = StructureRule | TreeRule
@@ -73,9 +70,6 @@ class CoarseChroma:
 
     def __post_init__(self) -> None:
         check(self)
-        steps, *others = COMPARED
-        if self.variance.shape == (steps + 1, *others):  # older files hold a further step, which is no longer used
-            object.__setattr__(self, "variance", self.variance[:steps])
         if self.variance.shape != COMPARED:
             raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
         if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
@@ -294,40 +288,6 @@ class Condition:
         return replace(self, first=first, light=light)
 
 
-# Conditions as tables of format version 4 and earlier store them.
-@dataclass(frozen=True)
-class _LowNoise:
-    noise_left: float = data("float64")
-    first: MosaicLayer = group()
-    later: tuple[PlaneLayer, ...] = group(default=())
-
-
-@dataclass(frozen=True)
-class _OneLight:
-    name: str = data("str")
-    white_point: NDArray[np.float64] = data("float64", "output")
-    first: MosaicTransforms = group()
-    later: tuple[PlaneTransforms, ...] = group(default=())
-    light: LightSpectrum | None = group(default=None)
-
-
-@dataclass(frozen=True)
-class _Older:
-    quiet: _LowNoise | None = group(default=None)
-    lights: tuple[_OneLight, ...] = group(default=())
-
-
-def older_conditions(table: h5py.Group, path: Path) -> tuple[Condition, ...]:
-    """Return the conditions of a table of format version 4 or earlier, which stored low noise and lights separately."""
-    older: _Older = read_fields(table, _Older, path)
-    low = older.quiet
-    noise = () if low is None else (Condition.of(low.first, low.later, None, NoiseScale(noise_left=low.noise_left)),)
-    lights = (
-        Condition(each.first, each.later, SceneLight(each.name, each.white_point, each.light)) for each in older.lights
-    )
-    return (*noise, *lights)
-
-
 @dataclass(frozen=True)
 class SpectralSmoothing:
     """Smoothing of spectra: each pixel gets the mean spectrum of its neighbours of similar brightness, but keeps its
@@ -406,7 +366,6 @@ class TransformTable(Artifact):
     """
 
     kind: ClassVar[str] = "transform table"
-    version: ClassVar[int] = 5
     made_by: ClassVar[str] = '"l3 train"'
 
     camera_name: str = data("str", doc="the camera it was learned for")
@@ -415,8 +374,8 @@ class TransformTable(Artifact):
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
     bits: int = data("int64", unit="bit", doc="depth of the raw values")
-    black_level: float = data("float64", unit="DN", doc="black level of the raw values the table expects", formerly="black")
-    white_level: float = data("float64", unit="DN", doc="white level of the raw values the table expects", formerly="white")
+    black_level: float = data("float64", unit="DN", doc="black level of the raw values the table expects")
+    white_level: float = data("float64", unit="DN", doc="white level of the raw values the table expects")
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="what the outputs are")
     output_unit: float = data(
@@ -425,12 +384,12 @@ class TransformTable(Artifact):
     white_point: NDArray[np.float64] = data(
         "float64", "output", doc="output of a perfect white under the training light, Y = 1"
     )
-    first: MosaicLayer = group(since=3)
+    first: MosaicLayer = group()
     later: tuple[PlaneLayer, ...] = group(default=())
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)
     camera: CameraModel | None = group(default=None)
-    conditions: tuple[Condition, ...] = group(default=(), older=older_conditions)
+    conditions: tuple[Condition, ...] = group(default=())
     spectra: SpectralSmoothing | None = group(default=None)
     components: LeadingComponents | None = group(default=None)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts import container, store
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.notebook import html
+from l3cli.artifacts.scales import coordinates_of, name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
@@ -75,7 +76,7 @@ class TrainingPair:
     illuminant: str = data("str", doc="name of the illuminant")
     luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white")
     exposure: float = data("float64", unit="s", doc="exposure time")
-    light: LightSpectrum | None = group(default=None, kw_only=True)  # None for real pairs, and in older files
+    light: LightSpectrum | None = group(default=None, kw_only=True)  # None for real pairs
 
     def __post_init__(self) -> None:
         check(self)
@@ -167,7 +168,6 @@ class TrainingSet(Artifact):
     """
 
     kind: ClassVar[str] = "training set"
-    version: ClassVar[int] = 3
     made_by: ClassVar[str] = '"l3 simulate"'
 
     camera: CameraModel = group()
@@ -292,7 +292,7 @@ class TrainingSetWriter:
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
-        self._coordinates = {**store.coordinates_of(head.camera), **store.coordinates_of(head)}
+        self._coordinates = {**coordinates_of(head.camera), **coordinates_of(head)}
 
     def _place(self, simulated: bool) -> tuple[h5py.Group, str]:
         group = self._root.require_group("frames" if simulated else "pairs")
@@ -301,7 +301,7 @@ class TrainingSetWriter:
     def append(self, frame: TrainingPair) -> None:
         group, name = self._place(isinstance(frame, TrainingFrame))
         store.write_fields(group.create_group(name), frame, compressed=False)
-        store.name_axes(group[name], type(frame), self._coordinates)
+        name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
         """Append the frame stored by `write_part`, byte for byte, and return what is stored beside it."""
@@ -309,16 +309,16 @@ class TrainingSetWriter:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
             part.copy("frame", group, name)
-            store.name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
+            name_axes(group[name], TrainingFrame if simulated else TrainingPair, self._coordinates)
             return SceneCoverage(str(part.attrs["scene"]), float(part.attrs["uncovered"]))
 
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
     """Yield a TrainingSetWriter. The file appears at `path` when the block ends without an error."""
-    with store.new_artifact(path, head.kind, head.version, head.history) as root:
+    with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)
-        store.name_axes(root, type(head), {}, head)
+        name_axes(root, type(head), {}, head)
         yield TrainingSetWriter(root, head)
 
 
@@ -350,6 +350,7 @@ def read_part(path: Path) -> TrainingPair:
 def whole_part(path: Path) -> bool:
     """Return whether the file of a frame is undamaged."""
     try:
-        return container.check(path, "l3 simulate")
+        container.check(path, "l3 simulate")
     except InputFileError:
         return False
+    return True

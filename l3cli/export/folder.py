@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from l3cli import __version__
 from l3cli.artifacts.plane_rules import GRADIENT
-from l3cli.artifacts.schema import Spec, declared
+from l3cli.artifacts.schema import Spec, declared, is_stored
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
 from l3cli.classes import chroma, clipping
 from l3cli.classes.coarse_chroma import ALIKE
@@ -160,8 +160,10 @@ class _Arrays:
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
         """Add the arrays that a dataclass declares, and return its scalars and texts, each with unit and meaning."""
         values = {}
-        for name, spec, _ in declared(type(instance)):
+        for name, spec in declared(type(instance)):
             if not isinstance(spec, Spec) or name in LEFT_OUT or (names is not None and name not in names):
+                continue
+            if not is_stored(instance, name, spec):
                 continue
             value = getattr(instance, name)
             if isinstance(value, np.ndarray):

@@ -12,7 +12,6 @@ from l3cli.options.option import (
     PAIR,
     SITE,
     BackendOptions,
-    Choice,
     DeviceOptions,
     ForceOptions,
     Given,
@@ -195,9 +194,6 @@ class SequenceOptions(EvaluateOptions):
     )
 
 
-ONNX = "ONNX graphs are no longer written; give ‹to› c (C99 source, with a test) or ‹to› folder (plain arrays)"
-
-
 class Brightness(Reader):
     """An illuminance or luminance with its unit, stored as the luminance of a perfect white in cd/m².
 
@@ -255,10 +251,8 @@ class ExportOptions(ForceOptions):
     """Options of l3 export. All except `force` are for transform tables."""
 
     form: Literal["c", "folder"] | None = option(
-        None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].",
-        Choice("c", "folder", gone={"onnx": ONNX}),
-        flag="to",
-    )  # fmt: skip
+        None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
+    )
     words: Literal["float32", "int16"] | None = option(
         None, "C source only: outputs as floats, or as integers in steps of 2^-12 [default: float32]."
     )
@@ -275,9 +269,8 @@ class ExportOptions(ForceOptions):
     )  # fmt: skip
     prefix: str | None = option(None, "C source only: prefix of symbols and files [default: l3].", metavar="NAME")
     which: Literal["usual", "low-noise"] | None = option(
-        None, "C source of tables with two sets of transforms only: the set to write [default: usual].",
-        Choice("usual", "low-noise", gone={"quiet": "the quiet set is called ‹set› low-noise now"}), flag="set",
-    )  # fmt: skip
+        None, "C source of tables with two sets of transforms only: the set to write [default: usual].", flag="set"
+    )
 
 
 @options

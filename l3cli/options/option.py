@@ -88,14 +88,12 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several values. `gone` maps choices that were removed to the message that replaces them."""
+    """One of several values."""
 
-    def __init__(self, *values: Any, gone: dict[str, str] | None = None) -> None:
-        self.values, self.gone = values, gone or {}
+    def __init__(self, *values: Any) -> None:
+        self.values = values
 
     def read(self, given: Any) -> Any:
-        if str(given) in self.gone:
-            raise RecipeError(self.gone[str(given)])
         for value in self.values:
             if given in (value, str(value)):
                 return value

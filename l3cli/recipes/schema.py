@@ -39,7 +39,8 @@ def schema_of(
         The schema, ready for JSON.
     """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
-    classes = _structures(recipes)
+    # msgspec names a structure by its class, and by module and class if several classes have the name.
+    classes = {name: kind for kind in _structures(recipes) for name in (kind.__name__, f"{kind.__module__}.{kind.__name__}")}
     for name, table in tables.items():
         if "description" in table:
             table["description"] = " ".join(table["description"].split())
@@ -70,15 +71,12 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _structures(recipes: Sequence[type[Recipe]]) -> dict[str, type[Recipe]]:
-    """Return all structures that the recipes contain, by name."""
-    found: dict[str, type[Recipe]] = {}
-    left = list(recipes)
-    while left:
-        kind = left.pop()
-        if kind.__name__ not in found:
-            found[kind.__name__] = kind
-            left += [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
+def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
+    """Return all structures that the recipes contain."""
+    found = list(recipes)
+    for kind in found:  # the list grows while it is read
+        inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
+        found += [each for each in dict.fromkeys(inner) if each not in found]
     return found
 
 

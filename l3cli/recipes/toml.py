@@ -42,7 +42,6 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base of all recipe structures; a field without a default is a required key."""
 
     title: ClassVar[str] = "a recipe"  # name of this kind of file in messages
-    former: ClassVar[Mapping[str, str]] = {}  # earlier name of a key → what to write now
 
 
 KIND_KEYS = {  # top-level keys that only one kind of file has, which identify the kind
@@ -285,9 +284,6 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     tag = tables[0].__struct_config__ if len(tables) == 1 else None
     kind = f' with {tag.tag_field} = "{tag.tag}"' if tag and tag.tag_field else ""
     line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}{kind}"
-    former = {key: now for each in tables for key, now in each.former.items()}
-    if wrong[1] == "unknown key" and name in former:
-        return f"{line}; write {former[name]}"
     return f"{line}; {suggestion(name, known)}" if known else line
 
 

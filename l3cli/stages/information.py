@@ -12,9 +12,10 @@ from typing import Any
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.design import Design, SceneMoments
+from l3cli.artifacts.inspection import Intact, Link, chain, describe, verify
 from l3cli.artifacts.partial_sums import SUMS, PartialSumsReader
 from l3cli.artifacts.schema import Artifact
-from l3cli.artifacts.store import Intact, Link, chain, describe, load, open_artifact, read_fields, verify
+from l3cli.artifacts.store import load, open_artifact, read_fields
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader
 from l3cli.errors import DeviceError, L3Error
@@ -62,7 +63,6 @@ class Verification:
         return {
             "kind": self.intact.kind,
             "version": self.intact.version,
-            "digest": self.intact.digest,
             "datasets": self.intact.datasets,
             "history": [asdict(link) for link in self.links],
             "different": [str(path) for path in self.strangers],

@@ -1,7 +1,7 @@
 """Class and learning recipes (configs/classes)."""
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
@@ -33,11 +33,6 @@ MOST_DRAWS = 1000  # largest number of levels per patch; more would add no infor
 class LearningRecipe(Recipe):
     """Recipe by which the transforms of the classes are learned (docs/method.md#training). Levels are shares of full
     scale."""
-
-    former: ClassVar[Mapping[str, str]] = {
-        "per_light": 'the lights, lights = ["A", "D65"]',
-        "gains": "nothing, as a table renders frames of any analog gain",
-    }
 
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)

@@ -83,12 +83,6 @@ def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused
     assert not (tmp_path / "o").exists()
 
 
-def test_onnx_is_answered_with_what_serves_instead(table: Path, tmp_path: Path, refused: Refused) -> None:
-    line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "onnx")
-    assert "give --to c (C99 source, with a test) or --to folder (plain arrays)" in line
-    assert not (tmp_path / "o").exists()
-
-
 class White(ctypes.Structure):
     """L3White of three channels."""
 

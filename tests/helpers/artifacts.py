@@ -7,33 +7,43 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.design import GROUPS, SIDE, SOFT, Design, LightMoments, SceneMoments, Truth, Tuned
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums, PartialLayerSums, PartialSums
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.schema import Spec, Stage, declared
 from l3cli.artifacts.table import MosaicLayer, TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
 
 def a_fit(channels: int) -> Fit:
     """Return a fit with a number in every field, whichever fields it has."""
-    parts = (a_part(part, channels) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit))
-    return Fit(*parts)
+    lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "defect": 0, "left_out": 1, "odd": 1}
+    return Fit(*(filled(part, lengths) for part in (NoiseFit, SweepFit, ChartFit, SeriesFit)))
 
 
-def a_part(part: type, channels: int) -> Any:
-    """Return one part of a fit, such as NoiseFit, with consecutive numbers in every field."""
-    lengths = {"channel": channels, "patch": 24, "trial": 4, "white_exposure": 3, "chart": 2, "defect": 0, "coordinate": 2}
-    lengths |= {"left_out": 1, "odd": 1, "band": 2, "capture": 3}
-    values: dict = {}
-    for field in dataclasses.fields(part):
-        spec = field.metadata["spec"]
-        shape = tuple(lengths[axis] for axis in spec.axes)
+def filled(kind: type, lengths: dict[str, int], **given: Any) -> Any:
+    """Return an instance with consecutive numbers in every declared dataset; axes without a length are 2 long."""
+    for name, spec in declared(kind):
+        if name in given or not isinstance(spec, Spec):
+            continue
+        shape = tuple(lengths.get(axis, 2) for axis in spec.axes)
         if spec.dtype == "str":
-            values[field.name] = tuple(f"{field.name} {index}" for index in range(*shape))
+            given[name] = tuple(f"{name} {index}" for index in range(*shape)) if shape else name
         else:
-            values[field.name] = (np.arange(np.prod(shape, dtype=int)).reshape(shape) + 0.5).astype(spec.dtype)[()]
-    return part(**values)
+            given[name] = (np.arange(np.prod(shape, dtype=int)).reshape(shape) + 0.5).astype(spec.dtype)[()]
+    return kind(**given)
+
+
+def some_moments() -> SceneMoments:
+    """Return scene moments of one light, with a number in every field."""
+    lengths = {"group": len(GROUPS), "coefficient": 2 * SIDE**2, "entry": 2 * SIDE**2 + SOFT.stop + 2}
+    return filled(SceneMoments, {}, light=(filled(LightMoments, lengths),))
+
+
+def a_design(camera: CameraModel) -> Design:
+    """Return a design with a number in every field."""
+    return filled(Design, {}, pixel=camera, tuned=filled(Tuned, {}), truth=filled(Truth, {}))
 
 
 def a_camera(camera: CameraModel) -> CameraModel:

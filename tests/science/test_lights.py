@@ -116,7 +116,6 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     )
     path, text = tmp_path / "classes.toml", learned["several.classes.toml"].read_text()
     for key, words in (
-        ("per_light = true", 'unknown key `per_light` in [learning]; write the lights, lights = ["A", "D65"]'),
         ('lights = ["A"]', "learning.lights must name several lights"),
         ('lights = ["A", "A"]', "each once"),
     ):

@@ -153,8 +153,6 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     quiet = with_edges_for(table, 0.25).later[-1].coarse_chroma
     assert quiet is not None
     np.testing.assert_allclose(quiet.variance, chroma.variance / 4)
-    older = CoarseChroma(np.concatenate([chroma.variance, chroma.variance[:1]]))  # of tables that compared pixels, too
-    np.testing.assert_array_equal(older.variance, chroma.variance)
     for variance in (np.ones((3, 3, 3)), -np.ones(COMPARED), np.zeros(COMPARED)):
         with pytest.raises(ValueError, match="variance"):
             CoarseChroma(variance)

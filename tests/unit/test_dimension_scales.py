@@ -17,6 +17,7 @@ import xarray
 from l3cli.artifacts import container
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.inspection import describe
 from l3cli.artifacts.partial_sums import (
     ClassSums,
     LayerSums,
@@ -26,7 +27,7 @@ from l3cli.artifacts.partial_sums import (
     write_partial_sums,
 )
 from l3cli.artifacts.schema import Artifact, Spec, declared, equal, instances
-from l3cli.artifacts.store import describe, load, save
+from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import (
     LightSpectrum,
@@ -100,7 +101,7 @@ def loaded(path: Path) -> dict[str, Any]:
 def groups(instance: Any, where: str) -> Iterator[tuple[str, Any]]:
     """(path, instance) of a group and those below it."""
     yield where, instance
-    for name, member, _ in declared(type(instance)):
+    for name, member in declared(type(instance)):
         if not isinstance(member, Spec):
             for place, each in instances(name, getattr(instance, name)).items():
                 yield from groups(each, f"{where.rstrip('/')}/{place}")
@@ -113,7 +114,7 @@ def test_xarray_shows_every_dataset_with_its_axes_unit_and_values(kind: str, fol
     for top, content in loaded(path).items():
         for where, instance in groups(content, top):
             with xarray.open_dataset(path, group=where, engine="h5netcdf") as group:
-                fields = {name: spec for name, spec, _ in declared(type(instance)) if isinstance(spec, Spec)}
+                fields = {name: spec for name, spec in declared(type(instance)) if isinstance(spec, Spec)}
                 axes = {axis for spec in fields.values() for axis in spec.axes}
                 assert set(group.sizes) == axes
                 assert set(group.variables) - {"history"} <= set(fields) | axes
@@ -187,12 +188,12 @@ def test_another_process_writes_the_same_bytes(folder: Path, tmp_path: Path) -> 
 def test_no_scale_takes_the_name_of_another_dataset() -> None:
     def all_below(kind: type) -> Iterator[type]:
         yield kind
-        for _, member, _ in declared(kind):
+        for _, member in declared(kind):
             if not isinstance(member, Spec):
                 yield from all_below(member.kind)
 
     for kind in {below for top in STORED for below in all_below(top)}:
-        members = {name: member for name, member, _ in declared(kind)}
+        members = dict(declared(kind))
         for name, member in members.items():
             axes = member.axes if isinstance(member, Spec) else ()
             assert len(set(axes)) == len(axes), f"{kind.__name__}.{name}"

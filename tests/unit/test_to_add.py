@@ -384,6 +384,7 @@ def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
         "render table.h5 frame.txt -o picture.png --bits 16 --quiet",
         "render table.h5 frame.txt -o picture.ff --bits 16 --quiet",
         "info table.h5",
+        "schema classes",
         "evaluate table.h5 training.h5 --quiet",
         "report table.h5 -o page.html --quiet",
     )

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from l3cli.artifacts.inspection import history_of
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.store import history_of
 from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, write_part
 from l3cli.errors import InputFileError, L3Error, raised_as
 from l3cli.parallel import WorkerPool

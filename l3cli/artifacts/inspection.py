@@ -1,0 +1,173 @@
+"""What an artifact holds (`describe`), whether it is as it was written (`verify`), and which of the files at hand it was
+made from (`chain`).
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from l3cli.artifacts.container import ENCODING, datasets, is_scale, require_readable
+from l3cli.artifacts.schema import Stage
+from l3cli.artifacts.store import open_artifact, read_history, reading, require_plain
+from l3cli.errors import InputFileError
+from l3cli.system.limits import read_bounded
+
+SLAB_BYTES = 1 << 26  # of a dataset are read at a time, to bound memory
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Return the kind, version, history and datasets of any artifact.
+
+    Returns
+    -------
+    dict
+        "kind", "version", "history" (list of stages) and "datasets": one dict per dataset with "name", "dtype", "shape",
+        "axes", "unit", "doc" and, for scalars, text and short lists, "value". Dimension scales are left out.
+    """
+    with open_artifact(path) as root:
+        with reading(path, "a dataset"):
+            fields = [(name, dataset) for name, dataset in datasets(root) if name != "history" and not is_scale(dataset)]
+            described = [_describe_dataset(path, name, dataset) for name, dataset in fields]
+        return {
+            "kind": str(root.attrs["kind"]),
+            "version": int(root.attrs["version"]),
+            "history": [dataclasses.asdict(stage) for stage in read_history(root, path)],
+            "datasets": described,
+        }
+
+
+def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
+    """Raise InputFileError if a dataset has HDF5's null dataspace, which l3 never writes."""
+    if dataset.shape is None:
+        raise InputFileError(f"{path}: dataset {name} holds nothing; make the file again")
+
+
+def _describe_dataset(path: Path, name: str, dataset: h5py.Dataset) -> dict[str, Any]:
+    _refuse_null(path, name, dataset)
+    value: Any = None
+    if dataset.ndim <= 1 and (dataset.size or 0) <= 16 and dataset.dtype.kind in "biufS":
+        require_readable(path, dataset.id)
+        raw = dataset[()]
+        value = np.char.decode(raw, ENCODING).tolist() if dataset.dtype.kind == "S" else raw.tolist()
+    axes, unit, doc = (str(dataset.attrs.get(key, "")) for key in ("axes", "units", "doc"))
+    dtype = "str" if dataset.dtype.kind == "S" else str(dataset.dtype)
+    shape = dataset.shape or ()
+    return {"name": name, "dtype": dtype, "shape": shape, "axes": axes, "unit": unit, "doc": doc, "value": value}
+
+
+@dataclass(frozen=True)
+class Intact:
+    """Result of `verify` for an undamaged file."""
+
+    kind: str
+    version: int
+    datasets: int  # number of datasets whose checksums were compared, without dimension scales
+    history: tuple[Stage, ...]
+
+
+def verify(path: Path) -> Intact:
+    """Compare every byte of an artifact with its digest, and every dataset with its checksums.
+
+    Raises
+    ------
+    InputFileError
+        If anything differs. The message names the dataset.
+    """
+    with open_artifact(path) as root:
+        count = 0
+        with reading(path, "a group"):
+            every = list(datasets(root))
+        for name, dataset in every:
+            with reading(path, f"dataset {name}"):
+                scale, stored = is_scale(dataset), dataset.id.get_storage_size()
+            _refuse_null(path, name, dataset)
+            if scale and not stored:
+                continue  # a scale without values has no checksum
+            require_plain(dataset.id, path)
+            try:
+                for _ in _slabs(dataset):
+                    pass
+            except OSError as error:
+                raise InputFileError(f"{path}: dataset {name} is damaged (checksum); make the file again") from error
+            count += not scale
+        return Intact(str(root.attrs["kind"]), int(root.attrs["version"]), count, read_history(root, path))
+
+
+def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
+    """Yield a dataset in parts of at most SLAB_BYTES."""
+    if not dataset.ndim or not dataset.size:
+        yield dataset[()]
+        return
+    rows = max(1, SLAB_BYTES * len(dataset) // dataset.nbytes)
+    for start in range(0, len(dataset), rows):
+        yield dataset[start : start + rows]
+
+
+@dataclass(frozen=True)
+class Link:
+    """The files, or the recipe, that one stage of a history names in one role, and the given files that match."""
+
+    stage: str
+    role: str
+    named: int  # number of files in the history
+    given: tuple[str, ...]  # paths of the matching files
+
+
+def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
+    """Compare the files that a history names with files at hand, by their SHA-256.
+
+    The history of a matching file is followed, too: an artifact that was made from several training sets records only the
+    history of the first.
+
+    Parameters
+    ----------
+    history : tuple of Stage
+    inputs : mapping
+        Path → SHA-256 of each file at hand.
+
+    Returns
+    -------
+    links : tuple of Link
+        One per stage and role, with the matching files.
+    others : tuple of Path
+        The files at hand that the history does not name.
+    """
+    stages = list(history)
+    for stage in stages:  # the list grows while it is read
+        named = {digest for digests in stage.inputs.values() for digest in digests}
+        for path in (path for path, digest in inputs.items() if digest in named):
+            stages += [other for other in history_of(path) if other not in stages]
+    links, named_inputs = [], set()
+    for stage in stages:
+        for role, digests in sorted(stage.inputs.items()):
+            given = [path for path, digest in inputs.items() if digest in digests]
+            links.append(Link(stage.command, role, len(set(digests)), tuple(str(path) for path in given)))
+            named_inputs.update(given)
+        if stage.recipe:
+            given = [path for path in inputs if _is_recipe_of(path, stage)]
+            links.append(Link(stage.command, "recipe", max(1, len(given)), tuple(str(path) for path in given)))
+            named_inputs.update(given)
+    return tuple(links), tuple(path for path in inputs if path not in named_inputs)
+
+
+def history_of(path: Path) -> tuple[Stage, ...]:
+    """Return an artifact's history, or () if the file is missing or no artifact."""
+    try:
+        with open_artifact(path) as root:
+            return read_history(root, path)
+    except InputFileError:
+        return ()
+
+
+def _is_recipe_of(path: Path, stage: Stage) -> bool:
+    """Return whether a file holds the stage's recipe, or one of the two texts that the recipe was joined from."""
+    if path.suffix != ".toml":
+        return False
+    content = read_bounded(path).decode("utf-8-sig", "replace")
+    text, recipe = (each.replace("\r\n", "\n") for each in (content, stage.recipe))
+    return text == recipe or recipe.startswith(f"{text}\n") or recipe.endswith(f"\n{text}")
