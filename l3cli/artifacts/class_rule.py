@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_FURTHER = 4096  # combinations of values of the further features
-MAX_WINDOW_TAPS = 4096  # in all windows of the further features; sums of 12-bit values are then exact in float32
+MAX_COMBINATIONS = 4096  # combinations of values of the features
+MAX_WINDOW_TAPS = 4096  # in all windows of the features; sums of 12-bit values are then exact in float32
 CLASS_BITS = 12  # classes are decided by the upper 12 bits of a value, so that 32-bit sums are exact
 CHROMA_SCALE = 1 << 10  # of the chroma weights, so that sums over 16 channels stay within 32 bits
 MAX_CHROMAS = 64
@@ -22,7 +22,7 @@ MAX_PATCH = 15
 
 
 class Window(NamedTuple):
-    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a further feature reads."""
+    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a feature reads."""
 
     sum: int  # index of the sum
     top: int
@@ -32,8 +32,8 @@ class Window(NamedTuple):
     sign: int  # 1 or −1
 
 
-class Axis(NamedTuple):
-    """A further feature of a class rule, such as the direction."""
+class Feature(NamedTuple):
+    """A feature that a recipe adds to the basic ones, such as the direction, as the class rule holds it."""
 
     name: str  # of the recipe's key and of its module
     size: int  # number of values that it takes
@@ -47,7 +47,7 @@ class Axis(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FurtherFeatures:
+class StoredFeatures:
     """The features that a recipe adds to level, contrast, saturation and chroma, as they are stored, in order."""
 
     names: tuple[str, ...] = data("str", "feature", doc="as in the recipe; what each decides stands in its module")
@@ -64,25 +64,25 @@ class FurtherFeatures:
     constants: NDArray[np.int32] = data("int32", "constant", doc="what the formula of each reads")
 
     @classmethod
-    def of(cls, axes: tuple[Axis, ...]) -> "FurtherFeatures":
+    def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
         """Return features in their stored form."""
-        windows = np.array([window for axis in axes for window in axis.windows], np.int64)
+        windows = np.array([window for feature in features for window in feature.windows], np.int64)
         return cls(
-            tuple(axis.name for axis in axes),
-            np.array([axis.size for axis in axes]),
-            np.array([len(axis.windows) for axis in axes]),
+            tuple(feature.name for feature in features),
+            np.array([feature.size for feature in features]),
+            np.array([len(feature.windows) for feature in features]),
             windows.reshape(-1, len(Window._fields)),
-            np.array([len(axis.constants) for axis in axes]),
-            np.concatenate([axis.constants for axis in axes]).astype(np.int32),
+            np.array([len(feature.constants) for feature in features]),
+            np.concatenate([feature.constants for feature in features]).astype(np.int32),
         )
 
     @cached_property
-    def axes(self) -> tuple[Axis, ...]:
+    def unpacked(self) -> tuple[Feature, ...]:
         """The features, unpacked."""
         rows = [Window(*row) for row in self.windows.tolist()]
         window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
         return tuple(
-            Axis(
+            Feature(
                 name,
                 int(self.sizes[index]),
                 tuple(rows[window_end[index] - self.window_counts[index] : window_end[index]]),
@@ -94,12 +94,12 @@ class FurtherFeatures:
     def check(self, patch: int) -> None:
         """Raise ValueError if these cannot be features of patches of side `patch`."""
         if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names of further features must be there, each once")
-        if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_FURTHER:
-            raise ValueError(f"sizes of further features must be positive, and at most {MAX_FURTHER} together")
+            raise ValueError("names of features must be there, each once")
+        if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_COMBINATIONS:
+            raise ValueError(f"sizes of features must be positive, and at most {MAX_COMBINATIONS} together")
         counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
         if any((count < 0).any() or count.sum() != length for count, length in counts):
-            raise ValueError("further features have other numbers of windows or constants than are counted")
+            raise ValueError("the features have other numbers of windows or constants than are counted")
         if self.windows.shape[1] != len(Window._fields):
             raise ValueError(f"windows has {self.windows.shape[1]} fields, not {len(Window._fields)}")
         number, top, left, rows, columns, sign = self.windows.T
@@ -117,7 +117,7 @@ class ClassPlace(NamedTuple):
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
-    further: Any  # combined value of the further features; 0 if the rule has none
+    combination: Any  # number of the combination of the features' values; 0 without features
     kind: Any  # chroma if nothing is saturated, otherwise chromas − 1 + saturation case
 
 
@@ -127,10 +127,11 @@ class ClassRule:
 
     The index of a class is
 
-        (((site · levels + level) · contrasts + contrast) · further + …) · kinds + kind
+        (((site · levels + level) · contrasts + contrast) · combinations + combination) · kinds + kind
 
     with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated, and otherwise
-    chromas − 1 + saturation case. Most rules have no further features; several multiply in their order.
+    chromas − 1 + saturation case. The combination numbers the values of the features that a recipe adds to level, contrast,
+    saturation and chroma. Without such features it is 0.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -164,7 +165,7 @@ class ClassRule:
     chroma_dither: int = data(
         "int64", default=0, doc="1: about as near to a second chroma as to the nearest, sites take one or the other in turn"
     )
-    features: FurtherFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
+    features: StoredFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
     spared_cases: int = data(
         "int64", default=0, doc="saturation cases, the first after case 0, in which every filter has a channel that is not"
     )
@@ -229,51 +230,66 @@ class ClassRule:
         return self.chromas + self.cases - 1
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The further features in order."""
-        return self.features.axes if self.features else ()
+    def feature_list(self) -> tuple[Feature, ...]:
+        """The features that the recipe adds, in order."""
+        return self.features.unpacked if self.features else ()
+
+    @cached_property
+    def windows(self) -> tuple[Window, ...]:
+        """The windows of all features, with their sums numbered from the first feature to the last."""
+        numbered: list[Window] = []
+        first = 0
+        for feature in self.feature_list:
+            numbered += [window._replace(sum=first + window.sum) for window in feature.windows]
+            first += feature.sums
+        return tuple(numbered)
 
     @property
-    def further(self) -> int:
-        """Number of combinations of values of the further features."""
-        return math.prod(axis.size for axis in self.axes)
+    def window_sums(self) -> int:
+        """Number of sums that the features read."""
+        return sum(feature.sums for feature in self.feature_list)
+
+    @property
+    def combinations(self) -> int:
+        """Number of combinations of values of the features."""
+        return math.prod(feature.size for feature in self.feature_list)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Number of levels, contrasts, combinations of further features, and kinds."""
-        return self.levels, self.contrasts, self.further, self.kinds
+        """Number of levels, contrasts, combinations of features, and kinds."""
+        return self.levels, self.contrasts, self.combinations, self.kinds
 
     @property
     def classes_per_site(self) -> int:
         return math.prod(self.shape)
 
-    def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, further: Any = 0) -> Any:
+    def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
         """Return class indices from the values of the features, integers or arrays. Without `site` the index counts within a
         site.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
-        return (stem * self.further + further) * self.kinds + kind
+        return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
         """Return the values of the features of classes, from an index or an array of indices."""
         rest, kind = divmod(index, self.kinds)
-        rest, further = divmod(rest, self.further)
+        rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
         site, level = divmod(rest, self.levels)
-        return ClassPlace(site, level, contrast, further, kind)
+        return ClassPlace(site, level, contrast, combination, kind)
 
-    def join_further(self, values: Any) -> Any:
-        """Return the combined value of the further features from the value of each, in order."""
+    def join_features(self, values: Any) -> Any:
+        """Return the combination of the features' values from the value of each, in order."""
         combined: Any = 0
-        for axis, value in zip(self.axes, values, strict=True):
-            combined = combined * axis.size + value
+        for feature, value in zip(self.feature_list, values, strict=True):
+            combined = combined * feature.size + value
         return combined
 
-    def split_further(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each further feature, in order, from their combined value."""
+    def split_features(self, combined: Any) -> tuple[Any, ...]:
+        """Return the value of each feature, in order, from their combination."""
         values = []
-        for axis in reversed(self.axes):
-            combined, value = divmod(combined, axis.size)
+        for feature in reversed(self.feature_list):
+            combined, value = divmod(combined, feature.size)
             values.append(value)
         return tuple(reversed(values))
 
@@ -289,8 +305,8 @@ class ClassRule:
         """Return the slice of a site's classes among those of all sites."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
-    def by_axis(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Reshape values (class, …) of one site or of all to (site, level, contrast, further, kind, …)."""
+    def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Reshape values (class, …) of one site or of all to (site, level, contrast, combination, kind, …)."""
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:

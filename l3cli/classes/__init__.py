@@ -7,12 +7,12 @@ names of its values in tables and plots.
 * `windows` and `statistics` provide what all features read: for v = DN >> shift over the p × p neighbourhood of a pixel,
   the
   count n, sum S and sum of squares Q of every channel; the pattern of channels that are saturated near the centre; and
-  sums over the windows that further features request.
+  sums over the windows that the features of a recipe request.
 * `rule` makes a camera's class rule from a recipe, and `decide` returns the class of a pixel.
 * `plane_kernel` prepares a rule for the OpenCL kernels, and `names` names classes.
 
 ClassRule (artifacts/class_rule) stores a rule and numbers its classes.
 
-To add a feature, write its module here, as `features.FurtherFeature` describes, and its snippet in opencl/. Then add a line
-to `features.FURTHER`. The key of that line is the recipe table that switches the feature on.
+To add a feature, write its module here, as `features.FeatureModule` describes, and its snippet in opencl/. Then add a line
+to `features.FEATURES`. The key of that line is the recipe table that switches the feature on.
 """

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import further_features
+from l3cli.classes.features import features_of
 from l3cli.classes.statistics import PatchSums, Statistics, mosaic_statistics, patch_statistics, window_sums
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourhoods, tap_order
 
@@ -17,13 +17,13 @@ def labels(rule: ClassRule, statistics: Statistics) -> Integers:
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
-    further = rule.join_further(
+    combination = rule.join_features(
         [
-            np.minimum(feature.values(axis, rule, sums, levels), axis.size - 1)
-            for (feature, axis), sums in zip(further_features(rule), window_sums(rule, statistics), strict=True)
+            np.minimum(module.values(feature, rule, sums, levels), feature.size - 1)
+            for (module, feature), sums in zip(features_of(rule), window_sums(rule, statistics), strict=True)
         ]
     )
-    return rule.join(levels, contrasts, kinds, further=further)
+    return rule.join(levels, contrasts, kinds, combination=combination)
 
 
 def label_mosaic(
@@ -71,17 +71,17 @@ def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, sit
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the statistics (patch, …) that each further feature takes from the pilot's patches (patch, tap) of DN, by
-    feature.
+    """Return the statistics (patch, …) that each feature takes from the pilot's patches (patch, tap) of DN, by
+    module.
     """
-    if not rule.axes:
+    if not rule.feature_list:
         return {}
     order = tap_order(rule, neighbours, site)
     statistics = _statistics(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), neighbours, site)
     levels = level.levels(rule, statistics)
     return {
-        axis.name: feature.observe(axis, rule, sums, levels)
-        for (feature, axis), sums in zip(further_features(rule), window_sums(rule, statistics), strict=True)
+        feature.name: module.observe(feature, rule, sums, levels)
+        for (module, feature), sums in zip(features_of(rule), window_sums(rule, statistics), strict=True)
     }
 
 

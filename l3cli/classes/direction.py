@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule, Window
+from l3cli.artifacts.class_rule import ClassRule, Feature, Window
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import contrast, level
 from l3cli.classes.windows import Integers
@@ -43,8 +43,10 @@ def fits(camera: CameraModel, patch: int) -> bool:
     return math.lcm(*camera.cfa.shape) < patch
 
 
-def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None) -> Axis:
-    """Return the windows, multipliers and strength edges for a camera, as `FurtherFeature.axis` describes.
+def make_feature(
+    keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
+) -> Feature:
+    """Return the windows, multipliers and strength edges for a camera, as `features.FeatureModule.make_feature` describes.
 
     RecipeError if the strengths are not positive and increasing.
     """
@@ -60,7 +62,7 @@ def axis(keys: Options, camera: CameraModel, rule: ClassRule, dark: float, obser
     coherence = 0 if keys.coherence is None else max(1, round(SHARES * keys.coherence))
     head = [*multipliers.tolist(), keys.orientations, len(keys.strengths), coherence]
     size = 1 + len(keys.strengths) * (2 if coherence else 1) * keys.orientations
-    return Axis("direction", size, windows, np.array([*head, *edges.ravel().tolist()], np.int32))
+    return Feature("direction", size, windows, np.array([*head, *edges.ravel().tolist()], np.int32))
 
 
 def inner_span(span: int) -> int:
@@ -104,33 +106,33 @@ def _strength_edges(
     return np.minimum(np.rint(edges), 2**31 - 1).astype(np.int64)
 
 
-def check(axis: Axis, rule: ClassRule) -> None:
+def check(feature: Feature, rule: ClassRule) -> None:
     """Raise ValueError if the stored constants of the feature do not fit its formula."""
-    if len(axis.constants) < HEAD or axis.sums != 4:
-        raise ValueError(f"{len(axis.constants)} constants and {axis.sums} window sums")
-    straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
+    if len(feature.constants) < HEAD or feature.sums != 4:
+        raise ValueError(f"{len(feature.constants)} constants and {feature.sums} window sums")
+    straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     if not (1 <= straight <= SCALE and 1 <= diagonal <= SCALE and orientations in (4, 8) and 0 <= coherence <= SHARES):
         raise ValueError("constants out of range")
     size = 1 + strengths * (2 if coherence else 1) * orientations
-    if strengths < 1 or size != axis.size or len(axis.constants) != HEAD + strengths * rule.levels:
-        raise ValueError(f"{len(axis.constants)} constants for {axis.size} values")
+    if strengths < 1 or size != feature.size or len(feature.constants) != HEAD + strengths * rule.levels:
+        raise ValueError(f"{len(feature.constants)} constants for {feature.size} values")
 
 
-def observe(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
+def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
     """Return no statistics: the edges follow from the camera's noise, not from the pilot."""
     return np.empty((*level.shape, 0))
 
 
-def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
+def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
     """Return the direction (…) from the four differences (…, axis) at `level` (…)."""
-    straight, diagonal, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
+    straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
     steepest = size.argmax(axis=-1)
 
     def at(places: Integers) -> Integers:
         return np.take_along_axis(size, places[..., None] % 4, axis=-1)[..., 0]
 
-    edges = axis.constants[HEAD:].astype(np.int64).reshape(strengths, rule.levels)
+    edges = feature.constants[HEAD:].astype(np.int64).reshape(strengths, rule.levels)
     strength = (at(steepest) > edges[:, level]).sum(axis=0)
     orientation = steepest if orientations == 4 else 2 * steepest + (at(steepest + 1) > at(steepest + 3))
     group = strength - 1
@@ -139,30 +141,30 @@ def values(axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Inte
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 
-def with_less_noise(axis: Axis, share: float | NDArray[np.float64]) -> Axis:
+def with_less_noise(feature: Feature, share: float | NDArray[np.float64]) -> Feature:
     """Return the feature with strength edges for frames that have this fraction of the noise variance."""
-    constants = axis.constants.copy()
+    constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(share, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
-    return axis._replace(constants=constants)
+    return feature._replace(constants=constants)
 
 
-def turned(axis: Axis, transposed: bool, turns: int) -> Integers:
+def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
     """Return what each direction becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
-    orientations = int(axis.constants[2])
+    orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
     if transposed:
         orientation = (quarter + orientations // 8 - orientation) % orientations
     orientation = (orientation + turns * quarter) % orientations
-    every = np.arange(axis.size - 1)
+    every = np.arange(feature.size - 1)
     return np.append(0, 1 + every - every % orientations + orientation[every % orientations])
 
 
-def _described(axis: Axis, index: int) -> str:
+def _described(feature: Feature, index: int) -> str:
     if index == 0:
         return "flat"
-    _, _, orientations, strengths, coherence = axis.constants[:HEAD].tolist()
+    _, _, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     group, orientation = divmod(index - 1, orientations)
     degrees = (orientation - (0.5 if orientations == 8 else 0)) * 180 / orientations % 180
     strength, coherent = divmod(group, 2) if coherence else (group, None)
@@ -172,15 +174,15 @@ def _described(axis: Axis, index: int) -> str:
     return " ".join(words)
 
 
-def _axis_of(table: TransformTable) -> Axis:
-    return next(axis for axis in table.first.rule.axes if axis.name == "direction")
+def _feature_of(table: TransformTable) -> Feature:
+    return next(feature for feature in table.first.rule.feature_list if feature.name == "direction")
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
     """Return the number of a direction, and the axis along which the neighbourhood varies, as an angle clockwise from the
     row.
     """
-    return {"direction": index, "varies": _described(_axis_of(table), index)}
+    return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 
 def heading(entry: dict[str, Any]) -> str:
@@ -190,11 +192,11 @@ def heading(entry: dict[str, Any]) -> str:
 
 def name(table: TransformTable, index: int) -> str:
     """Return a name such as "flat" or "along 45° strength 2"."""
-    return _described(_axis_of(table), index)
+    return _described(_feature_of(table), index)
 
 
-def macros(axis: Axis, rule: ClassRule) -> dict[str, int]:
+def macros(feature: Feature, rule: ClassRule) -> dict[str, int]:
     """Return the macros that direction.cl is compiled with."""
     names = ("STRAIGHT", "DIAGONAL", "ORIENTATIONS", "STRENGTHS", "COHERENCE")
-    head = {f"DIRECTION_{name}": value for name, value in zip(names, axis.constants[:HEAD].tolist(), strict=True)}
+    head = {f"DIRECTION_{name}": value for name, value in zip(names, feature.constants[:HEAD].tolist(), strict=True)}
     return head | {"DIRECTION_HEAD": HEAD, "DIRECTION_SHARES": SHARES}

@@ -1,9 +1,12 @@
 """The features of a class rule, and the interface of their modules.
 
-Every rule has level, contrast, saturation and chroma, on which training and kernels rely: levels borrow from neighbouring
-levels, chromas have common parents, saturated classes are trained on greys, and a single loop compares levels and selects
-contrast edges. Any number of further features may follow. A recipe switches a further feature on by a table with its
-name.
+Every rule has the basic features level, contrast, saturation and chroma, on which training and kernels rely: levels borrow
+from neighbouring levels, chromas have common parents, saturated classes are trained on greys, and a single loop compares
+levels and selects contrast edges. Any number of other features may follow. A recipe switches such a feature on by a table
+with its name.
+
+A module with the functions of `FeatureModule` says how such a feature is decided. What a table stores of the feature is a
+`class_rule.Feature`, which the functions receive as `feature`.
 """
 
 from collections.abc import Mapping
@@ -13,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule
+from l3cli.artifacts.class_rule import ClassRule, Feature
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, direction, level, saturation
 from l3cli.classes.windows import Integers
@@ -21,8 +24,8 @@ from l3cli.errors import InputFileError
 from l3cli.recipes.toml import Recipe
 
 
-class Feature(Protocol):
-    """Interface of a feature's module."""
+class DescribedFeature(Protocol):
+    """What the module of every feature has."""
 
     SNIPPET: str  # file with the formula, below opencl/
 
@@ -40,8 +43,8 @@ class Feature(Protocol):
         """Return the name of value `index`."""
 
 
-class BasicFeature(Feature, Protocol):
-    """Interface of level, contrast, saturation and chroma."""
+class BasicFeatureModule(DescribedFeature, Protocol):
+    """Interface of the modules of level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
         """Return the macros that the snippet is compiled with."""
@@ -50,8 +53,8 @@ class BasicFeature(Feature, Protocol):
         """Return the constants that the snippet reads."""
 
 
-class FurtherFeature(Feature, Protocol):
-    """Interface of a feature that a recipe switches on.
+class FeatureModule(DescribedFeature, Protocol):
+    """Interface of the module of a feature that a recipe switches on.
 
     The feature is decided by integer sums over windows of the patch, by the level, and by constants that are chosen when
     the rule is made. Its snippet defines the function
@@ -67,9 +70,9 @@ class FurtherFeature(Feature, Protocol):
         If they are not, rules leave the feature out.
         """
 
-    def axis(
+    def make_feature(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
-    ) -> Axis:
+    ) -> Feature:
         """Return what a table stores of the feature.
 
         Parameters
@@ -90,52 +93,52 @@ class FurtherFeature(Feature, Protocol):
             If the keys are impossible.
         """
 
-    def check(self, axis: Axis, rule: ClassRule) -> None:
+    def check(self, feature: Feature, rule: ClassRule) -> None:
         """Raise ValueError if the stored constants do not fit the formula, which could then read beyond their end."""
 
-    def observe(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics (patch, …) that `axis` takes from the patches of the pilot, without columns if it takes
+    def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
+        """Return the statistics (patch, …) that the feature takes from the patches of the pilot, without columns if it takes
         none.
         """
 
-    def values(self, axis: Axis, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
+    def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
         """Return the value (…) of the feature from window sums (…, sum) at `level` (…)."""
 
-    def with_less_noise(self, axis: Axis, share: float | NDArray[np.float64]) -> Axis:
+    def with_less_noise(self, feature: Feature, share: float | NDArray[np.float64]) -> Feature:
         """Return the feature for frames with this fraction of the noise variance, in all or per level."""
 
-    def turned(self, axis: Axis, transposed: bool, turns: int) -> Integers:
+    def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
         """Return what each value becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
 
-    def macros(self, axis: Axis, rule: ClassRule) -> dict[str, int]:
+    def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
         """Return the macros that the snippet is compiled with."""
 
 
 # The order in which snippets are joined and arrays are passed to kernels.
-BASIC: tuple[BasicFeature, ...] = (level, contrast, saturation, chroma)
-FURTHER: Mapping[str, FurtherFeature] = {  # by the name of the recipe table that switches it on
+BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
+FEATURES: Mapping[str, FeatureModule] = {  # by the name of the recipe table that switches it on
     "direction": direction,
 }
 
 
-def feature_of(axis: Axis, rule: ClassRule) -> FurtherFeature:
-    """Return the module of a further feature of a rule.
+def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
+    """Return the module of a feature of a rule.
 
     Raises
     ------
     InputFileError
         If this version of l3 does not know the feature, or its constants do not fit.
     """
-    feature = FURTHER.get(axis.name)
-    if feature is None:
-        raise InputFileError(f'the class rule has the feature "{axis.name}", which this l3 does not know; upgrade l3cli')
+    module = FEATURES.get(feature.name)
+    if module is None:
+        raise InputFileError(f'the class rule has the feature "{feature.name}", which this l3 does not know; upgrade l3cli')
     try:
-        feature.check(axis, rule)
+        module.check(feature, rule)
     except ValueError as error:
-        raise InputFileError(f"the class rule's {axis.name} is damaged: {error}; train the table again") from error
-    return feature
+        raise InputFileError(f"the class rule's {feature.name} is damaged: {error}; train the table again") from error
+    return module
 
 
-def further_features(rule: ClassRule) -> tuple[tuple[FurtherFeature, Axis], ...]:
-    """Return the module and the stored form of each further feature of a rule; InputFileError as in `feature_of`."""
-    return tuple((feature_of(axis, rule), axis) for axis in rule.axes)
+def features_of(rule: ClassRule) -> tuple[tuple[FeatureModule, Feature], ...]:
+    """Return each feature that the recipe added to a rule, with its module; InputFileError as in `module_of`."""
+    return tuple((module_of(feature, rule), feature) for feature in rule.feature_list)

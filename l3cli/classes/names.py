@@ -5,20 +5,26 @@ from typing import Any
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.table import PlaneLayer, TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
-from l3cli.classes.features import FURTHER, Feature, further_features
+from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
 # features by their names in reports and JSON
-AXES: dict[str, Feature] = {"level": level, "contrast": contrast, "chroma": chroma, "saturation": saturation, **FURTHER}
+EVERY_FEATURE: dict[str, DescribedFeature] = {
+    "level": level,
+    "contrast": contrast,
+    "chroma": chroma,
+    "saturation": saturation,
+    **FEATURES,
+}
 
 
-def heading(axis: str, entry: dict[str, Any]) -> str:
-    """Return the first cell of a table row for an entry of the feature `axis`."""
-    return AXES[axis].heading(entry)
+def heading(feature: str, entry: dict[str, Any]) -> str:
+    """Return the first cell of a table row for an entry of this feature."""
+    return EVERY_FEATURE[feature].heading(entry)
 
 
-def further_headings(entry: dict[str, Any]) -> list[str]:
-    """Return one phrase per further feature in a class's entry, such as "direction 3: along 90°"."""
-    return [f"{name} {feature.heading(entry)}" for name, feature in FURTHER.items() if name in entry]
+def feature_headings(entry: dict[str, Any]) -> list[str]:
+    """Return one phrase per added feature in a class's entry, such as "direction 3: along 90°"."""
+    return [f"{name} {module.heading(entry)}" for name, module in FEATURES.items() if name in entry]
 
 
 def class_name(table: TransformTable, index: int) -> str:
@@ -27,7 +33,7 @@ def class_name(table: TransformTable, index: int) -> str:
     row, col = divmod(place.site, table.cfa.shape[1])
     channel = table.channels[table.cfa[row, col]]
     stem = f"site ({row}, {col}) {channel}", level.name(table, place.level), contrast.name(table, place.contrast)
-    return ", ".join((*stem, *further_names(table, place.further), kind_name(table, place.kind)))
+    return ", ".join((*stem, *feature_names(table, place.combination), kind_name(table, place.kind)))
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
@@ -40,11 +46,11 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
         if case
         else {"chroma": chroma.heading(chroma.entry(table, place.kind)), "saturation": "none"}
     )
-    further = zip((axis.name for axis in rule.axes), further_names(table, place.further), strict=True)
+    features = zip((feature.name for feature in rule.feature_list), feature_names(table, place.combination), strict=True)
     return {
         "level": level.name(table, place.level).removeprefix("level "),
         "contrast": _of(place.contrast, rule.contrasts, ("flattest", "most textured")),
-        **dict(further),
+        **dict(features),
         **kind,
     }
 
@@ -77,12 +83,10 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
     return f"{index} of 0…{count - 1}{words}"
 
 
-def further_names(table: TransformTable, further_class: int) -> list[str]:
-    """Return the name of each further feature's value, in order."""
-    values = table.first.rule.split_further(further_class)
-    return [
-        feature.name(table, value) for (feature, _), value in zip(further_features(table.first.rule), values, strict=True)
-    ]
+def feature_names(table: TransformTable, combination: int) -> list[str]:
+    """Return the name of each feature's value, in order."""
+    values = table.first.rule.split_features(combination)
+    return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 
 
 def kind_name(table: TransformTable, kind: int) -> str:

@@ -5,11 +5,11 @@ import bisect
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import Axis, ClassRule
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, TESTS, StructureRule, TreeRule
 from l3cli.artifacts.table import PlaneRule
 from l3cli.classes import contrast, tree
-from l3cli.classes.features import BASIC, further_features
+from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
 PART_LEAVES = 16  # most leaves in a part of a tree, all of which are decided at once
@@ -108,64 +108,63 @@ def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
     """Return the files below opencl/ with the formulas of a rule's features. `joined` and rule.cl follow them."""
-    return tuple(feature.SNIPPET for feature in (*BASIC, *(feature for feature, _ in further_features(rule))))
+    return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return C source that combines the further features, for rule.cl.
+    """Return OpenCL source that combines the features that a recipe adds, for rule.cl.
 
-    It defines FURTHER, the number of combined values; WINDOW_SUMS, the number of sums; EACH_WINDOW, which lists the
-    windows; and the function `further_of`. Values beyond the end of a feature are replaced by its last value. If all
-    windows have the same size, BOX_ROWS and BOX_COLUMNS give it.
+    It defines COMBINATIONS, the number of combinations of values; WINDOW_SUMS, the number of sums; EACH_WINDOW, which lists
+    the windows; and the function `combination_of`. If all windows have the same size, BOX_ROWS and BOX_COLUMNS give it.
     """
-    windows, values = [], []
-    sums = constants = 0
-    for axis in rule.axes:
-        for window in axis.windows:
-            top_left_size = f"{window.top}, {window.left}, {window.rows}, {window.columns}"
-            windows.append(f"add({sums + window.sum}, {top_left_size}, {'+' if window.sign > 0 else '-'})")
-        values += [
-            f"    value = {axis.name}_of(sum + {sums}, level, constants + {constants});",
-            f"    further = further * {axis.size} + (value > {axis.size - 1} ? (uints){axis.size - 1} : value);",
-        ]
-        sums, constants = sums + axis.sums, constants + len(axis.constants)
-    lines = [f"#define FURTHER {rule.further}", f"#define WINDOW_SUMS {max(1, sums)}"]
-    sizes = {(window.rows, window.columns) for axis in rule.axes for window in axis.windows}
+    windows = [f"add({w.sum}, {w.top}, {w.left}, {w.rows}, {w.columns}, {'+' if w.sign > 0 else '-'})" for w in rule.windows]
+    lines = [f"#define COMBINATIONS {rule.combinations}", f"#define WINDOW_SUMS {max(1, rule.window_sums)}"]
+    sizes = {(window.rows, window.columns) for window in rule.windows}
     if len(sizes) == 1:
         lines += [f"#define BOX_{name} {size}" for name, size in zip(("ROWS", "COLUMNS"), *sizes, strict=True)]
-    if rule.axes:
-        lines += [
-            f"#define EACH_WINDOW(add) {' '.join(windows)}",
-            "INLINE uints further_of(const ints *sum, uints level, __global const int *constants) {",
-            "    uints further = 0, value;",
-            *values,
-            "    return further;",
-            "}",
-        ]
+    if rule.feature_list:
+        lines += [f"#define EACH_WINDOW(add) {' '.join(windows)}", combination_function(rule)]
     return "\n".join(lines)
+
+
+def combination_function(rule: ClassRule) -> str:
+    """Return the OpenCL function `combination_of`, which calls the functions of the features' snippets.
+
+    Values beyond the end of a feature are replaced by its last value.
+    """
+    lines = [
+        "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",
+        "    uints combination = 0, value;",
+    ]
+    sums = constants = 0
+    for feature in rule.feature_list:
+        last = feature.size - 1
+        lines += [
+            f"    value = {feature.name}_of(sum + {sums}, level, constants + {constants});",
+            f"    combination = combination * {feature.size} + (value > {last} ? (uints){last} : value);",
+        ]
+        sums, constants = sums + feature.sums, constants + len(feature.constants)
+    return "\n".join([*lines, "    return combination;", "}"])
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
     """Return the macros of the features' snippets and of rule.cl."""
-    basic = {key: value for feature in BASIC for key, value in feature.macros(rule).items()}
-    further = {key: value for feature, axis in further_features(rule) for key, value in feature.macros(axis, rule).items()}
-    return basic | further | {"KINDS": rule.kinds}
+    basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
+    added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
+    return basic | added | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
     """Return the constants of the features, in the order of the kernels' arguments.
 
-    `others` are rules that differ only in what depends on noise: contrast edges and constants of further features. Their
-    values follow those of `rule`.
+    `others` are rules that differ only in what depends on noise: contrast edges and constants of features. Their values
+    follow those of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])
-        if feature is contrast
-        else feature.kernel_array(rule)
-        for feature in BASIC
+        if module is contrast
+        else module.kernel_array(rule)
+        for module in BASIC
     ]
-    return (*basic, *_further_constants(tuple(axis for each in (rule, *others) for axis in each.axes)))
-
-
-def _further_constants(axes: tuple[Axis, ...]) -> tuple[NDArray[np.int32], ...]:
-    return (np.concatenate([axis.constants for axis in axes]),) if axes else ()
+    stored = [each.features.constants for each in (rule, *others) if each.features]
+    return (*basic, *([np.concatenate(stored)] if stored else []))

@@ -6,7 +6,7 @@ import msgspec
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import FURTHER
+from l3cli.classes.features import FEATURES
 from l3cli.recipes.toml import Count, Recipe
 
 if TYPE_CHECKING:
@@ -22,13 +22,13 @@ else:
         """Return name, type and default of the keys of a feature that every rule has."""
         return [(field.name, field.type, field.default) for field in msgspec.structs.fields(keys)]
 
-    # patch: pixels, side of the neighbourhood. Further features have a table each, which switches them on.
+    # patch: pixels, side of the neighbourhood. Other features have a table each, which switches them on.
     ClassRecipe = msgspec.defstruct(
         "ClassRecipe",
         [
             ("patch", Count, 9),
             *(field for feature in (level, contrast, saturation, chroma) for field in _fields(feature.Options)),
-            *((name, feature.Options | None, None) for name, feature in FURTHER.items()),
+            *((name, feature.Options | None, None) for name, feature in FEATURES.items()),
         ],
         bases=(Recipe,),
         module=__name__,
@@ -39,21 +39,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, FurtherFeatures
+from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, StoredFeatures
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import FURTHER
+from l3cli.classes.features import FEATURES
 from l3cli.classes.windows import neighbourhoods, window_channels
 from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the tables of the further features that a recipe contains, by name, in the order of FURTHER."""
-    return {name: keys for name in FURTHER if (keys := getattr(recipe, name)) is not None}
+    """Return the tables of the features that a recipe switches on, by name, in the order of FEATURES."""
+    return {name: keys for name in FEATURES if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
     """Return the names of requested features for which the patches are too small on a camera's array."""
-    return [name for name in switched_on(recipe) if not FURTHER[name].fits(camera, recipe.patch)]
+    return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
 def make_rule(
@@ -79,7 +79,7 @@ def make_rule(
     dark : float
         Dark signal in DN that has been subtracted from the frames.
     observed : mapping, optional
-        Statistics of the pilot for each further feature; None before the pilot.
+        Statistics of the pilot for each feature; None before the pilot.
     spared_cases : int
         See ClassRule.
 
@@ -114,12 +114,12 @@ def make_rule(
             chroma_dither=int(recipe.chroma_dither),
             spared_cases=spared_cases,
         )
-        axes = tuple(
-            FURTHER[name].axis(keys, camera, rule, dark, None if observed is None else observed[name])
+        features = tuple(
+            FEATURES[name].make_feature(keys, camera, rule, dark, None if observed is None else observed[name])
             for name, keys in switched_on(recipe).items()
-            if FURTHER[name].fits(camera, recipe.patch)
+            if FEATURES[name].fits(camera, recipe.patch)
         )
-        return replace(rule, features=FurtherFeatures.of(axes)) if axes else rule
+        return replace(rule, features=StoredFeatures.of(features)) if features else rule
     except ValueError as error:
         raise RecipeError(f"classes: {error}") from error
 

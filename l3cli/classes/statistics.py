@@ -23,7 +23,7 @@ class Statistics:
     sums: Integers  # (…, channel) sums of v = DN >> shift
     squares: Integers | None  # (…, channel) sums of v²; None if the rule has a single contrast
     code: Integers  # (…) bit c is set if a pixel of channel c near the centre is saturated
-    windows: Integers  # (…, sum) sums of v over the windows of all further features
+    windows: Integers  # (…, sum) sums of v over the windows of all features
 
     @cached_property
     def scaled(self) -> Integers:
@@ -37,13 +37,16 @@ class PatchSums(NamedTuple):
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None as above
     code: Integers  # (patch) saturation codes
-    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all further features; integers below 2²⁴
+    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all features; integers below 2²⁴
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
-    """Return the window sums (…, sum) of each further feature, in order."""
-    ends = np.cumsum([axis.sums for axis in rule.axes], dtype=int)
-    return tuple(statistics.windows[..., end - axis.sums : end] for axis, end in zip(rule.axes, ends.tolist(), strict=True))
+    """Return the window sums (…, sum) of each feature, in order."""
+    ends = np.cumsum([feature.sums for feature in rule.feature_list], dtype=int)
+    return tuple(
+        statistics.windows[..., end - feature.sums : end]
+        for feature, end in zip(rule.feature_list, ends.tolist(), strict=True)
+    )
 
 
 def truncation(shift: int) -> float:
@@ -110,14 +113,11 @@ def mosaic_statistics(
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
     """Return the window sums (row, col, sum) of a padded mosaic of v."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    sums = np.zeros((sum(axis.sums for axis in rule.axes), rows, cols), np.int64)
-    first = 0
-    for axis in rule.axes:
-        for window in axis.windows:
-            top, low = (total[row : row + rows] for row in (window.top, window.top + window.rows))
-            left, right = (slice(col, col + cols) for col in (window.left, window.left + window.columns))
-            sums[first + window.sum] += window.sign * (low[:, right] - top[:, right] - low[:, left] + top[:, left])
-        first += axis.sums
+    sums = np.zeros((rule.window_sums, rows, cols), np.int64)
+    for window in rule.windows:
+        top, low = (total[row : row + rows] for row in (window.top, window.top + window.rows))
+        left, right = (slice(col, col + cols) for col in (window.left, window.left + window.columns))
+        sums[window.sum] += window.sign * (low[:, right] - top[:, right] - low[:, left] + top[:, left])
     return np.moveaxis(sums, 0, -1)
 
 

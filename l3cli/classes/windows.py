@@ -55,7 +55,7 @@ class TapOrder:
     taps: Integers  # (tap) indices in the window
     channels: tuple[slice, ...]  # the taps of each channel
     inner: tuple[slice, ...]  # the taps of each channel that decide the saturation case
-    windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all further features
+    windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
@@ -75,14 +75,11 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return how often each tap (sum, tap), row by row, counts in the window sums of all further features."""
-    counts = np.zeros((sum(axis.sums for axis in rule.axes), rule.patch, rule.patch), np.float32)
-    first = 0
-    for axis in rule.axes:
-        for window in axis.windows:
-            down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
-            counts[first + window.sum, down, across] += window.sign
-        first += axis.sums
+    """Return how often each tap (sum, tap), row by row, counts in the window sums of all features."""
+    counts = np.zeros((rule.window_sums, rule.patch, rule.patch), np.float32)
+    for window in rule.windows:
+        down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
+        counts[window.sum, down, across] += window.sign
     return counts.reshape(len(counts), rule.patch**2)
 
 

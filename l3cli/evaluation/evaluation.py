@@ -15,8 +15,8 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import further_features
-from l3cli.classes.names import AXES
+from l3cli.classes.features import features_of
+from l3cli.classes.names import EVERY_FEATURE
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
@@ -34,7 +34,7 @@ LISTED = 10  # number of worst classes
 
 
 class ClassErrors:
-    """Sums of pixel errors by class feature: level, contrast, further features and kind (chroma or saturation case).
+    """Sums of pixel errors by class feature: level, contrast, other features and kind (chroma or saturation case).
 
     All CFA sites are summed together.
     """
@@ -56,14 +56,14 @@ class ClassErrors:
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
-        self._pixels += rule.by_axis(np.bincount(within, minlength=classes))[0]
+        self._pixels += rule.by_feature(np.bincount(within, minlength=classes))[0]
         for name, error in errors.items():
-            self._sums[name] += rule.by_axis(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
+            self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
-    def by_axis(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error, named `figure`, of the classes that occur along each feature axis."""
+    def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
+        """Return the mean error, named `figure`, of the classes that occur for each value of each feature."""
         table, rule = self._table, self._rule
-        axes: dict[str, list[tuple[dict[str, Any], Any]]] = {
+        entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
             "contrast": [(contrast.entry(table, index), np.s_[:, index]) for index in range(rule.contrasts)],
             "chroma": [(chroma.entry(table, index), np.s_[..., index]) for index in range(rule.chromas)],
@@ -71,11 +71,13 @@ class ClassErrors:
                 (saturation.entry(table, index), np.s_[..., rule.kinds_of(index)]) for index in range(rule.cases)
             ],
         }
-        values = rule.split_further(np.arange(rule.further))
-        for (feature, each), value in zip(further_features(rule), values, strict=True):
-            axes[each.name] = [(feature.entry(table, index), np.s_[:, :, value == index]) for index in range(each.size)]
-        every = {axis: [self._entry(figure, *about) for about in entries] for axis, entries in axes.items()}
-        return {axis: [entry for entry in entries if entry["pixels"]] for axis, entries in every.items()}
+        values = rule.split_features(np.arange(rule.combinations))
+        for (module, feature), value in zip(features_of(rule), values, strict=True):
+            entries_of[feature.name] = [
+                (module.entry(table, index), np.s_[:, :, value == index]) for index in range(feature.size)
+            ]
+        every = {name: [self._entry(figure, *about) for about in entries] for name, entries in entries_of.items()}
+        return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
         """Return the classes with the largest mean error of a pipeline, among classes with enough pixels."""
@@ -88,9 +90,9 @@ class ClassErrors:
             case = int(self._rule.case(place.kind))
             about = level.entry(self._table, place.level) | contrast.entry(self._table, place.contrast)
             about |= {"chroma": None if case else place.kind, "case": case}
-            values = self._rule.split_further(place.further)
-            for (feature, _), value in zip(further_features(self._rule), values, strict=True):
-                about |= feature.entry(self._table, value)
+            values = self._rule.split_features(place.combination)
+            for (module, _), value in zip(features_of(self._rule), values, strict=True):
+                about |= module.entry(self._table, value)
             entries.append(self._entry(figure, about, place[1:]))
         return entries
 
@@ -103,7 +105,8 @@ class ClassErrors:
 FORMAT = 3  # version of the document, increased when its keys change
 OURS = "ours"  # key of the table's results in documents
 TAKEN = {
-    "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", *AXES, "ideal", "error",
+    "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
+    *EVERY_FEATURE,
 }  # fmt: skip # names with another meaning in documents and pictures, which no pipeline may have
 LARGEST = 1e24  # cd/m², largest output of a table; sums of its square stay finite
 
@@ -318,7 +321,7 @@ class Evaluation:
             "by_gain": list(by_gain),
             "by_patch": self._by_patch(),
             "by_band": self._by_band(),
-            "by_class": self._classes.by_axis(self._figure),
+            "by_class": self._classes.by_feature(self._figure),
             "worst_classes": self._classes.worst(self._figure, OURS),
         }
 

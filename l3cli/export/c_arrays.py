@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import Window
 from l3cli.artifacts.plane_rules import StructureRule, TreeRule
 from l3cli.artifacts.table import PlaneLayer, TransformTable
-from l3cli.classes import chroma, contrast, direction, level, saturation
+from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.coarse_chroma import scales_of
-from l3cli.classes.features import further_features
 from l3cli.classes.plane_kernel import rule_constants, rule_macros
 from l3cli.classes.planes import fixed_point, planes_basis, refined_fixed_point
 from l3cli.classes.refinement import first_label_words
@@ -109,10 +109,10 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
         Array("l3_chroma_widths", chroma.chroma_widths(rule), "(chroma)"),
     ]
     lines = []
-    for _, axis in further_features(rule):
-        edges = axis.constants[direction.HEAD :].reshape(-1, rule.levels)
-        arrays.append(Array("l3_direction_edges", edges, "strength edges (edge, level)"))
-        windows = sorted(axis.windows, key=lambda window: (window.top, window.rows, window.sum))
+    if rule.features:
+        arrays.append(Array("l3_feature_constants", _some(rule.features.constants), "what the features' functions read"))
+        windows = sorted(rule.windows, key=lambda window: (window.top, window.rows, window.sum))
+        windows = windows or [Window(0, 0, 0, 0, 0, 1)]  # because C has no empty arrays; it holds no pixel
         lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
         lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
     arrays += _last_words(table, short) if short else _last_floats(table)

@@ -28,7 +28,7 @@ HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_p
 LEFT_OUT = ("samples", "condition")  # fields of layers that only document the training
 
 FORMULAS = {
-    "class": "(((site * levels + level) * contrasts + contrast) * further + further_value) * kinds + kind",
+    "class": "(((site * levels + level) * contrasts + contrast) * combinations + combination) * kinds + kind",
     "site": "CFA row * CFA columns + CFA column",
     "statistics": "v = DN >> shift over the patch about a pixel; n, S, Q: number, sum, sum of squares of v of a channel",
     "level": "number of level_edges <= sum over channels of (S * mean_reciprocal >> 8)",
@@ -183,7 +183,9 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
     entry |= arrays.add_fields(prefix, layer) | arrays.add_fields(prefix, rule)
-    names = ("levels", "kinds", "structures") if number else ("levels", "contrasts", "further", "chromas", "cases", "kinds")
+    names = (
+        ("levels", "kinds", "structures") if number else ("levels", "contrasts", "combinations", "chromas", "cases", "kinds")
+    )
     entry["sizes"] = {name: getattr(rule, name) for name in names} | {"classes": len(layer.weights)}
     if not number and rule.features:
         entry["features"] = arrays.add_fields(f"{prefix}features/", rule.features)

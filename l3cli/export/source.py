@@ -1,4 +1,7 @@
-"""A table as C99 source: fixed code, joined from the pieces in c/, and the table's numbers as macros and arrays."""
+"""A table as C99 source: fixed code, joined from the pieces in c/, and the table's numbers as macros and arrays.
+
+The features of a class rule need no piece of their own: their OpenCL snippets are C, up to the names of types.
+"""
 
 import json
 import math
@@ -10,10 +13,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
 from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
-from l3cli.classes import chroma, clipping, direction, saturation
-from l3cli.classes.features import further_features
+from l3cli.classes import chroma, clipping, saturation
+from l3cli.classes.features import features_of
+from l3cli.classes.plane_kernel import combination_function
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, raw_middle
 from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
@@ -36,6 +41,7 @@ from l3cli.physics.display import XYZ
 from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
+from l3cli.rendering.opencl.layout import source_folder
 from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
@@ -56,6 +62,7 @@ DATA = (
     "#endif",
     "",
 )
+C_OF_OPENCL = {"__global const int": "const int32_t", "uints": "uint32_t", "ints": "int32_t", "INLINE": "static inline"}
 GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", "")
 
 
@@ -88,9 +95,6 @@ def c_files(
         )
     if prefix == "test":
         raise RecipeError('prefix "test" is taken by the test program; give another')
-    for feature, axis in further_features(table.first.rule):
-        if feature is not direction:
-            raise InputFileError(f'C source has no class feature "{axis.name}"; export the table as a folder')
     floats = "smooths spectra" if table.spectra else "corrects bands" if _corrects(table) else ""
     if floats and words == "int16":
         raise InputFileError(f"the table {floats}, in floats; leave out ‹words› or export it as a folder")
@@ -107,7 +111,7 @@ def c_files(
     }
     makefile = _piece("Makefile") + (_piece("Makefile_page") if shows else "")
     texts = {
-        "l3.c": "".join(_piece(name) for name in _pieces(table, words)),
+        "l3.c": _computation(table, words),
         "l3.h": _piece("l3.h"),
         "l3_table.h": _header(table, vector, arrays, words),
         "l3_table.c": "\n".join([*DATA, *(line for array in arrays for line in (*array.lines(), "")), *layers]),
@@ -141,8 +145,8 @@ def _piece(name: str) -> str:
     return (PIECES / name).read_text(encoding="utf-8")
 
 
-def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
-    further = "direction.c" if table.first.rule.axes else "no_direction.c"
+def _computation(table: TransformTable, words: Words) -> str:
+    """Return l3.c."""
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
     clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
     corrections = "corrections.c" if _corrects(table) else "no_corrections.c"
@@ -152,7 +156,23 @@ def _pieces(table: TransformTable, words: Words) -> tuple[str, ...]:
         else ("one_layer.c",)
     )
     spectra = "spectra.c" if table.spectra else "no_spectra.c"
-    return ("head.c", further, "classes.c", f"{words}.c", *layer_files, spectra, "render.c")
+    rest = ("classes.c", f"{words}.c", *layer_files, spectra, "render.c")
+    return _piece("head.c") + _features(table.first.rule) + "".join(map(_piece, rest))
+
+
+def _features(rule: ClassRule) -> str:
+    """Return C source that decides the features of a rule from their OpenCL snippets."""
+    modules = features_of(rule)
+    if not modules:
+        return _piece("no_features.c")
+    snippets = [(source_folder() / module.SNIPPET).read_text(encoding="utf-8") for module, _ in modules]
+    text = "\n".join([*snippets, combination_function(rule), ""])
+    text = re.sub(r"^ *#pragma unroll.*\n", "", text, flags=re.MULTILINE)
+    for name, in_c in C_OF_OPENCL.items():
+        text = re.sub(rf"\b{name}\b", in_c, text)
+    names = "|".join({"LEVELS"}.union(*(module.macros(feature, rule) for module, feature in modules)))
+    text = re.sub(rf"\b({names})\b", r"L3_\1", text)
+    return _piece("features_head.c") + text + "\n" + _piece("features.c")
 
 
 # ---------------------------------------------------------------------------------------------------------------- macros
@@ -183,12 +203,14 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
         "CHROMA_BLACK_LEVEL": rule.chroma_black_level,
         "DITHER": int(chroma.chroma_widths(rule).any()),
         "CHROMA_TURN": chroma.TURN,
-        "FURTHER": rule.further,
+        "COMBINATIONS": rule.combinations,
         "KINDS": rule.kinds,
         "CLASSES": len(table.first.weights),
     }
-    for feature, axis in further_features(rule):
-        values |= feature.macros(axis, rule) | {"WINDOWS": len(axis.windows)}
+    for module, feature in features_of(rule):
+        values |= module.macros(feature, rule)
+    if rule.features:
+        values |= {"WINDOWS": max(1, len(rule.windows)), "WINDOW_SUMS": max(1, rule.window_sums)}
     if table.spectra:
         reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
@@ -282,9 +304,9 @@ def _header(table: TransformTable, vector: Vector, arrays: list[Array], words: W
     }
     lines = [f"#define L3_{name} {value}" for name, value in (macros(table, words) | test).items()]
     public = [line for array in arrays if not array.local for line in array.public()]
-    types = (_piece("types.h") if table.later else "") + (_piece("window.h") if table.first.rule.axes else "")
+    types = (_piece("types.h") if table.later else "") + (_piece("window.h") if table.first.rule.features else "")
     extra = ["extern const L3PlaneLayer l3_layers[L3_LAYERS - 1];"] if table.later else []
-    extra += ["extern const L3Window l3_windows[L3_WINDOWS];"] if table.first.rule.axes else []
+    extra += ["extern const L3Window l3_windows[L3_WINDOWS];"] if table.first.rule.features else []
     start = "/* A transform table: its constants; its arrays stand in l3_table.c. README.md explains both. */"
     lines += ["", f"typedef {TYPES[words]} L3Output;"]
     return "\n".join([start, *GUARD, *lines, "", types + "\n".join(public), *extra, "", "#endif", ""])
@@ -312,7 +334,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
         "saturation": rule.saturation,
         "radius": rule.saturation_radius,
         "chromas": rule.chromas,
-        "further": rule.further,
+        "combinations": rule.combinations,
         "kinds": rule.kinds,
         "classes": len(table.first.weights),
         "cap": (2**32 - 1) // len(table.channels),
@@ -325,7 +347,7 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     known |= {"ratio_darkest": RATIO_DARKEST, **_clipping_known(table)}
     known |= _words_known(table, short) if short else {"words": "float"}
     parts = ["readme.md", "readme_int16.md" if short else "readme_float32.md"]
-    parts += ["readme_direction.md"] if rule.axes else []
+    parts += [name for feature in rule.feature_list if (PIECES / (name := f"readme_{feature.name}.md")).exists()]
     parts += ["readme_planes.md"] if table.later else ["readme_one_layer.md"]
     parts += ["readme_corrections.md"] if _corrects(table) else []
     parts += ["readme_ratios.md"] if table.later and table.later[-1].ratio_taps else []

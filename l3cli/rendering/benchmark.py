@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
+from l3cli.artifacts.class_rule import ClassRule, Feature, StoredFeatures
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, TransformTable
 from l3cli.classes import direction
@@ -81,7 +81,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
         case_of_code=case_of_code,
         chroma_black_level=BLACK_LEVEL * 2**CHROMA_FRACTION,
         chroma_weights=chroma_weights(centres),
-        features=FurtherFeatures.of((_directions(case, levels),)) if two_layers else None,
+        features=StoredFeatures.of((_directions(case, levels),)) if two_layers else None,
     )
     classes = cfa.size * rule.classes_per_site
     white = spectra.white_point("D65") if case.outputs == 3 else np.ones(case.outputs)
@@ -111,14 +111,14 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
     )
 
 
-def _directions(case: Case, level_edges: NDArray[np.float64]) -> Axis:
+def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
     """Return the direction feature that the recipe `default` uses before a second layer."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
     noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
-    return Axis("direction", 5, windows, np.array(constants, np.int32))
+    return Feature("direction", 5, windows, np.array(constants, np.int32))
 
 
 def _second_layer(

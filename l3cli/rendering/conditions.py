@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
-from l3cli.artifacts.class_rule import ClassRule, FurtherFeatures
+from l3cli.artifacts.class_rule import ClassRule, StoredFeatures
 from l3cli.artifacts.plane_rules import GradientScale
 from l3cli.artifacts.table import Clipping, CoarseChroma, Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes import contrast, level
-from l3cli.classes.features import further_features
+from l3cli.classes.features import features_of
 from l3cli.classes.plane_kernel import kernel_macros
 from l3cli.classes.planes import FixedPoint, fixed_point
 from l3cli.errors import InputFileError
@@ -323,7 +323,7 @@ class NoiseSets:
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     """Return the table with class edges for frames that have this fraction of the camera's noise variance.
 
-    Edges of contrast, strength and further features follow the noise, so that texture differs from flat areas again. The
+    Edges of contrast, strength and other features follow the noise, so that texture differs from flat areas again. The
     scale of gradients and the transforms stay the same.
     """
     first = _with_edges(table.first.rule, share)
@@ -341,9 +341,9 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
     """Return a rule with its noise-dependent edges scaled for this fraction of the noise variance, in all or per level."""
-    axes = tuple(feature.with_less_noise(axis, share) for feature, axis in further_features(rule))
-    features = FurtherFeatures.of(axes) if axes else None
-    return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=features)
+    features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
+    stored = StoredFeatures.of(features) if features else None
+    return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=stored)
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:

@@ -176,7 +176,7 @@ class RangeMeter:
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
-        self._samples = table.first.rule.by_axis(table.first.samples)
+        self._samples = table.first.rule.by_feature(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
         """Return the fractions for a frame of any size and phase."""

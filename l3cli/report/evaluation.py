@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.classes.names import further_headings, heading
+from l3cli.classes.names import feature_headings, heading
 from l3cli.physics.figures import FIGURES, figure_text
 from l3cli.report.drawing import Axis, Plot, spanning
 from l3cli.report.parts import (
@@ -370,7 +370,7 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
         if axis != "level" and len(entries) > 1
     ]
     worst = [
-        (", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *further_headings(e), kind]), e)
+        (", ".join([f"level {e['from']:.3g}–{e['to']:.3g}, contrast {e['contrast']}", *feature_headings(e), kind]), e)
         for e in document["worst_classes"]
         for kind in [f"saturation case {e['case']}" if e["chroma"] is None else f"chroma {e['chroma']}"]
     ]

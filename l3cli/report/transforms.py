@@ -98,7 +98,7 @@ def level_middles(table: TransformTable) -> Array:
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
     """Draw how many training patches each class has, by level, contrast, kind and site."""
-    samples = table.first.rule.by_axis(table.first.samples)
+    samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
         kind_names(insight),
@@ -117,7 +117,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
     by_site = samples.sum(axis=(2, 3, 4))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
     empty = Text("Classes in an empty cell had no training patches. They took their transforms from neighbours.")
-    return (empty, Figures(tuple(figures)), _kinds_table(insight), *_further_tables(insight))
+    return (empty, Figures(tuple(figures)), _kinds_table(insight), *_feature_tables(insight))
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
@@ -158,11 +158,11 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
     return Table("Patches of each chroma and saturation case", ("kind", "patches"), rows)
 
 
-def _further_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make a table of the patches per value of each further class feature."""
+def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
+    """Make a table of the patches per value of each class feature beyond the basic ones."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
-        for name, values in insight.get("further", {}).items()
+        for name, values in insight.get("features", {}).items()
     )
 
 
@@ -210,8 +210,8 @@ def chosen_classes(table: TransformTable) -> list[int]:
     wanted += [(int(np.argmax(sites == channel)), mid, rule.contrasts - 1) for channel in others]
     chosen = []
     for site, at, contrast in wanted:
-        further = np.arange(rule.further)[:, None]
-        classes = rule.join(at, contrast, np.arange(rule.chromas), site, further).ravel()
+        combinations = np.arange(rule.combinations)[:, None]
+        classes = rule.join(at, contrast, np.arange(rule.chromas), site, combinations).ravel()
         most = int(classes[table.first.samples[classes].argmax()])
         if table.first.samples[most] > 0:
             chosen.append(most)
@@ -284,8 +284,8 @@ def taps(table: TransformTable, index: int) -> Integers:
 def _noise_figures(table: TransformTable) -> Figures:
     """Plot the noise gain over the level, as the median over trained unsaturated classes."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
-    gain = rule.by_axis(gains)[..., rule.kinds_of(0), :]
-    trained = rule.by_axis(table.first.samples)[..., rule.kinds_of(0)] > 0
+    gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]
+    trained = rule.by_feature(table.first.samples)[..., rule.kinds_of(0)] > 0
     middles, curves = level_middles(table), []
     for output in range(min(MAX_MAPS, len(table.outputs))):
         for contrast in sorted({0, table.first.rule.contrasts - 1}):
@@ -315,7 +315,7 @@ def _noise_figures(table: TransformTable) -> Figures:
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median per level of values (site, level, further, kind) where `chosen` is true.
+    """Return the median per level of values (site, level, combination, kind) where `chosen` is true.
 
     Levels without chosen values give NaN.
     """

@@ -189,7 +189,7 @@ class _Batch:
             self.pass_.recipe.level_power
         )
         if self.patches.colourless is not None:
-            edges = self.pass_.rule.split(label).further > 0
+            edges = self.pass_.rule.split(label).combination > 0
             greys = self.patches.colourless[patch] & edges & (clean >= 1).any(axis=1)
             weight[greys] *= np.float32(math.sqrt(CLIPPED_GREY_EDGES))
         if self.weighting is not None:

@@ -91,7 +91,7 @@ def grey_patches(
                 rows.setdefault((neighbour, case), []).append(weight * row)
     taught: dict[int, Array] = {}
     for (neighbour, case), greys in rows.items():
-        classes = rule.join(neighbour, 0, rule.kinds_of(case), further=np.arange(rule.further))
+        classes = rule.join(neighbour, 0, rule.kinds_of(case), combination=np.arange(rule.combinations))
         taught |= dict.fromkeys(classes.ravel().tolist(), np.array(greys).T @ np.array(greys) / len(greys))
     return taught
 
@@ -198,7 +198,7 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
     """Return summed moments (column, column) of all unsaturated patches of the lowest contrast."""
-    return moment_matrix(rule.by_axis(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
+    return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:

@@ -47,13 +47,13 @@ def shrunk(
     moments : ndarray, (class, pair)
     noise : ndarray, (class, tap)
     """
-    _, level, contrast, further, kind = rule.split(classes)
+    _, level, contrast, combination, kind = rule.split(classes)
     moments, noise, count = sums.moments[classes], sums.noise[classes], sums.count[classes]
     own = np.maximum(count, 1e-9)
     for distance, weight in enumerate(() if rule.case(kind).any() else recipe.level_pool, start=1):
         for other in (level - distance, level + distance):
             helped = np.flatnonzero((own >= 1) & (other >= 0) & (other < rule.levels))
-            neighbour = rule.join(other, contrast, kind, further=further)[helped]
+            neighbour = rule.join(other, contrast, kind, combination=combination)[helped]
             moments[helped] += weight * sums.moments[neighbour]
             count[helped] += weight * sums.count[neighbour]
     noise *= (count / own)[:, None]  # of the class, scaled to the new number of patches
@@ -66,7 +66,7 @@ def shrunk(
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Return the mean sums per patch of each parent (docs/method.md#thin-classes).
 
-    A parent comprises the classes with the same level, contrast and saturation case, whatever their chroma and further
+    A parent comprises the classes with the same level, contrast and saturation case, whatever their chroma and other
     features. If none of them has patches, it comprises all contrasts. The mean of the whole saturation case is mixed in,
     with a larger weight if there are few patches. The count of a parent is the number of patches of its level and case.
     """
@@ -91,7 +91,7 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the parents of the classes `index`. A parent joins all chromas and further features of a saturation case."""
+    """Return the parents of the classes `index`. A parent joins all chromas and other features of a saturation case."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
@@ -249,9 +249,9 @@ def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Arr
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
     taught = {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
-    every = np.arange(rule.further)[:, None]  # near what is uniform lies what is nearly so, and has a direction
+    every = np.arange(rule.combinations)[:, None]  # near what is uniform lies what is nearly so, and has a direction
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
-        taught |= dict.fromkeys(rule.join(levels, 0, chroma, further=every).ravel().tolist(), each)
+        taught |= dict.fromkeys(rule.join(levels, 0, chroma, combination=every).ravel().tolist(), each)
     return taught
 
 
@@ -409,13 +409,13 @@ def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
     """Return the filled class whose transform each class uses.
 
     A filled class uses its own. Any other class uses the same kind at the nearest level and contrast, preferably with the
-    same further features. If there is none, it uses the nearest class of any kind.
+    same other features. If there is none, it uses the nearest class of any kind.
     """
-    _, level, contrast, further, kind = rule.split(np.arange(filled.size))
+    _, level, contrast, combination, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
     source = np.arange(filled.size)
     for index in np.flatnonzero(~filled):
         far = np.abs(level[known] - level[index]) * rule.contrasts + np.abs(contrast[known] - contrast[index])
-        far = far + (kind[known] != kind[index]) * filled.size + 0.5 * (further[known] != further[index])
+        far = far + (kind[known] != kind[index]) * filled.size + 0.5 * (combination[known] != combination[index])
         source[index] = known[np.argmin(far)]
     return source

@@ -10,7 +10,7 @@ from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource
 from l3cli.artifacts.table import PLANES, PlaneLayer, PlaneRule, SceneLight, TransformTable
 from l3cli.classes import level
-from l3cli.classes.features import further_features
+from l3cli.classes.features import features_of
 from l3cli.classes.names import class_name, kind_name
 from l3cli.classes.rule import make_rule
 from l3cli.classes.tree import EVERY
@@ -36,7 +36,8 @@ def insight(table: TransformTable) -> dict[str, Any]:
 
         * ``classes``: numbers of all, trained, thin (fewer patches than taps) and filled (no patches) classes
         * ``kinds``: name and number of patches of each chroma and saturation case
-        * ``further``: the same for each value of each further feature, if the rule has any
+        * ``features``: the same for each value of each feature beyond level, contrast, saturation and chroma, if the
+          rule has any
         * ``noise_gain``: √Σw² of each output, median and worst over the trained classes
         * ``dc_gain``: what a uniform unit signal of one channel adds to each output, median over trained unsaturated classes
         * ``condition``: condition number, median and worst over the trained classes
@@ -66,7 +67,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
             "filled": int((~trained).sum()),
         },
         "kinds": [{"name": kind_name(table, index), "patches": count} for index, count in enumerate(per_kind.tolist())],
-        **({"further": _further(table, place.further)} if rule.axes else {}),
+        **({"features": _values_of_features(table, place.combination)} if rule.feature_list else {}),
         "noise_gain": _spread(noise_gain[trained], table.outputs),
         "dc_gain": _dc_gain(table, trained & (rule.case(kind) == 0)),
         "condition": _spread(table.first.condition[trained, None].astype(np.float64), ("all",))["all"],
@@ -128,14 +129,14 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
     return {"leaves": rule.structures, "depth": rule.depth, "tests": tests}
 
 
-def _further(table: TransformTable, further_class: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Return the name and the number of patches of each value of each further feature."""
+def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
+    """Return the name and the number of patches of each value of each feature that the recipe added."""
     every = {}
-    for (feature, axis), value in zip(
-        further_features(table.first.rule), table.first.rule.split_further(further_class), strict=True
+    for (module, feature), value in zip(
+        features_of(table.first.rule), table.first.rule.split_features(combination), strict=True
     ):
-        patches = np.bincount(value, weights=table.first.samples, minlength=axis.size).tolist()
-        every[axis.name] = [{"name": feature.name(table, index), "patches": count} for index, count in enumerate(patches)]
+        patches = np.bincount(value, weights=table.first.samples, minlength=feature.size).tolist()
+        every[feature.name] = [{"name": module.name(table, index), "patches": count} for index, count in enumerate(patches)]
     return every
 
 
@@ -180,7 +181,7 @@ def learned(insight: dict[str, Any]) -> list[str]:
         f"{classes['filled']} without patches of their own",
         *(
             "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
-            for values in (insight["kinds"], *insight.get("further", {}).values())
+            for values in (insight["kinds"], *insight.get("features", {}).values())
         ),
         f"noise gain √Σw² (median, worst class): {figures}",
         f"condition (median, worst class): {insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
@@ -253,18 +254,18 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     classes = recipe.classes
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
-    further: dict[str, int] = {}
+    sizes: dict[str, int] = {}
     if camera is not None:
         rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # the rule of the pilot sample
-        further = {axis.name: axis.size for axis in rule.axes}
+        sizes = {feature.name: feature.size for feature in rule.feature_list}
     chromas = max(1, classes.chromas)
-    first = levels * contrasts * int(np.prod(list(further.values()), initial=1)) * (chromas + cases - 1)
+    first = levels * contrasts * int(np.prod(list(sizes.values()), initial=1)) * (chromas + cases - 1)
     layers = [{"classes_per_site": first, "taps": classes.patch**2}]
     for each in recipe.layer:
         taps = PLANES * each.side**2 + each.ratio_taps
         layers.append({"classes_per_site": _refinement_classes(each, levels, cases), "taps": taps})
     document = {
-        "levels": levels, "contrasts": contrasts, "further": further, "chromas": chromas, "saturation_cases": cases,
+        "levels": levels, "contrasts": contrasts, "features": sizes, "chromas": chromas, "saturation_cases": cases,
         "patch": classes.patch, "layers": layers, "patches": recipe.learning.patches,
         "lights": list(recipe.learning.lights),
     }  # fmt: skip
@@ -286,12 +287,12 @@ def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
 
 def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
     """Return lines of text about the figures of a class recipe."""
-    further = "".join(f" × {size} values of {name}" for name, size in classes["further"].items())
+    features = "".join(f" × {size} values of {name}" for name, size in classes["features"].items())
     kinds = f"({classes['chromas']} chromas + {classes['saturation_cases'] - 1} saturation cases at most)"
     lines = []
     for number, layer in enumerate(classes["layers"], 1):
         how = (
-            f": {classes['levels']} levels × {counted(classes['contrasts'], 'contrast')}{further} × {kinds}"
+            f": {classes['levels']} levels × {counted(classes['contrasts'], 'contrast')}{features} × {kinds}"
             if number == 1
             else ""
         )

@@ -153,7 +153,7 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     The sum of products of two columns is at most the larger of the sums of their squares, so only squares are tested.
     """
     row, col = pairs(width_of(sums.moments))
-    squares = rule.by_axis(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
+    squares = rule.by_feature(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
     if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 

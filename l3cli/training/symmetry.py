@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.classes import structure
-from l3cli.classes.features import further_features
+from l3cli.classes.features import features_of
 
 Indices = NDArray[np.int64]
 
@@ -77,7 +77,7 @@ def stabilisers(window: Indices, patch: int) -> list[Indices]:
 def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
     """Return the class of each class's patches after an orientation permutes their taps.
 
-    Only the values of further features can change, because sums over all taps of a patch stay the same.
+    Only the values of the features beyond the basic ones can change, because sums over all taps of a patch stay the same.
 
     Parameters
     ----------
@@ -93,9 +93,11 @@ def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
     number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
-    values = zip(further_features(rule), rule.split_further(place.further), strict=True)
-    further = rule.join_further([feature.turned(axis, bool(transposed), turns)[value] for (feature, axis), value in values])
-    return rule.join(place.level, place.contrast, place.kind, further=further)
+    values = zip(features_of(rule), rule.split_features(place.combination), strict=True)
+    combination = rule.join_features(
+        [module.turned(feature, bool(transposed), turns)[value] for (module, feature), value in values]
+    )
+    return rule.join(place.level, place.contrast, place.kind, combination=combination)
 
 
 class Turn(NamedTuple):

@@ -54,7 +54,7 @@ class Pilot:
     whites: NDArray[np.float64]  # (frame, output) white of each light at Y = 1
     lights: NDArray[np.float64]  # (frame, wavelength) spectrum of a white of 1 cd/m² on spectra.light_grid; NaN: not known
     exposures: NDArray[np.float64]  # (frame) s; 0 for real pairs, whose dark signal has been subtracted
-    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements for each further feature
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements for each feature
 
 
 def take_pilot(

@@ -8,8 +8,8 @@
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW
-#define RULE_CONSTANTS BASIC_CONSTANTS, __global const int *restrict further_constants
-#define RULE BASIC, further_constants
+#define RULE_CONSTANTS BASIC_CONSTANTS, __global const int *restrict feature_constants
+#define RULE BASIC, feature_constants
 #else
 #define RULE_CONSTANTS BASIC_CONSTANTS
 #define RULE BASIC
@@ -37,7 +37,7 @@ typedef struct {
     uints level_sum, variance_sum;  // over the channels seen so far
     Colour colour;
 #ifdef EACH_WINDOW
-    ints window_sum[WINDOW_SUMS];   // for the further features
+    ints window_sum[WINDOW_SUMS];   // for the features that a recipe adds
 #endif
 } Evidence;
 
@@ -96,14 +96,14 @@ INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RU
 #endif
     uints within = level * CONTRASTS + contrast_of(e->variance_sum, edge);
 #ifdef EACH_WINDOW
-    uints further = further_of(e->window_sum, level, further_constants);
+    uints combination = combination_of(e->window_sum, level, feature_constants);
 #ifdef SETS
     for (int s = 1; s < SETS; s++) {
-        const uints set_further = further_of(e->window_sum, level, further_constants + s * FURTHER_CONSTANTS);
-        further = set == (uint)s ? set_further : further;
+        const uints set_combination = combination_of(e->window_sum, level, feature_constants + s * FEATURE_CONSTANTS);
+        combination = set == (uint)s ? set_combination : combination;
     }
 #endif
-    within = within * FURTHER + further;
+    within = within * COMBINATIONS + combination;
 #endif
-    return (site * (LEVELS * CONTRASTS * FURTHER) + within) * KINDS + kind;
+    return (site * (LEVELS * CONTRASTS * COMBINATIONS) + within) * KINDS + kind;
 }

@@ -247,13 +247,13 @@ def test_errors_are_counted_in_their_class(trained: Path) -> None:
     _, level, contrast, kind = np.unravel_index(labels, shape)
     errors = ClassErrors(table, ("ours",))
     errors.add(labels, {"ours": level.astype(float)})
-    for entry in errors.by_axis("mean_delta_e")["level"]:
+    for entry in errors.by_feature("mean_delta_e")["level"]:
         assert entry["ours"]["mean_delta_e"] == pytest.approx(entry["level"])
         assert entry["from"] < entry["to"]
         assert entry["pixels"] == (level == entry["level"]).sum()
-    for entry in errors.by_axis("mean_delta_e")["contrast"]:
+    for entry in errors.by_feature("mean_delta_e")["contrast"]:
         assert entry["pixels"] == (contrast == entry["contrast"]).sum()
-    for entry in errors.by_axis("mean_delta_e")["chroma"]:
+    for entry in errors.by_feature("mean_delta_e")["chroma"]:
         assert entry["pixels"] == (kind == entry["chroma"]).sum()
     centres = chroma_centres(table.first.rule)
     assert centres.shape == (4, 3)

@@ -233,11 +233,11 @@ def random_table(
     contrasts: tuple[float, ...] = (1.4,),
     wild: bool = False,
     seed: int = 1,
-    **further: Any,
+    **features: Any,
 ) -> TransformTable:
     """Return a table of random weights with outputs of about 0 to 1.
 
-    With `wild`, contrast edges may have any 32-bit value. `further` maps the names of further features to their keys.
+    With `wild`, contrast edges may have any 32-bit value. `features` maps names of features to their keys in the recipe.
     """
     rng = np.random.default_rng(seed)
     channels = int(np.max(cfa)) + 1
@@ -250,7 +250,7 @@ def random_table(
         lowest_level=0.02,
         contrasts=contrasts,
         saturation_radius=min(2, patch // 2),
-        **further,
+        **features,
     )
     centres = rng.dirichlet(np.ones(channels), int(rng.integers(1, 9)))
     rule = make_rule(recipe, camera, case_of_code, centres)

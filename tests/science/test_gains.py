@@ -151,10 +151,10 @@ def test_transforms_at_a_gain_are_those_of_as_much_noise_beside_the_signal(sever
     made = at_gain(several, gain)
     place = rule.split(np.arange(len(several.first.weights)))
     plain, clipped = (place.level == 2) & (place.kind < rule.chromas), place.kind >= rule.chromas
-    below = several.first.weights[np.flatnonzero(plain) - rule.contrasts * rule.further * rule.kinds]
+    below = several.first.weights[np.flatnonzero(plain) - rule.contrasts * rule.combinations * rule.kinds]
     np.testing.assert_allclose(made.first.weights[plain], below, atol=0.01 * np.abs(below).max())  # but for rounding to DN
     np.testing.assert_array_equal(made.first.weights[clipped], several.first.weights[clipped])
-    edges, before = (each.first.rule.axes[0].constants[-rule.levels :] for each in (made, several))
+    edges, before = (each.first.rule.feature_list[0].constants[-rule.levels :] for each in (made, several))
     np.testing.assert_allclose(edges[2], gain * before[1], rtol=0.01)
     assert made.output_unit == pytest.approx(several.output_unit / gain)
     assert equal(made.camera, several.camera.at_gain(gain))

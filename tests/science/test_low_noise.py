@@ -74,7 +74,7 @@ def test_the_usual_set_is_what_it_would_be_alone(learned: dict[str, Path]) -> No
     usual, low = two.first.rule, two.under(two.conditions[0]).first.rule
     assert (low.contrast_edges <= usual.contrast_edges).all()
     assert (low.contrast_edges[:, :2] < 0.5 * usual.contrast_edges[:, :2]).all()  # darkest: noise that varies in time
-    edges, lower = (rule.axes[0].constants[5:] for rule in (usual, low))
+    edges, lower = (rule.feature_list[0].constants[5:] for rule in (usual, low))
     assert (lower < edges).all()
 
 

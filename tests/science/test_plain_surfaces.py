@@ -189,9 +189,9 @@ def test_classes_of_a_direction_are_left_to_their_patches(tmp_path: Path, l3: L3
     without, taught = (learned(["D65"], weight, tmp_path, l3, DIRECTION).first for weight in (0.0, 3.0))
     place = taught.rule.split(np.arange(len(taught.weights)))
     of_stripes = place.kind < STRIPES
-    directed = (place.further > 0) & ~of_stripes & (place.kind < taught.rule.chromas)
+    directed = (place.combination > 0) & ~of_stripes & (place.kind < taught.rule.chromas)
     np.testing.assert_array_equal(taught.weights[directed], without.weights[directed])
-    for plain in (place.further == 0, (place.further > 0) & of_stripes):
+    for plain in (place.combination == 0, (place.combination > 0) & of_stripes):
         assert (taught.weights[plain] != without.weights[plain]).any()
 
 

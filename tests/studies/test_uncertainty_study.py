@@ -66,7 +66,7 @@ def ratios(table: TransformTable, camera: CameraModel, frame: TrainingFrame, sha
     usual = np.all([each.mask == 0 for each in maps], axis=0)
     usual[:BORDER] = usual[-BORDER:] = usual[:, :BORDER] = usual[:, -BORDER:] = False
     place = table.first.rule.split(renderer.labels(clean))
-    axes = {"level": place.level, "chroma": place.kind, "direction": place.further}
+    axes = {"level": place.level, "chroma": place.kind, "direction": place.combination}
     if table.later:
         axes["structure"] = table.later[0].rule.split(renderer.labels(clean, 1)).kind
     found: Ratios = {}

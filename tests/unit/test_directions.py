@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import Axis, ClassRule, FurtherFeatures
+from l3cli.artifacts.class_rule import ClassRule, Feature, StoredFeatures
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
@@ -37,14 +37,14 @@ BAYER = [[0, 1], [1, 2]]
 
 
 def a_rule(camera: CameraModel, keys: direction.Options, patch: int = 9) -> ClassRule:
-    further: dict[str, Any] = {"direction": keys}
-    return make_rule(ClassRecipe(patch=patch, **further), camera, np.zeros(2 ** len(camera.channels), np.uint16))
+    features: dict[str, Any] = {"direction": keys}
+    return make_rule(ClassRecipe(patch=patch, **features), camera, np.zeros(2 ** len(camera.channels), np.uint16))
 
 
 def directions(values: np.ndarray, rule: ClassRule, camera: CameraModel) -> np.ndarray:
     """Direction (row, col) of every pixel of a mosaic."""
     labels = label_mosaic(np.rint(values).clip(0, 4095).astype(np.uint16), rule, camera.cfa, len(camera.channels))
-    return rule.split(labels).further
+    return rule.split(labels).combination
 
 
 @pytest.mark.parametrize("name", ["bayer", "fiveband"])
@@ -89,7 +89,7 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
     padded = pad_mosaic(values, rule.radius, fiveband.cfa.shape)
     patches = np.lib.stride_tricks.sliding_window_view(padded, (9, 9)).reshape(*values.shape, -1)
     site = sites(21, 26, fiveband.cfa.shape, (1, 2))
-    assert len(np.unique(rule.split(labels).further)) > rule.further / 2
+    assert len(np.unique(rule.split(labels).combination)) > rule.combinations / 2
     for number in range(16):
         of_site = rule.on_site(label_patches(patches[site == number], rule, close, number), number)
         np.testing.assert_array_equal(of_site, labels[site == number])
@@ -133,7 +133,7 @@ def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
     """To the edges for a quarter of its variance, as the whole is to the camera's own."""
     rule = a_rule(bayer, direction.Options(strengths=(1.0,)))
     quiet = dataclasses.replace(
-        rule, features=FurtherFeatures.of(tuple(direction.with_less_noise(each, 0.25) for each in rule.axes))
+        rule, features=StoredFeatures.of(tuple(direction.with_less_noise(each, 0.25) for each in rule.feature_list))
     )
     span, noise = bayer.white_level - bayer.black_level, np.random.default_rng(1).normal(size=(300, 300))
     level = 0.3 * span
@@ -150,7 +150,7 @@ def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
 def test_a_table_for_less_noise_has_lower_edges() -> None:
     """A quarter of the variance: half of every strength edge, rounded."""
     table = random_table(BAYER, patch=9, direction=FOUR)
-    whole, quiet = (each.first.rule.axes[0].constants for each in (table, with_edges_for(table, 0.25)))
+    whole, quiet = (each.first.rule.feature_list[0].constants for each in (table, with_edges_for(table, 0.25)))
     np.testing.assert_array_equal(quiet[: direction.HEAD], whole[: direction.HEAD])
     assert np.abs(quiet[direction.HEAD :] - whole[direction.HEAD :] / 2).max() <= 0.5
 
@@ -171,9 +171,9 @@ def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: directi
 @pytest.mark.parametrize(("rows", "columns", "fits"), [(4, 2, True), (2, 8, True), (3, 4, False), (8, 5, False)])
 def test_a_large_array_does_without(rows: int, columns: int, fits: bool) -> None:
     camera = random_camera(np.arange(rows * columns).reshape(rows, columns) % 2, 2, 12, 0.0)
-    assert [axis.name for axis in a_rule(camera, FOUR).axes] == ["direction"] * fits
-    further: dict[str, Any] = {"direction": FOUR}
-    assert left_out(ClassRecipe(patch=9, **further), camera) == ["direction"] * (not fits)
+    assert [feature.name for feature in a_rule(camera, FOUR).feature_list] == ["direction"] * fits
+    features: dict[str, Any] = {"direction": FOUR}
+    assert left_out(ClassRecipe(patch=9, **features), camera) == ["direction"] * (not fits)
 
 
 def test_training_reports_what_it_does_without(tmp_path: Path, l3: L3) -> None:
@@ -187,9 +187,9 @@ def test_training_reports_what_it_does_without(tmp_path: Path, l3: L3) -> None:
     assert "classes.direction is left out: an array of 2×3 sites leaves no room for it in patches of 5 pixels" in err
 
 
-def with_axis(table: TransformTable, axis: Axis) -> TransformTable:
+def with_feature(table: TransformTable, feature: Feature) -> TransformTable:
     assert table.first.rule.features is not None
-    features = type(table.first.rule.features).of((axis,))
+    features = type(table.first.rule.features).of((feature,))
     return with_first(table, rule=dataclasses.replace(table.first.rule, features=features))
 
 
@@ -198,29 +198,29 @@ def test_a_table_keeps_its_direction(tmp_path: Path) -> None:
     save(table, tmp_path / "table.h5")
     again = load(TransformTable, tmp_path / "table.h5")
     assert equal(again, table)
-    assert again.first.rule.axes[0].windows == table.first.rule.axes[0].windows
+    assert again.first.rule.feature_list[0].windows == table.first.rule.feature_list[0].windows
     names = {class_name(again, index).split(", ")[4] for index in range(again.first.rule.classes_per_site)}
-    assert len(names) == again.first.rule.further == 33
+    assert len(names) == again.first.rule.combinations == 33
     assert {"flat", "along 11.25° strength 2 coherent", "along 168.75° strength 1 mixed"} <= names
 
 
 def test_a_damaged_direction_is_refused() -> None:
     """Before a kernel reads past its constants."""
     table = random_table(BAYER, direction=FOUR)
-    (axis,) = table.first.rule.axes
+    (feature,) = table.first.rule.feature_list
     frame = RawFrame("f", np.zeros((9, 9), np.uint16), 0.0, 4095.0)
     for wrong in (
-        axis._replace(constants=axis.constants[:-1]),
-        axis._replace(constants=axis.constants[:3]),
-        axis._replace(constants=np.append(axis.constants[:2], [5, *axis.constants[3:]]).astype(np.int32)),
-        axis._replace(windows=axis.windows[:2]),
-        axis._replace(name="unheard of"),
+        feature._replace(constants=feature.constants[:-1]),
+        feature._replace(constants=feature.constants[:3]),
+        feature._replace(constants=np.append(feature.constants[:2], [5, *feature.constants[3:]]).astype(np.int32)),
+        feature._replace(windows=feature.windows[:2]),
+        feature._replace(name="unheard of"),
     ):
         with pytest.raises(InputFileError, match=r"direction is damaged|does not know"):
-            ReferenceRenderer(with_axis(table, wrong)).labels(frame)
-    outside = axis.windows[0]._replace(top=4)
+            ReferenceRenderer(with_feature(table, wrong)).labels(frame)
+    outside = feature.windows[0]._replace(top=4)
     with pytest.raises(ValueError, match="within the patch"):
-        with_axis(table, axis._replace(windows=(outside,)))
+        with_feature(table, feature._replace(windows=(outside,)))
 
 
 def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l3: L3) -> None:
@@ -238,7 +238,7 @@ def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l
     assert "along 45°" in out
     table = load(TransformTable, tmp_path / "table.h5")
     assert table.outputs == XYZ
-    assert table.first.rule.further == 5
+    assert table.first.rule.combinations == 5
     row, col = np.mgrid[:64, :64]
     values = (1200 + 800 * np.sin(0.4 * row + 0.1 * col)).astype(np.uint16)
     renderer = ReferenceRenderer(table)
@@ -250,7 +250,9 @@ def test_trained_turned_sites_read_one_another(pipeline: Path, tmp_path: Path, l
     assert (
         len(
             np.unique(
-                table.first.rule.split(renderer.labels(RawFrame("f", values, table.black_level, table.white_level))).further
+                table.first.rule.split(
+                    renderer.labels(RawFrame("f", values, table.black_level, table.white_level))
+                ).combination
             )
         )
         > 2

@@ -5,16 +5,20 @@ The additions below are made to a copy of the program, one file or edit a place,
 a fourth place fails.
 """
 
+import inspect
 import os
 import re
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from l3cli.classes.features import FEATURES, FeatureModule
 from l3cli.io.images import read_image
 from tests.helpers.paths import ROOT
 
@@ -91,7 +95,7 @@ PEAK = '''
 
 import numpy as np
 
-from l3cli.artifacts.class_rule import Axis, Window
+from l3cli.artifacts.class_rule import Feature, Window
 from l3cli.recipes.toml import Count, Recipe
 
 SNIPPET = "peak.cl"
@@ -101,45 +105,45 @@ class Options(Recipe):
     steps: Count = 2
 
 
-def _above(axis, sums):
-    return sums[..., 0] * int(axis.constants[0]) - sums[..., 1] * 9
-
-
-def less_noisy(axis, share):
-    return axis
+def _above(feature, sums):
+    return sums[..., 0] * int(feature.constants[0]) - sums[..., 1] * 9
 
 
 def fits(camera, patch):
     return patch >= 3
 
 
-def axis(keys, camera, rule, dark, observed):
+def make_feature(keys, camera, rule, dark, observed):
     whole, middle = rule.patch, rule.radius - 1
     windows = (Window(0, middle, middle, 3, 3, 1), Window(1, 0, 0, whole, whole, 1))
     shares = np.arange(1, keys.steps) / keys.steps
     edges = np.zeros(keys.steps - 1) if observed is None else np.quantile(observed[:, 0], shares)
-    return Axis("peak", keys.steps, windows, np.array([whole**2, *np.rint(edges)], np.int32))
+    return Feature("peak", keys.steps, windows, np.array([whole**2, *np.rint(edges)], np.int32))
 
 
-def check(axis, rule):
-    if len(axis.constants) != axis.size or axis.sums != 2:
+def check(feature, rule):
+    if len(feature.constants) != feature.size or feature.sums != 2:
         raise ValueError("constants are missing")
 
 
-def observe(axis, rule, sums, level):
-    return _above(axis, sums)[:, None].astype(np.float64)
+def observe(feature, rule, sums, level):
+    return _above(feature, sums)[:, None].astype(np.float64)
 
 
-def values(axis, rule, sums, level):
-    return (_above(axis, sums)[..., None] > axis.constants[1:]).sum(axis=-1)
+def values(feature, rule, sums, level):
+    return (_above(feature, sums)[..., None] > feature.constants[1:]).sum(axis=-1)
 
 
-def turned(axis, transposed, turns):
-    return np.arange(axis.size)
+def with_less_noise(feature, share):
+    return feature
 
 
-def macros(axis, rule):
-    return {"PEAKS": axis.size}
+def turned(feature, transposed, turns):
+    return np.arange(feature.size)
+
+
+def macros(feature, rule):
+    return {"PEAKS": feature.size}
 
 
 def entry(table, index):
@@ -288,12 +292,12 @@ from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
 table = load(TransformTable, Path("table.h5"))
-assert [axis.name for axis in table.first.rule.axes] == ["direction", "peak"], table.first.rule.axes
+assert [feature.name for feature in table.first.rule.feature_list] == ["direction", "peak"]
 values = np.random.default_rng(0).integers(60, 4096, (70, 300)).astype(np.uint16)
 values[:35] = 1000 + 20 * np.arange(300)[None] % 900
 frame = RawFrame("f", values, table.black_level, table.white_level, (1, 2))
 labels = ReferenceRenderer(table).labels(frame)
-directions, peaks = table.first.rule.split_further(table.first.rule.split(labels).further)
+directions, peaks = table.first.rule.split_features(table.first.rule.split(labels).combination)
 assert np.unique(directions).tolist() == [0, 1, 2, 3, 4] and np.unique(peaks).tolist() == [0, 1, 2]
 for variant in ("processor", "graphics"):
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).labels(frame), labels)
@@ -387,6 +391,7 @@ def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
         "schema classes",
         "evaluate table.h5 training.h5 --quiet",
         "report table.h5 -o page.html --quiet",
+        "export table.h5 -o source --quiet",
     )
     output = run(copy, tmp_path, "-c", COMMANDS, *commands)
     for answer in ("3 frames", "× 5 values of direction × 3 values of peak ×", "peak 2"):
@@ -394,6 +399,47 @@ def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
     added = np.frombuffer((tmp_path / "picture.ff").read_bytes()[16:], ">u2").reshape(96, 96, 4)
     np.testing.assert_array_equal(added[..., :3], read_image(tmp_path / "picture.png")[0])
     run(copy, tmp_path, "-c", COMPARED)
+    if shutil.which("make") and shutil.which("cc"):
+        done = subprocess.run(
+            ["make", "-C", tmp_path / "source", "CFLAGS=-O1 -Werror", "test"], capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "classes that differ: 0 of" in done.stdout
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_a_feature_has_every_member_of_its_protocol(name: str) -> None:
+    """Each member, and the parameters of each function by name; what fails is named."""
+    assert_is_feature(FEATURES[name])
+
+
+def test_what_a_feature_lacks_is_named(tmp_path: Path) -> None:
+    module = types.ModuleType("peak")
+    exec(PEAK.replace("def with_less_noise(feature,", "def less_noisy(feature,"), vars(module))
+    with pytest.raises(AssertionError, match="peak lacks with_less_noise"):
+        assert_is_feature(module)
+    exec(PEAK.replace("def observe(feature, rule,", "def observe(axis, rule,"), vars(module))
+    with pytest.raises(AssertionError, match=r"peak\.observe takes axis, rule, sums, level"):
+        assert_is_feature(module)
+
+
+def assert_is_feature(module: Any) -> None:
+    """Compare a module with the protocol of features."""
+    for member in sorted(typing_members(FeatureModule)):
+        assert hasattr(module, member), f"{module.__name__} lacks {member}, which l3cli/classes/features.py describes"
+        expected = getattr(FeatureModule, member, None)
+        if inspect.isfunction(expected):
+            parameters = list(inspect.signature(expected).parameters)[1:]  # without self
+            found = list(inspect.signature(getattr(module, member)).parameters)
+            assert found == parameters, f"{module.__name__}.{member} takes {', '.join(found)}, not {', '.join(parameters)}"
+
+
+def typing_members(protocol: type) -> set[str]:
+    """Return the names of the members of a protocol and of those that it extends."""
+    names: set[str] = set()
+    for each in protocol.__mro__[:-1]:
+        names |= {name for name in (*vars(each), *getattr(each, "__annotations__", {})) if not name.startswith("_")}
+    return names
 
 
 def rows() -> dict[str, list[str]]:

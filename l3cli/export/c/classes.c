@@ -5,7 +5,7 @@ typedef struct {
     uint32_t level_sum[L3_BLOCK];               /* of the channel means, times 256 */
     uint32_t variance_sum[L3_BLOCK];            /* of the channel variances, times 512 */
     int32_t above_black[L3_CHANNELS][L3_BLOCK]; /* channel means above black, times 16 */
-    uint32_t level[L3_BLOCK], chroma[L3_BLOCK], further[L3_BLOCK];
+    uint32_t level[L3_BLOCK], chroma[L3_BLOCK], combination[L3_BLOCK];
     uint16_t code[L3_BLOCK];                    /* bit c: channel c is saturated near the centre */
 } Evidence;
 
@@ -63,13 +63,13 @@ static void find_codes(Evidence *restrict e, const uint16_t *restrict spread) {
         for (int i = 0; i < L3_BLOCK; i++) e->code[i] = (uint16_t)(e->code[i] | spread[i + j]);
 }
 
-/* The class of pixel i of a block: the ordered product of site, level, contrast, further features and kind. */
+/* The class of pixel i of a block: the ordered product of site, level, contrast, combination and kind. */
 static uint32_t class_of(const Evidence *e, int i, uint32_t site) {
     uint32_t contrast = 0;
     for (int edge = 0; edge < L3_CONTRASTS - 1; edge++) contrast += e->variance_sum[i] > l3_contrast_edges[edge][e->level[i]];
     const uint32_t saturation = l3_case_of_code[e->code[i]];
     const uint32_t kind = saturation > 0 ? L3_CHROMAS - 1 + saturation : e->chroma[i];
-    return (((site * L3_LEVELS + e->level[i]) * L3_CONTRASTS + contrast) * L3_FURTHER + e->further[i]) * L3_KINDS + kind;
+    return (((site * L3_LEVELS + e->level[i]) * L3_CONTRASTS + contrast) * L3_COMBINATIONS + e->combination[i]) * L3_KINDS + kind;
 }
 
 /* Classes of `width` pixels of row y from column x on, at most a block. */
@@ -90,7 +90,7 @@ static void label_block(const Statistics *s, ptrdiff_t span, int y, ptrdiff_t x,
     find_levels(&e);
     find_chromas(&e, sites);
     find_codes(&e, s->spread + x);
-    further_features(s->padded + y * span + x, span, e.level, e.further);
+    find_combinations(s->padded + y * span + x, span, e.level, e.combination);
     for (int i = 0; i < width; i++) labels[i] = class_of(&e, i, sites[i]);
 }
 

@@ -151,9 +151,9 @@ def paired_source(variant: str, name: str, *shared: str) -> str:
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
     """Return the macros for a table's first layer. `sets` is the number of sets of transforms."""
     rule = table.first.rule
-    further = sum(len(axis.constants) for axis in rule.axes)
+    constants = sum(len(feature.constants) for feature in rule.feature_list)
     return {
-        **({"SETS": sets, "SET_SITES": table.cfa.size, "FURTHER_CONSTANTS": further} if sets > 1 else {}),
+        **({"SETS": sets, "SET_SITES": table.cfa.size, "FEATURE_CONSTANTS": constants} if sets > 1 else {}),
         "PATCH": rule.patch,
         "RADIUS": rule.radius,
         "SOURCES": 1,

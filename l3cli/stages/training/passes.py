@@ -52,8 +52,8 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     pilots = execution.console.progress(execution.pool(_pilot, units), len(units), "pilot")
     rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
-    further = "".join(f" × {axis.size} values of {axis.name}" for axis in rule.axes)
-    classes = f"{rule.levels} levels × {rule.contrasts} contrasts{further} × {kinds}"
+    features = "".join(f" × {feature.size} values of {feature.name}" for feature in rule.feature_list)
+    classes = f"{rule.levels} levels × {rule.contrasts} contrasts{features} × {kinds}"
     execution.console.info(f"{len(run.patches)} frames, {classes} a site")
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, _first_number(run), exposure, light)
 
