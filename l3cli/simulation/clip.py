@@ -1,5 +1,6 @@
-"""Frames of a clip: the scene as the moving camera sees it, with the moving leaves on top, and the true motion of each pixel
-since the previous frame (docs/method.md#motion).
+"""Simulated video clips: a camera moves over a scene while leaves move across it (docs/method.md#motion).
+
+This module renders the frames of a clip and computes the true motion of each pixel since the previous frame.
 """
 
 from collections.abc import Callable
@@ -28,10 +29,10 @@ EDGE_MARGIN = 2  # pixels; lens blur and demosaicking mix both sides of an edge 
 
 @dataclass(frozen=True)
 class Sprite:
-    """A moving leaf, sampled around its centre: its coverage and its brightness."""
+    """Coverage and brightness of a moving leaf, sampled on a grid around its centre."""
 
     step: float  # pixels per sample
-    cover: Cube  # (row, col, 2): fraction covered; this fraction times the relative brightness
+    cover: Cube  # (row, col, 2): covered fraction of each sample, and this fraction times the relative brightness
     colour: NDArray[np.float32]  # (band) reflectance or signal
 
 
@@ -41,11 +42,11 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     Parameters
     ----------
     course : Course
-        The course of the clip, which holds the radii.
+        Motion of the clip, including the radii of the leaves.
     colours : ndarray, (leaf, band)
         Reflectance or signal of each leaf.
     seed : tuple of int
-        The seed. Each leaf has its own random generator, so its look does not depend on the other leaves.
+        Seed. Each leaf has its own random generator, so its look does not depend on the other leaves.
     """
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
@@ -61,27 +62,25 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
 
 
 def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
-    """Render one frame of a clip.
-
-    Each frame is the mean over the moments at which the shutter is open.
+    """Render one frame of a clip, averaged over the time that the shutter is open.
 
     Parameters
     ----------
     canvas : ndarray, (row, col, band)
-        The scene, which the camera moves over.
+        The scene over which the camera moves.
     scale : float
         Pixels per sample of the canvas, without zoom.
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        The leaves, the topmost first.
+        Leaves, topmost first.
     number : int
-        Number of the frame.
+        Frame number.
 
     Returns
     -------
     ndarray, (row, col, band)
-        The scene as this frame shows it.
+        The part of the scene that the frame shows, with the leaves.
     """
     moments = course.moments()
     total = np.zeros((*course.motion.size, canvas.shape[2]), np.float32)
@@ -101,24 +100,24 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """Sample a cube on the pixels of a frame: each pixel is the mean of the cube over the area of the pixel.
+    """Resample a cube to the pixels of a frame. Each pixel is the mean of the cube over the pixel's area.
 
     Parameters
     ----------
     cube : ndarray, (row, col, band)
-        Samples of the scene, or of a leaf.
+        Samples of the scene or of a leaf.
     view : View
         Where the camera looks, and its zoom.
     size : tuple of int
         Rows and columns of the whole frame.
     place : tuple of float
-        Place of the middle of the cube, in pixels of an unzoomed frame.
+        Position of the cube's centre, in pixels of an unzoomed frame.
     scale : float
         Pixels per sample of the cube, without zoom.
     top : tuple of int
-        Row and column of the first pixel that is wanted.
+        Row and column of the first pixel to compute.
     window : tuple of int, optional
-        Rows and columns that are wanted. Default: the whole frame.
+        Number of rows and columns to compute. Default: the whole frame.
     """
     down, across = (
         _resampling(
@@ -136,9 +135,9 @@ def sampled(
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
 
-    Pixel n extends from first + n · step to first + (n + 1) · step. The line is linear between the samples, which lie at
-    0.5, 1.5, …, and constant beyond the outermost ones. The integral is exact, so a small object keeps its total light when
-    it moves by a fraction of a pixel.
+    Pixel n extends from first + n · step to first + (n + 1) · step. The samples lie at 0.5, 1.5, … The line is interpolated
+    linearly between them and is constant beyond the outermost samples. The integral is exact, so a small object keeps its
+    total brightness when it moves by a fraction of a pixel.
     """
     from scipy.sparse import csr_array
 
@@ -152,7 +151,7 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
 
 
 def _filled(until: Array) -> Array:
-    """Integrate the triangle that is 1 at 0 and 0 at ±1, from −1 to `until`."""
+    """Integrate a triangle function, with peak 1 at 0 and zeros at ±1, from −1 to `until`."""
     inner = np.clip(until, -1.0, 1.0)
     return np.where(inner < 0, 0.5 * (1 + inner) ** 2, 1 - 0.5 * (1 - inner) ** 2)
 
@@ -160,8 +159,8 @@ def _filled(until: Array) -> Array:
 def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Array) -> tuple[NDArray[Any], Cube]:
     """Find the part of a frame that a leaf can cover, and the leaf's coverage there.
 
-    The first result is a view of `picture` (row, col, …), the second is `cover` (row, col, band), which has `step` pixels
-    per sample, resampled to the pixels of that view. Both are empty if the leaf lies outside the frame.
+    The first result is a view of `picture` (row, col, …). The second is `cover` (row, col, band), with `step` pixels per
+    sample, resampled to the pixels of this view. Both are empty if the leaf lies outside the frame.
     """
     size = (picture.shape[0], picture.shape[1])
     half = np.array(cover.shape[:2]) * step / 2
@@ -187,15 +186,15 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        The leaves, the topmost first.
+        Leaves, topmost first.
     number : int
-        Number of the frame.
+        Frame number.
 
     Returns
     -------
     ndarray, (3, row, col)
-        Pixels down, pixels right, and validity. Validity is 1 where the previous frame showed the same object and no edge is
-        near, otherwise 0. All three are 0 in the first frame.
+        Downward motion, rightward motion (both in pixels) and validity. Validity is 1 where the previous frame showed the
+        same object and no edge is near, otherwise 0. All three are 0 in the first frame.
     """
     size = course.motion.size
     if number == 0:
@@ -215,7 +214,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
-    """Return the index of the leaf that each pixel (row, col) of a frame shows; −1 is the scene itself."""
+    """Return the index of the leaf visible at each pixel (row, col) of a frame, or −1 where the scene is visible."""
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
         part, cover = _part(shown, things[leaf].cover[..., :1], things[leaf].step, view, place)
@@ -224,7 +223,7 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return the mask (row, col) of the pixels whose neighbourhood shows a single object."""
+    """Return a mask (row, col) that is true where all pixels of the neighbourhood show the same object."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     side = 2 * EDGE_MARGIN + 1
@@ -233,7 +232,7 @@ def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
 
 # ------------------------------------------------------------------------------------------------- clips of a run
 
-# Last part of a seed, so that the course, the shapes and the colours of the leaves are drawn independently.
+# Last element of the seed. It makes the random draws of the motion, of the shapes and of the colours independent.
 MOVING, LEAVES, COLOURS = 1, 2, 3
 
 
@@ -247,19 +246,19 @@ def clip_of(
     scene : Scene or ChannelPicture
         The scene as it was drawn or read, before it is cropped and turned.
     wanted : WantedScene
-        The entry of the recipe that the scene belongs to.
+        The recipe entry of the scene.
     run : SimulationRun
         The simulation.
 
     Returns
     -------
     callable
-        Function of a frame number that returns the scene as that frame shows it.
+        Function that takes a frame number and returns what this frame shows of the scene.
 
     Raises
     ------
     ValueError
-        If the camera would move beyond the scene, or pixels without data lie in the part that is used.
+        If the camera would move beyond the scene, or the used part of the scene contains pixels without data.
     """
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
@@ -281,7 +280,20 @@ def clip_of(
 
 
 def known_motion(wanted: sources.WantedScene, run: SimulationRun) -> Callable[[int], NDArray[np.float32]]:
-    """Prepare the true motion of a clip: a function of a frame number, which returns what `motion_between` does."""
+    """Prepare the true motion of a clip.
+
+    Parameters
+    ----------
+    wanted : WantedScene
+        The recipe entry of the scene.
+    run : SimulationRun
+        The simulation.
+
+    Returns
+    -------
+    callable
+        Function that takes a frame number and returns the result of `motion_between` for this frame.
+    """
     course = _course(wanted, run)
     things = sprites(course, np.zeros((len(course.radius), 1)), _seed(wanted, run, LEAVES))
     return lambda number: motion_between(course, things, number)
@@ -296,7 +308,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Draw the reflectance, or the channel signals, of each leaf (leaf, band)."""
+    """Draw the reflectance (leaf, band) of each leaf. If the scene has channel signals, draw these instead."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

@@ -1,8 +1,9 @@
-"""Textures of dead leaves: random fields with natural power spectra, and fine regular patterns
-(docs/method.md#procedural-scenes).
+"""Textures for dead-leaves scenes (docs/method.md#procedural-scenes).
+
+There are two kinds of texture: random fields with natural power spectra, and fine regular patterns.
 
 Random fields are drawn as periodic pieces, and each leaf shows a random part of a piece. Fields as large as the picture
-would cost four times as much time, and seven eighths of each field would be hidden under leaves with another texture.
+would take four times as long, and leaves with other textures would hide seven eighths of each field.
 
 Fences, windows, blinds, cloth and print repeat every few pixels, where a colour filter array confuses luminance with colour.
 Dead leaves alone contain almost no such detail, so some leaves carry regular patterns.
@@ -20,21 +21,22 @@ from l3cli.physics.spectra import with_saturation
 Field = NDArray[np.float32]
 Direction = tuple[float, float]  # elongation and its angle in radians
 
-LENGTHS, PHASES = 256, 256  # of the random coefficients, so that 16 random bits select one
-SLOW = 1 / 16  # cycles per pixel; above it a piece has the same power as the whole field
-# Range of the exponent of the amplitude spectrum, and stretch: from sand to clouds; the last texture looks brushed.
+LENGTHS, PHASES = 256, 256  # number of lengths and phases of the random coefficients; 16 random bits select one of each
+SLOW = 1 / 16  # cycles per pixel; at higher frequencies a piece has the same power as the whole field
+# Each texture: lowest and highest exponent of the amplitude spectrum, and stretch. Textures range from sand to clouds. The
+# last one looks brushed.
 PINK = ((0.3, 0.9, 1.0), (0.8, 1.3, 1.0), (1.6, 1.6, 1.0), (1.0, 1.0, 1.0), (0.6, 0.6, 1.0), (1.1, 1.1, 4.0))
-BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the two textures that follow the pink ones
+BLOTCHES, STRIPES = len(PINK), len(PINK) + 1  # indices of the last two textures, after those in PINK
 TEXTURES = len(PINK) + 2
-WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide
+WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide.
 Array = NDArray[np.floating]
 
-KINDS = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # fraction of the patterns
-PERIODS = (2.0, 16.0)  # pixels of the scene, log-uniform
-DUTIES = (0.15, 0.6)  # fraction of a period that the second reflectance covers
-NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns with nearly neutral reflectances; their highest saturation
-CONTRAST = 0.5  # standard deviation of the natural logarithm of the factor that scales the second reflectance
-LINES = (2.0, 3.5)  # distance between lines of lettering, in periods of the strokes
+KINDS = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
+PERIODS = (2.0, 16.0)  # pixels; range of the periods, which are drawn log-uniformly
+DUTIES = (0.15, 0.6)  # range of the fraction of a period that the strokes cover
+NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
+CONTRAST = 0.5  # standard deviation of the natural logarithm of a random factor on the reflectance of the strokes
+LINES = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
 
 
 def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stretch: float = 1.0) -> Field:
@@ -78,10 +80,10 @@ def piece(
     Returns
     -------
     piece : ndarray, (side, side)
-        The field without its slowest changes.
+        The field without its slowest variations.
     level : float
-        Standard deviation of the changes that are too slow to show within a piece. Its square and the variance of the piece
-        add up to 1.
+        Standard deviation of the variations that are too slow to appear within a piece. `level`² and the variance of the
+        piece add up to 1.
     """
     direction, longest = _direction(rng, stretch), max(shape)
     small = (side, side)
@@ -96,7 +98,7 @@ def _direction(rng: np.random.Generator, stretch: float) -> Direction:
 
 
 def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> Field:
-    """Return the amplitude of each coefficient of a real Fourier transform; the mean of the field is 0."""
+    """Return the amplitudes of the coefficients of a real Fourier transform, for a field with mean 0."""
     amplitude: Field = np.exp(_log_frequencies(shape, direction, longest) * np.float32(-exponent))
     amplitude[0, 0] = 0.0
     return amplitude
@@ -108,22 +110,22 @@ def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: floa
 
     spectrum = _normals()[rng.integers(LENGTHS * PHASES, size=amplitude.shape, dtype=np.uint16)]
     spectrum *= amplitude
-    alone = [0] if cols % 2 else [0, cols // 2]  # columns that contain their own complex conjugates
+    alone = [0] if cols % 2 else [0, cols // 2]  # columns whose coefficients are complex conjugates of each other
     for column in alone:
         mirrored = np.roll(spectrum[::-1, column], 1).conj()
         spectrum[:, column] = (spectrum[:, column] + mirrored) * np.float32(np.sqrt(0.5))
     power = 2 * _power(spectrum) - _power(spectrum[:, alone])
-    spectrum *= np.float32(len(amplitude) * cols * np.sqrt(variance / power))  # Parseval
+    spectrum *= np.float32(len(amplitude) * cols * np.sqrt(variance / power))  # Parseval's theorem
     field: Field = fft.irfft2(spectrum, s=(len(amplitude), cols), overwrite_x=True)
     return field
 
 
 @functools.lru_cache(maxsize=1)
 def _normals() -> NDArray[np.complex64]:
-    """Return LENGTHS · PHASES equally probable complex numbers that follow a normal distribution with E|z|² = 1.
+    """Return LENGTHS · PHASES complex numbers that together follow a normal distribution with E|z|² = 1.
 
-    Coefficients are picked from this list, because generating normal numbers would take three times as long. Each sample of
-    the field is a sum of many coefficients and is therefore Gaussian.
+    Picking coefficients from this list takes a third of the time of generating normal random numbers. Each sample of the
+    field is a sum of many coefficients and is therefore still Gaussian.
     """
     length = np.sqrt(-np.log((np.arange(LENGTHS) + 0.5) / LENGTHS))
     length /= np.sqrt(np.mean(length**2))
@@ -132,7 +134,7 @@ def _normals() -> NDArray[np.complex64]:
 
 
 def _power(spectrum: NDArray[np.complex64]) -> float:
-    """Return the sum of |z|². It is summed row by row, so the result does not depend on the number of threads."""
+    """Return the sum of |z|², summed row by row, so that the result does not depend on the number of threads."""
     parts = np.ascontiguousarray(spectrum).view(np.float32)
     return float(np.einsum("ij,ij->i", parts, parts).sum(dtype=np.float64))
 
@@ -141,7 +143,8 @@ def _power(spectrum: NDArray[np.complex64]) -> float:
 def _log_frequencies(shape: tuple[int, int], direction: Direction, longest: float) -> Field:
     """Return the logarithm of the frequency, in cycles per pixel, of each coefficient of a real Fourier transform.
 
-    Frequencies along the direction of the stretch count `stretch` times. The lowest frequency is 1 / `longest`.
+    Frequency components along the direction of elongation are multiplied by the elongation. Frequencies below 1 / `longest`
+    are raised to 1 / `longest`.
     """
     from scipy import fft
 
@@ -158,7 +161,7 @@ def _logarithm(down: Field, across: Field, direction: Direction, longest: float)
 
 
 def _slow_power(shape: tuple[int, int], exponent: float, direction: Direction, longest: float) -> float:
-    """Return the power per pixel at frequencies up to SLOW, except 0, if a coefficient of amplitude 1 has power 1."""
+    """Return the power per pixel at frequencies above 0 and up to SLOW. A coefficient of amplitude 1 has power 1."""
     down, across = (np.arange(-int(n * SLOW), int(n * SLOW) + 1, dtype=np.float32) / np.float32(n) for n in shape)
     power = np.exp(_logarithm(down[:, None], across, direction, longest) * np.float32(-2 * exponent))
     power[len(down) // 2, len(across) // 2] = 0.0
@@ -174,16 +177,16 @@ def _mean_power(amplitude: Field, cols: int) -> float:
 
 @dataclass(frozen=True)
 class Textures:
-    """The textures of a scene, each with a variance of about 1, and the part of them that each leaf shows."""
+    """The textures of a scene, each with a variance of about 1, and which part of which texture each leaf shows."""
 
     pieces: NDArray[np.float32]  # (texture, row, col), periodic
     texture: NDArray[np.intp]  # (leaf)
     start: NDArray[np.int32]  # (leaf) flat index of the first sample of the leaf's piece
     shift: NDArray[np.int32]  # (2, leaf) samples down and across
-    level: NDArray[np.float32]  # (leaf) constant added to the piece in place of its slow changes
+    level: NDArray[np.float32]  # (leaf) constant that replaces the slow variations missing from the piece
     direction: tuple[float, float]  # stripes per sample, down and across
-    waver: float  # stripes; standard deviation of their displacement
-    duty: float  # fraction of a period that is bright
+    waver: float  # standard deviation of the displacement of the stripes, in stripe periods
+    duty: float  # fraction of a stripe period that is bright
 
 
 def draw_textures(
@@ -224,7 +227,7 @@ def draw_textures(
 
 
 def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray) -> NDArray[np.float32]:
-    """Return the texture of the leaf that each sample shows.
+    """Return the value of the texture at each sample.
 
     Parameters
     ----------
@@ -256,9 +259,9 @@ def sampled(textures: Textures, label: NDArray[np.integer], down: NDArray, acros
 def _set_contrast(
     value: NDArray[np.float32], textures: Textures, label: NDArray[np.integer], down: NDArray, across: NDArray
 ) -> None:
-    """Turn blotches and stripes into two tones, in place.
+    """Reduce the blotches and stripes in `value` to two tones, in place.
 
-    Blotches get sharp borders, as on fur, bark and prints. Stripes look like cloth, blinds and letters.
+    Blotches get sharp borders, as on fur, bark and prints. Stripes then look like cloth, blinds and letters.
     """
     texture = textures.texture.astype(np.uint8).take(label)
     blotched = np.nonzero(texture == BLOTCHES)
@@ -275,17 +278,17 @@ def _set_contrast(
 class Patterns:
     """Regular patterns on the leaves: strokes of a second reflectance on a first one.
 
-    Lengths are in samples. Arrays hold one value per leaf unless their comment says otherwise.
+    Lengths are in samples. Arrays have one value per leaf unless the comment says otherwise.
     """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or of a leaf without a pattern
+    first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or of the whole leaf if it has no pattern
     second: NDArray[np.float32]  # (leaf, band) reflectance of the strokes
     kind: NDArray[np.intp]  # index into KINDS
-    angle: NDArray[np.float32]  # radians; direction at right angles to the strokes
-    period: NDArray[np.float32]  # (2, leaf) across and along the strokes
-    width: NDArray[np.float32]  # (2, leaf) width of the strokes, and of the bars at right angles
-    phase: NDArray[np.float32]  # (2, leaf) fractions of a period
+    angle: NDArray[np.float32]  # radians; direction perpendicular to the strokes
+    period: NDArray[np.float32]  # (2, leaf) period across the strokes and along them
+    width: NDArray[np.float32]  # (2, leaf) width of the strokes and of the perpendicular bars
+    phase: NDArray[np.float32]  # (2, leaf) phase of the strokes and of the bars, in fractions of a period
 
 
 def draw_patterns(
@@ -305,7 +308,7 @@ def draw_patterns(
     share : float
         Fraction of the leaves that carry a pattern.
     materials : ndarray, (material, band)
-        Reflectances from which the colours of the strokes are chosen.
+        Reflectances from which those of the strokes are chosen.
     reflectance : ndarray, (leaf, band)
         Reflectance of each leaf.
     oversampling : int
@@ -346,7 +349,7 @@ def draw_patterns(
 
 
 def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across: Array) -> NDArray[np.float32]:
-    """Return the fraction of each sample that strokes cover.
+    """Return the fraction of each sample that is covered by strokes.
 
     Parameters
     ----------
@@ -362,7 +365,7 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
     Returns
     -------
     ndarray, (row, col)
-        0 to 1; 0 on leaves without a pattern.
+        Covered fraction, 0 to 1. It is 0 on leaves without a pattern.
     """
     cosine, sine = np.cos(patterns.angle)[label], np.sin(patterns.angle)[label]
     u, v = across * cosine + down * sine, down * cosine - across * sine
@@ -378,20 +381,20 @@ def coverage(patterns: Patterns, label: NDArray[np.integer], down: Array, across
 def _strokes(
     patterns: Patterns, axis: int, label: NDArray[np.integer], position: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the fraction of each sample that parallel strokes cover, and the number of the nearest stroke.
+    """Return the fraction of each sample that is covered by parallel strokes, and the number of the nearest stroke.
 
-    `axis` selects the strokes (0) or the bars at right angles to them (1). The coverage is exact for strokes parallel to the
-    sampling grid.
+    `axis` selects the strokes (0) or the perpendicular bars (1). The coverage is exact for strokes parallel to the sampling
+    grid.
     """
     period, width = patterns.period[axis][label], patterns.width[axis][label]
     turns = position / period + patterns.phase[axis][label]
     number = np.floor(turns)
-    distance = abs(turns - number - 0.5) * period  # from the middle of a stroke, samples
+    distance = abs(turns - number - 0.5) * period  # samples; distance from the middle of the nearest stroke
     covered = np.clip(0.5 + 0.5 * width - distance, 0.0, np.minimum(width, 1.0))
     return covered.astype(np.float32), number.astype(np.int64)
 
 
 def _coin(one: NDArray[np.int64], other: NDArray[np.int64], label: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Toss a reproducible coin for each pair of numbers on a leaf, by a multiplicative hash."""
+    """Return a reproducible random bit for each pair of numbers on a leaf, computed with a multiplicative hash."""
     mixed = (one * 73856093) ^ (other * 19349663) ^ (label.astype(np.int64) * 83492791)
     return ((mixed * 2654435761) >> 16) & 1 == 1

@@ -1,7 +1,8 @@
-"""Training frames: a scene under a light, through lens and sensor, together with its target; or a raw file with its picture
-(docs/method.md#simulation, docs/method.md#optics).
+"""Training frames, either simulated from a scene or taken from a raw file and the picture that it should become.
 
-`SimulationRun` holds the settings that all frames of a simulation share.
+A simulated frame is a scene under an illuminant, seen through a lens and a sensor, together with its target
+(docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames of a simulation
+share.
 """
 
 import functools
@@ -48,13 +49,13 @@ from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.sources import DeadLeaves, WantedScene
 
-LIGHT = "picture"  # name of the light of a pair; the picture is white balanced, so it looks like D65
-BRIGHT = 0.9  # fraction of full scale and of picture white; brighter pixels may be clipped and are not used for the scale
+LIGHT = "picture"  # illuminant name stored with a pair, whose picture is white balanced and so looks like D65
+BRIGHT = 0.9  # fraction of full scale or picture white; brighter pixels may be clipped, so the scale is fitted without them
 Array = NDArray[np.floating]
-Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s from a mosaic (row, col) in e-/s
+Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s for a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
 RADIAL_SAMPLES = 2048
-# Frames from which estimates of spectra learn: count, rows and columns, seed.
+# Frames on which the spectral estimators are trained: their number, their rows and columns, and the random seed.
 DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
 
 
@@ -70,16 +71,16 @@ def simulate(
 ) -> TrainingFrame:
     """Simulate one training frame: raw frame, full-resolution signals and target.
 
-    One scene sample is one pixel: the mean over the area of the pixel, so frame and target are registered.
+    Each scene sample is the mean of the scene over the area of one pixel, so frame and target are registered.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     scene : Scene or ChannelPicture
-        The scene. For a picture of channel signals only the sensor is simulated.
+        The scene. If it is a picture of channel signals, only the sensor is simulated.
     light : Light
-        Light on the scene.
+        Illuminant of the scene.
     exposure : float or callable
         Exposure time in s, or a function that derives it from the camera and the mosaic in e-/s.
     lens : Lens
@@ -87,7 +88,7 @@ def simulate(
     seed : tuple of int
         Seed of the noise.
     target : Target
-        Wanted outputs, computed without lens or noise.
+        Target outputs, computed without lens blur or noise.
     noises : str
         One of `sensor.NOISES`, or the name of a noise model.
 
@@ -98,8 +99,8 @@ def simulate(
 
     Notes
     -----
-    The chain is linear up to the noise, so one matrix product projects the bands on outputs and channels. A
-    wavelength-dependent blur needs a few such projections per channel (LOW_RANK_ERROR), and nothing needs the bands again.
+    Everything before the noise is linear, so one matrix product projects the bands onto outputs and channels. If the blur
+    depends on wavelength, each channel needs a few such projections (see LOW_RANK_ERROR).
     """
     ideal, rates, white = _collected(camera, scene, light, lens, target)
     seconds = exposure(camera, sensor.mosaic(rates, camera.cfa)) if callable(exposure) else exposure
@@ -127,9 +128,21 @@ def _ignored(scene: Scene | ChannelPicture) -> IgnoredPixels | None:
 
 
 def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:
-    """Expose a simulated frame again, at `gain` times the analog gain and 1/`gain` of the exposure time, with all noise.
+    """Simulate the exposure of a frame again, at `gain` times the analog gain and 1/`gain` of the exposure time.
 
-    The camera is that of the frame, before its gain changes.
+    Parameters
+    ----------
+    frame : TrainingFrame
+        The simulated frame.
+    camera : CameraModel
+        The camera that took the frame, before its gain is changed.
+    gain : float
+        Factor on the analog gain.
+
+    Returns
+    -------
+    TrainingFrame
+        The new frame, with all noise sources.
     """
     electrons, seconds = frame.electrons / np.float32(gain), frame.exposure / gain
     rng, values = np.random.default_rng(frame.seed), sensor.mosaic(electrons, camera.cfa)
@@ -138,7 +151,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set, exposed again at `gain` times their analog gain."""
+    """The simulated frames of a training set as they would be at `gain` times the analog gain."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -151,7 +164,7 @@ class AtGain:
 
 
 def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
-    """Prepare to simulate frames with the camera and the target of a training set whose target is a spectrum.
+    """Prepare to simulate more frames for a training set whose target is a spectrum, with the same camera and target.
 
     Parameters
     ----------
@@ -161,14 +174,14 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
     Returns
     -------
     callable
-        Function of a frame and of a light spectrum. It yields frames of dead leaves, as in the training scenes that come
-        with l3, under that light and with the luminance and exposure time of the given frame.
+        Function that takes a frame and an illuminant spectrum. It yields frames of dead-leaves scenes, like those of the
+        training scenes that come with l3, under this illuminant and at the luminance and exposure time of the given frame.
     """
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
     target = target_of(head)
 
     def drawn(like: TrainingPair, spectrum: LightSpectrum) -> Iterator[TrainingFrame]:
-        from l3cli.simulation import procedural  # imported late, because it slows the start of commands that draw nothing
+        from l3cli.simulation import procedural  # imported here, so that commands that draw no scenes start faster
 
         light = _lit(spectrum, like.luminance)
         for number in range(DRAWN):
@@ -179,9 +192,10 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 
 
 def target_of(head: TrainingSet) -> Target:
-    """Return the target for further frames of a training set.
+    """Return the target for additional frames of a training set.
 
-    A training set does not store matching functions from a file. Frames for such outputs get XYZ.
+    A training set does not store the matching functions of a file. If the outputs were defined by such a file, the target is
+    XYZ.
     """
     kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
     light = _lit(head.target_light, 1.0) if head.target_light else None
@@ -197,14 +211,14 @@ def _lit(spectrum: LightSpectrum, luminance: float) -> Light:
 def _collected(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Compute what a frame collects, before the sensor.
+    """Compute the photo-electrons that arrive at the sensor, and the target.
 
     Returns
     -------
     ideal : ndarray, (output, row, col)
-        Target without lens or noise.
+        Target, without lens blur or noise.
     rates : ndarray, (channel, row, col)
-        Photo-electrons in e-/s.
+        Photo-electron rates in e-/s.
     white : ndarray, (output)
         Target of a perfect white.
     """
@@ -215,7 +229,7 @@ def _collected(
     collected = electron_weights(camera, light, bands)
     transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    # Factored out before rounding to float32, so that rounding is the same for every luminance.
+    # The scale is factored out before rounding to float32, so that rounding is the same at every luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = project(scene.reflectance, np.concatenate([wanted, through]))
@@ -234,16 +248,16 @@ def _collected(
 def spectral_planes(
     camera: CameraModel, scene: Scene, light: Light, lens: Lens, basis: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Project a scene on an orthogonal basis of photon spectra, with and without the lens.
+    """Project a scene onto an orthogonal basis of photon spectra, with and without the lens.
 
     Parameters
     ----------
     camera : CameraModel
-        The camera; its filters do not matter.
+        The camera. Its colour filters are not used.
     scene : Scene
         The scene.
     light : Light
-        Light on the scene.
+        Illuminant of the scene.
     lens : Lens
         Imperfections of the lens.
     basis : ndarray, (wavelength, term)
@@ -252,9 +266,9 @@ def spectral_planes(
     Returns
     -------
     blurred, sharp : ndarray, (term, row, col)
-        Coefficients of the photon spectrum at each pixel, behind the lens and before it.
+        Coefficients of the photon spectrum at each pixel, with and without the blur of the lens.
     target : ndarray, (output, row, col)
-        XYZ relative to white, before the lens.
+        XYZ relative to white, without the blur of the lens.
     """
     bands, pitch = scene.wavelength, camera.pixel_pitch
     wanted = output_weights(XYZ, camera, light, bands)
@@ -273,7 +287,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Do what `_collected` does for a picture of channel signals. The target has the unit of the camera's bands."""
+    """Do the same as `_collected` for a picture of channel signals. The target has the unit of the camera's bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -288,21 +302,21 @@ def make_pair(
 ) -> TrainingPair:
     """Register a raw frame with the picture that it should become.
 
-    Both are cut so that they begin at CFA site (0, 0).
+    Both are cropped so that their first pixel is CFA site (0, 0).
 
     Parameters
     ----------
     raw : RawFrame
         The raw frame.
     picture : ndarray, (row, col, output)
-        Linear picture, upright as the camera was held.
+        Linear picture in display orientation (upright).
     outputs : tuple of str
         Names of the outputs.
     camera : CameraModel
         The camera.
     pair : Pair
-        Offset and scale from the recipe. Values of the picture times the scale are fractions of full scale of an equally
-        bright white. Without a scale, a grey world is assumed.
+        Offset and scale from the recipe. A picture value times the scale is the fraction of full scale that a white surface
+        of the same brightness reaches. If the recipe has no scale, a grey world is assumed.
     name : str
         Name of the pair.
 
@@ -314,14 +328,16 @@ def make_pair(
     picture = as_taken(picture, raw.orientation)
     own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
     if own_levels and raw.values.max() >= 2**camera.bits:
-        raise ValueError(f"the raw frame holds {raw.values.max()} DN, more than {camera.bits} bits; check sensor.bits")
+        raise ValueError(
+            f"the raw frame contains {raw.values.max()} DN, which does not fit into {camera.bits} bits; check sensor.bits"
+        )
     levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]
     top, left = pair.offset
     if top + rows > levelled.shape[0] or left + cols > levelled.shape[1]:
         raise ValueError(
-            f"the picture of {rows}×{cols} at offset {top}, {left} reaches beyond the raw frame of "
-            f"{levelled.shape[0]}×{levelled.shape[1]}; crop it to the part that the raw frame shows"
+            f"the picture of {rows}×{cols} pixels at offset {top}, {left} extends beyond the raw frame of "
+            f"{levelled.shape[0]}×{levelled.shape[1]}; crop the picture to the area of the raw frame"
         )
     down, across = (
         -(phase + start) % period for phase, start, period in zip(raw.phase, pair.offset, camera.cfa.shape, strict=True)
@@ -332,7 +348,7 @@ def make_pair(
     wanted = np.moveaxis(picture[down:, across:], 2, 0)
     scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
     white = spectra.white_point("D65") if outputs == ("X", "Y", "Z") else np.ones(len(outputs))
-    unit = scale * camera.saturation_exposure  # for an exposure of one second
+    unit = scale * camera.saturation_exposure  # cd/m² per picture value, for an exposure time of 1 s
     return TrainingPair(
         raw=np.ascontiguousarray(values),
         target=np.ascontiguousarray(wanted * np.float32(unit)),
@@ -345,12 +361,12 @@ def make_pair(
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Return the fraction of full scale per picture value, from the means of both, assuming a grey scene under D65."""
+    """Return the fraction of full scale per picture value, from the means of both images, if the scene is grey under D65."""
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:
-        raise ValueError("the picture is black or white everywhere; give another picture, or give scale")
+        raise ValueError("the picture is black or white everywhere; give another picture, or set scale")
     rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
     response = (rates / rates.max())[camera.cfa].mean()
     return float(max(share[usable].mean(), 1e-6) / response / bright[usable].mean())
@@ -358,16 +374,16 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
 
 @dataclass(frozen=True)
 class LowRankTransfer:
-    """Transfer functions for all wavelengths, as a sum of a few products of a radial and a spectral term."""
+    """Optical transfer functions at all wavelengths, as a sum of a few products of a radial and a spectral term."""
 
     frequency: Array  # (sample) cycles/m
-    radial: Array  # (term, sample)
-    spectral: Array  # (term, wavelength)
+    radial: Array  # (term, sample) values at `frequency`
+    spectral: Array  # (term, wavelength) factor of each wavelength
 
 
 @functools.lru_cache(maxsize=4)
 def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: float) -> LowRankTransfer:
-    """Approximate the diffraction MTF by as few terms as possible, with singular values.
+    """Approximate the diffraction MTF by as few terms as possible, using a singular value decomposition.
 
     Parameters
     ----------
@@ -381,7 +397,7 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
     Returns
     -------
     LowRankTransfer
-        The error is at most LOW_RANK_ERROR at all sampled frequencies and wavelengths.
+        The approximation. Its error is at most LOW_RANK_ERROR at all sampled frequencies and wavelengths.
     """
     frequency = np.linspace(0.0, highest, RADIAL_SAMPLES)
     exact = diffraction_transfer(frequency, np.array(wavelength), f_number)
@@ -395,18 +411,18 @@ def low_rank_transfer(highest: float, wavelength: tuple[float, ...], f_number: f
 def lens_transfer(
     optics: Optics, pixel_pitch: float, wavelength: Array, diffraction: bool, defocus: float
 ) -> LowRankTransfer | None:
-    """Return the blur of the lens at each wavelength.
+    """Return the transfer function of the lens at each wavelength.
 
     Parameters
     ----------
     optics : Optics
         The lens.
     pixel_pitch : float
-        In m.
+        Pixel pitch in m.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
     diffraction : bool
-        Whether the lens diffracts.
+        Whether to include diffraction.
     defocus : float
         Standard deviation of a Gaussian blur on the sensor, in m.
 
@@ -428,16 +444,16 @@ def lens_transfer(
 
 
 def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
-    """Blur the signals of each channel with the lens. Overwrites `planes`.
+    """Apply the blur of the lens to the signals of each channel. Overwrites `planes`.
 
     Parameters
     ----------
     planes : ndarray, (channel, term, row, col)
-        Projections of the reflectance on the channels, weighted with each spectral term of the transfer.
+        Projections of the reflectance onto the channels, weighted with each spectral term of the transfer function.
     transfer : LowRankTransfer
-        The blur.
+        Transfer function of the lens.
     pixel_pitch : float
-        In m.
+        Pixel pitch in m.
 
     Returns
     -------
@@ -446,7 +462,7 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
     Notes
     -----
-    The discrete cosine transform implies that frames are mirrored at their borders.
+    The blur is applied with the discrete cosine transform, which mirrors frames at their borders.
     """
     from scipy import fft
 
@@ -463,26 +479,39 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
-    """Return the sum of a cube (row, col, band) weighted with each row of `weights` (channel, band): (channel, row, col)."""
+    """Project a cube onto channels.
+
+    Parameters
+    ----------
+    cube : ndarray, (row, col, band)
+        Values of each band.
+    weights : ndarray, (channel, band)
+        Weight of each band in each channel.
+
+    Returns
+    -------
+    ndarray, (channel, row, col)
+        Weighted sums over the bands.
+    """
     rows, cols, bands = cube.shape
     return (weights.astype(np.float32) @ cube.reshape(-1, bands).T).reshape(-1, rows, cols)
 
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """The camera, target, lights and recipe of a simulation, all checked."""
+    """Everything that the frames of a simulation share: camera, target, illuminants and recipe, already checked."""
 
     recipe: SceneRecipe
     camera: CameraModel
     target: Target
     lights: Mapping[str, Light]  # at 1 cd/m²
-    recorded: Mapping[str, Light]  # the lights that scenes were recorded under
+    recorded: Mapping[str, Light]  # illuminants under which scenes were recorded
     seed: int
     base: Path  # folder of the recipe
 
     @property
     def frame_bytes(self) -> int:
-        """Size of the largest frame in bytes: electrons of every channel, raw mosaic and target."""
+        """Size of the largest frame in bytes, with the electrons of every channel, the raw mosaic and the target."""
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:
@@ -493,9 +522,9 @@ class SimulationRun:
         scene : Scene or ChannelPicture
             The scene.
         shot : Shot
-            Its light and exposure.
+            Illuminant and exposure of the frame.
         seconds : float, optional
-            Exposure time. Default: as the recipe says.
+            Exposure time in s. Default: the exposure in the recipe.
 
         Raises
         ------
@@ -509,7 +538,7 @@ class SimulationRun:
             return simulate(self.camera, scene, light, exposure, self.recipe.lens, seed, self.target, noise)
 
     def exposure_time(self, scene: Scene | ChannelPicture, shot: Shot) -> float:
-        """Return the exposure time, in s, that the recipe gives to a frame.
+        """Return the exposure time, in s, of a frame according to the recipe.
 
         Raises
         ------
@@ -531,7 +560,7 @@ class SimulationRun:
         return self.lights[shot.illuminant].at(shot.luminance)
 
     def _exposure(self, light: Light, shot: Shot) -> float | Automatic:
-        """Return the exposure time in s, or the function that derives it from a frame."""
+        """Return the exposure time in s, or for an automatic exposure the function that computes it from a frame."""
         control, _ = self.recipe.exposures()
         if control == "share":
             return automatic_exposure(self.camera, light, shot.exposure)

@@ -1,4 +1,4 @@
-"""The virtual lab: it simulates the measurements of a camera, so that calibration can be tested where the truth is known."""
+"""The virtual lab: simulates the lab measurements of a known camera, so that calibration can be compared with the truth."""
 
 import re
 from collections.abc import Iterator
@@ -19,34 +19,34 @@ from l3cli.recipes.toml import MOST, Count, CountOrNone, NotNegative, Positive, 
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
 SPECTROMETER_MARGIN = 5.0  # nm; the spectrometer covers this much more than the camera and the slits
-MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # upper limits of stray light and lamp drift in a usable lab
-FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # folders of the captures by kind, and of the measured spectra
-PATCH_SIDE = 0.8  # fraction of the side of a chart cell; the rest is black mount
+MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # highest stray light and lamp drift of a usable lab, as fractions
+FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # one folder for each kind of capture, and one for measured spectra
+PATCH_SIDE = 0.8  # side of a patch as a fraction of its cell in the chart; the rest of the cell is black mount
 MARGIN = 0.08  # fraction of the frame's height; width of the border around the chart
 MOUNT = 0.03  # reflectance between and around the patches
-OVEREXPOSED = 2.0  # full scales; signal of the steps that are repeated with overexposure
+OVEREXPOSED = 2.0  # signal of the overexposed monochromator steps, relative to full scale
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=spectra.LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
-Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # two or more: noise is measured on pairs of frames
-SMALLEST_SENSOR = (64, 96)  # rows, columns; fewest pixels that resolve the patches of a chart
+Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # at least two, because noise is measured from pairs of frames
+SMALLEST_SENSOR = (64, 96)  # rows, columns; a smaller sensor does not resolve the patches of a chart
 Array = NDArray[np.float64]
 
 
 class MonoRecipe(Recipe):
-    """A monochromator that fills the field of view. Its slit function is a triangle on top of some stray light."""
+    """A monochromator that fills the field of view. Its slit function is a triangle plus some stray light."""
 
-    first_nm: Nanometres | None = None  # default: the first slit that lies within the camera's responsivities
-    last_nm: Nanometres | None = None  # default: the last one
+    first_nm: Nanometres | None = None  # default: the lowest wavelength at which the slit lies within the camera's range
+    last_nm: Nanometres | None = None  # default: the highest such wavelength
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
     stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MOST_STRAY)] = 0.0005  # fraction of the peak, at every wavelength
     trials: Count = 1  # frames per step
-    # number of steps, except the first and the last, that are repeated with overexposure
+    # number of steps that are repeated with overexposure, never the first or the last step
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
     radiance: Positive = 1e18  # photons/s/sr/m² of every step
-    longest_exposure_s: Positive = 2.0  # limits the steps to which no channel is sensitive
+    longest_exposure_s: Positive = 2.0  # limits the exposure time at wavelengths to which no channel is sensitive
 
 
 class ChartRecipe(Recipe):
@@ -85,21 +85,19 @@ class LabRecipe(Recipe):
     dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
     defects: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
     spectrometer_step_nm: Positive = 1.0  # sampling of the measured spectra
-    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the spectrometer's scale, one error a session
-    lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MOST_DRIFT)] = 0.01  # relative standard deviation of the lamps, slow
-    monitor_error: NotNegative = 0.001  # relative standard deviation of the reading that follows them
-    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = (
-        0.1  # fraction of the light of every lamp that is missing in the corners
-    )
+    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the spectrometer's wavelength error, constant per session
+    lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MOST_DRIFT)] = 0.01  # relative standard deviation of the slow drift
+    monitor_error: NotNegative = 0.001  # relative standard deviation of the lamp monitor's readings
+    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # relative loss of light in the corners, for every lamp
 
     @property
     def lights(self) -> tuple[str, ...]:
-        """Return the names of the lights that fall on charts and white."""
+        """Return the names of the illuminants of the charts and of the white frames."""
         return tuple(dict.fromkeys((*self.chart.illuminants, self.white.illuminant)))
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe, and of `camera` for the lab if one is given."""
+    """Yield the faults of a lab recipe and, if `camera` is given, the reasons why the lab cannot measure it."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
         yield fault("mono needs bandwidth_nm above spectrometer_step_nm", "mono.bandwidth_nm", "spectrometer_step_nm")
@@ -113,7 +111,7 @@ def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Yield the faults of the monochromator and the spectrometer: too many steps, or too few."""
+    """Yield the faults of the monochromator's and the spectrometer's steps: too many or too few."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
@@ -139,37 +137,37 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 
 @dataclass(frozen=True)
 class LabCapture:
-    """One exposure in the lab: what the camera sees, and what the spectrometer measures."""
+    """One planned capture in the lab: the signal on the camera and the spectrum that the spectrometer measures."""
 
     kind: str  # "mono", "chart", "white", "dark"
-    name: str  # name of its files, with the kind as folder
-    light: str  # what lights it
+    name: str  # file name, with the kind as folder
+    light: str  # illuminant or wavelength, as text
     exposure: float  # s
     trials: int
-    first: int  # number of its first frame among all
+    first: int  # number of the capture's first frame, counted over the whole session
     electrons: Array  # (region, channel) mean photo-electrons; one region, or 24 patches and the mount
-    falloff: float  # fraction of the light of the lamp that is missing in the corners
-    monitor: float  # reading of the lamp over that when its spectrum was measured
-    wavelength: Array  # (wavelength) nm as measured
-    radiance: Array  # (spectrum, wavelength) photons/s/sr/m²/nm as measured; no spectrum of white and dark
+    falloff: float  # relative loss of light in the corners
+    monitor: float  # reading of the lamp monitor, relative to its reading when the spectrum was measured
+    wavelength: Array  # (wavelength) nm, as measured
+    radiance: Array  # (spectrum, wavelength) photons/s/sr/m²/nm, as measured; white and dark captures have no spectrum
 
 
 @dataclass(frozen=True)
 class _Response:
-    """The camera's response on the grid of the spectrometer."""
+    """The camera's response on the wavelength grid of the spectrometer."""
 
     camera: CameraModel
     wavelength: Array  # (wavelength) nm
-    per_radiance: Array  # (channel, wavelength) e-/s for a radiance of 1 photon/s/sr/m²/nm in one sample
+    per_radiance: Array  # (channel, wavelength) e-/s for a radiance of 1 photon/s/sr/m²/nm at one sample of the grid
 
     def electrons(self, radiance: Array) -> Array:
         """Return the photo-electrons (spectrum, channel), in e-/s, for radiance (spectrum, wavelength)."""
         return radiance @ self.per_radiance.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
-        """Return the time, in s to three digits, in which the brightest channel reaches `level` of full scale.
+        """Return the exposure time, in s, at which the brightest channel reaches the fraction `level` of full scale.
 
-        The result is infinite if no channel collects anything.
+        It is rounded to three digits, and infinite if no channel responds.
         """
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
@@ -185,7 +183,7 @@ class _Session:
     rng: np.random.Generator
     captures: list[LabCapture] = field(default_factory=list)
     shift: float = field(init=False)  # nm, error of the spectrometer's scale
-    drift: float = field(init=False)  # relative, of the lamps now
+    drift: float = field(init=False)  # present deviation of the lamps, relative to their measured spectrum
 
     def __post_init__(self) -> None:
         self.shift = round(self.recipe.wavelength_error_nm * self.rng.standard_normal(), 4)
@@ -216,7 +214,7 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """Return the light of the lamp relative to its measured spectrum, and the reading of the monitor."""
+        """Return the lamp's output relative to its measured spectrum, and the reading of the lamp monitor."""
         fresh = self.recipe.lamp_drift * np.sqrt(1.0 - MEMORY**2) * self.rng.standard_normal()
         self.drift = MEMORY * self.drift + fresh
         light = 1.0 + self.drift
@@ -259,17 +257,18 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
-    """Return the camera on the grid of the spectrometer, which covers the responsivity and every slit."""
+    """Return the camera's response on the wavelength grid of the spectrometer, which covers responsivity and slits."""
     centres = slit_centres(camera, mono)
     first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPECTROMETER_MARGIN
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPECTROMETER_MARGIN
     wavelength = np.arange(first, last + step / 2, step)
-    # By the hats of the responsivity, as frames are simulated: the outermost ones reach half a step beyond its ends.
+    # Triangular weights around each sample of the responsivity, as in the simulation of frames. The outermost triangles
+    # extend half a step beyond the ends.
     return _Response(camera, wavelength, camera.electron_weights @ spectra.sampling_matrix(wavelength, camera.wavelength))
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
-    """Return the radiance of the monochromator: a triangle on top of stray light, with the recipe's total radiance."""
+    """Return the spectral radiance of the monochromator: a triangle plus stray light, with the recipe's total radiance."""
     shape = np.maximum(0.0, 1.0 - np.abs(wavelength - centre) / mono.bandwidth_nm) + mono.stray_light
     return np.asarray(shape * (mono.radiance / (shape @ spectra.bin_widths(wavelength))), dtype=np.float64)
 
@@ -280,14 +279,14 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
-    """Return column and row, in pixels, of the outer corners of patches 1, 6, 24 and 19."""
+    """Return the outer corners (column, row), in pixels, of patches 1, 6, 24 and 19."""
     margin = round(MARGIN * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """Return the number of the patch that each pixel (row, col) sees; 24 is the mount."""
+    """Return the index of the patch that each pixel (row, col) sees, from 0 to 23, or 24 for the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS
@@ -298,7 +297,28 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
 
 
 def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
-    """Simulate frame number `trial` of a capture, (row, col) in DN. Equal seeds give equal frames, in whatever order."""
+    """Simulate one frame of a capture.
+
+    Equal seeds give equal frames, whatever the order of the calls.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    capture : LabCapture
+        The capture.
+    trial : int
+        Number of the frame within the capture.
+    seed : int
+        Seed of the noise.
+    recipe : DefectRecipe
+        Defects of the sensor.
+
+    Returns
+    -------
+    ndarray of uint16, (row, col)
+        Raw values in DN.
+    """
     rng = np.random.default_rng([seed, 1 + capture.first + trial])
     defects, pattern = defects_of(camera, recipe), fixed_pattern(camera)
     shape = (camera.rows, camera.cols)
@@ -313,15 +333,15 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 
 
 def falloff(y: Array, x: Array, missing: float) -> Array:
-    """Return the light at y and x, from −1 to 1 across the frame, relative to the centre.
+    """Return the illumination at (y, x) relative to the centre of the frame.
 
-    The light in the corners is lower by the fraction `missing`.
+    Coordinates run from −1 to 1 across the frame. `missing` is the relative loss in the corners.
     """
     return np.asarray(1.0 - missing * (y**2 + x**2) / 2.0, dtype=np.float64)
 
 
 def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
-    """Return the light (patch) in the middle of each chart patch, relative to the centre of the frame."""
+    """Return the illumination (patch) at the centre of each chart patch, relative to the centre of the frame."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     row, col = np.divmod(np.arange(PATCHES), CHART_COLS)
     x = left + (col + 0.5) / CHART_COLS * (right - left)
@@ -330,7 +350,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe, also for its camera if one is given."""
+    """Yield the faults of a lab recipe and, if a camera is given, those that concern this camera."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     for number, name in enumerate(recipe.chart.illuminants):

@@ -15,34 +15,34 @@ from numpy.typing import NDArray
 Field = NDArray[np.float32]
 Size = float | Field
 
-EXPONENT = 2.0  # of the cumulative distribution of the radii; their density is then r^-3
-UNCOVERED = 0.003  # fraction of the picture that the background fills, because covering the rest would take long
-BATCH = 1.5  # total area of the bounding squares of a batch of leaves, in areas of the picture
-BLOCK = 8  # pixels; side of the blocks tested for uncovered pixels, so that a row of a block is one 64-bit word
-SMALL = 40.0  # pixels; leaves up to this radius are drawn many at once
-WIDER = 1.15  # ratio of successive window sizes for small leaves
-CHUNK = 1 << 16  # samples drawn at once, few enough to stay in the processor cache
-FEW = 0.2  # if a smaller fraction of the window of a leaf is uncovered, only the uncovered pixels are tested
+EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
+UNCOVERED = 0.003  # fraction of the picture left to the background, because covering it too would take long
+BATCH = 1.5  # summed area of the bounding squares of a batch of leaves, relative to the picture
+BLOCK = 8  # pixels; side of the blocks tested for uncovered pixels. A row of a block is one 64-bit word.
+SMALL = 40.0  # pixels; leaves up to this radius are drawn in groups
+WIDER = 1.15  # ratio between successive window sizes for small leaves
+CHUNK = 1 << 16  # number of samples drawn at once, few enough to stay in the processor cache
+FEW = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
 FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than every leaf
 BEYOND = -1  # label of pixels outside the picture, lower than every leaf
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """The visible leaves of a scene, and which of them each pixel shows. The last leaf is the background."""
+    """The visible leaves of a scene, and the index of the leaf at each pixel. The last leaf is the background."""
 
     label: NDArray[np.int32]  # (row, col) index of the leaf
-    row: Field  # (leaf) centre, pixels
-    col: Field  # (leaf)
-    radius: Field  # (leaf) pixels
+    row: Field  # (leaf) row of the centre, in pixels
+    col: Field  # (leaf) column of the centre, in pixels
+    radius: Field  # (leaf) in pixels
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A batch of leaves from front to back, with one value per leaf in each array."""
+    """A batch of leaves, ordered from front to back. Each array has one value per leaf."""
 
-    number: NDArray[np.int32]  # rising from front to back
-    row: NDArray[np.float64]  # centre, pixels
+    number: NDArray[np.int32]  # increases from front to back
+    row: NDArray[np.float64]  # row of the centre, in pixels
     col: NDArray[np.float64]
     radius: NDArray[np.float64]  # pixels
     shape: NDArray[np.int64]  # 0…4, as in `inside`
@@ -50,7 +50,7 @@ class Drawn:
     slimness: NDArray[np.float64]  # ratio of width to length
 
     def of(self, which: NDArray[Any]) -> "Drawn":
-        """Return the leaves that an index array or a mask selects."""
+        """Return the leaves selected by an index array or a mask."""
         return Drawn(**{name: values[which] for name, values in vars(self).items()})
 
 
@@ -69,14 +69,14 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
     Returns
     -------
     Leaves
-        The leaves that show in at least one pixel.
+        The leaves that are visible in at least one pixel.
 
     Notes
     -----
-    Each pixel shows the leaf with the lowest number among the leaves that cover it. The order in which leaves are laid
-    therefore does not matter, and many can be laid at once.
+    Of all leaves that cover a pixel, the one with the lowest number is visible. The order in which leaves are drawn
+    therefore does not matter, and many can be drawn at once.
     """
-    room = int(2 * min(SMALL, largest) * WIDER) + 3  # margin around the picture, for windows that extend beyond it
+    room = int(2 * min(SMALL, largest) * WIDER) + 3  # pixels; margin for windows that extend beyond the picture
     canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], BEYOND, np.int32)
     label = canvas[room : room + shape[0], room : room + shape[1]]
     label[:] = FREE
@@ -100,7 +100,7 @@ def _mean_square(smallest: float, largest: float) -> float:
 def _drawn(
     rng: np.random.Generator, first: int, count: int, shape: tuple[int, int], smallest: float, largest: float
 ) -> Drawn:
-    """Draw `count` leaves that touch a picture of `shape` (rows, cols), numbered from `first` on."""
+    """Draw `count` leaves that touch a picture of `shape` (rows, cols). Their numbers start at `first`."""
     radius = _radii(rng, count, smallest, largest)
     return Drawn(
         number=np.arange(first, first + count, dtype=np.int32),
@@ -121,12 +121,12 @@ def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float
 
 
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
-    """Return, per leaf, whether the bounding square of the leaf touches a block with an uncovered pixel.
+    """Return whether the bounding square of each leaf touches a block with an uncovered pixel.
 
-    Leaves that fail this test are hidden and need no drawing, as most of the last ones do. The canvas extends `room` pixels
-    beyond the picture on each side.
+    If it does not, the leaf is hidden and need not be drawn. This is true of most leaves towards the end. The canvas extends
+    `room` pixels beyond the picture on each side.
     """
-    free = (canvas == FREE).view(np.uint64)  # each word holds BLOCK pixels of a row
+    free = (canvas == FREE).view(np.uint64)  # each word contains BLOCK pixels of a row
     blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
     count = np.zeros((blocks.shape[0] + 1, blocks.shape[1] + 1), np.int32)
     count[1:, 1:] = blocks.cumsum(axis=0, dtype=np.int32).cumsum(axis=1)
@@ -136,14 +136,14 @@ def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.
 
 
 def _span(centre: NDArray, radius: NDArray, blocks: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first block that the bounding square of each leaf touches, and the one after the last."""
+    """Return the first block that the bounding square of each leaf touches, and the block after the last one."""
     first = np.clip((centre - radius) // BLOCK, 0, blocks).astype(np.intp)
     last = np.clip((centre + radius) // BLOCK + 1, 0, blocks).astype(np.intp)
     return first, last
 
 
 def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
-    """Draw one leaf into the picture of labels, behind the leaves of lower numbers."""
+    """Draw one leaf into the label image, behind the leaves with lower numbers."""
     row, col, radius = float(drawn.row[leaf]), float(drawn.col[leaf]), float(drawn.radius[leaf])
     top, left = max(0, int(row - radius)), max(0, int(col - radius))
     window = label[top : max(0, int(row + radius + 1)), left : max(0, int(col + radius + 1))]
@@ -162,7 +162,7 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
 def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
     """Draw many small leaves.
 
-    Leaves of one shape and of similar size have windows of one size and are drawn together. The canvas extends `room` pixels
+    Leaves with the same shape and similar sizes share a window size and are drawn together. The canvas extends `room` pixels
     beyond the picture on each side.
     """
     if not drawn.number.size:
@@ -179,7 +179,7 @@ def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
 
 
 def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) -> None:
-    """Draw leaves of one shape that fit into windows of `side` × `side` pixels."""
+    """Draw leaves that all have the same shape and fit into windows of `side` × `side` pixels."""
 
     def each(values: NDArray[Any]) -> Field:
         return values.astype(np.float32)[:, None, None]
@@ -189,7 +189,7 @@ def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) ->
     y, x = each(top - drawn.row) + steps[:, None], each(left - drawn.col) + steps
     radius, angle, slimness = each(drawn.radius), each(drawn.angle), each(drawn.slimness)
     covered = np.flatnonzero(inside(int(drawn.shape[0]), y, x, radius, angle, slimness))
-    first = np.arange(len(top) + 1) * side**2  # index of each leaf's window among the samples
+    first = np.arange(len(top) + 1) * side**2  # index of the first sample of each leaf's window
     samples = np.diff(np.searchsorted(covered, first))
     covered -= np.repeat(first[:-1], samples)
     window = np.arange(side)[:, None] * canvas.shape[1] + np.arange(side)
@@ -199,7 +199,7 @@ def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) ->
 
 
 def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
-    """Number the visible leaves anew and add the background after them."""
+    """Renumber the visible leaves consecutively and add the background as the last leaf."""
     row, col, radius = (np.concatenate([getattr(one, name) for one in batches]) for name in ("row", "col", "radius"))
     ground = len(radius)
     label = np.where(label == FREE, np.int32(ground), label)
@@ -214,20 +214,20 @@ def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
 
 
 def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
-    """Return the mask of the points inside a leaf that is centred at (0, 0).
+    """Test which points lie inside a leaf that is centred at (0, 0).
 
     Parameters
     ----------
     shape : int
-        0 disc, 1 ellipse, 2 rectangle, 3 triangle, 4 lobed leaf.
+        0 for a disc, 1 for an ellipse, 2 for a rectangle, 3 for a triangle, 4 for a lobed leaf.
     y, x : ndarray
         Coordinates of the points, down and across, in pixels.
     radius : float or ndarray
-        Radius within which the leaf lies, in pixels.
+        Radius of the circle that encloses the leaf, in pixels.
     angle : float or ndarray
         Orientation in radians.
     slimness : float or ndarray
-        Ratio of width to length. Discs and lobed leaves ignore it.
+        Ratio of width to length, not used for discs and lobed leaves.
     """
     if shape == 0:
         return x**2 + y**2 < radius**2
@@ -245,10 +245,10 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
 
 
 def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
-    """Return the mask of a lobed leaf, whose edge in direction θ has the distance
-    radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) from the centre.
+    """Return the mask of a lobed leaf.
 
-    The sines are computed from powers of along + i · across, which saves an arc tangent per pixel.
+    In direction θ the edge lies at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) from the centre. The sines
+    are computed from powers of along + i · across, which avoids an arctangent per pixel.
     """
     squared = along * along + across * across
     squared += np.float32(1e-12)  # avoids a division by zero at the centre

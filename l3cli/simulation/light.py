@@ -1,4 +1,4 @@
-"""The light on a scene, the signal that a camera collects from it, and the target outputs (docs/method.md#simulation)."""
+"""Illuminants, the electrons that a camera collects under them, and the target outputs (docs/method.md#simulation)."""
 
 import hashlib
 import itertools
@@ -24,9 +24,9 @@ from l3cli.spectra.table import NOISE, gaps
 Array = NDArray[np.floating]
 Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
-SCENE_LIGHT = "scene"  # name that a recipe gives to the light that a scene was measured under
-WIDEST_GAP = 20.0  # nm; largest distance between samples of a measured light
-DARK = 0.01  # fraction of the peak; a measured light that ends above it was cut off
+SCENE_LIGHT = "scene"  # in a recipe, the illuminant under which the scene was measured
+WIDEST_GAP = 20.0  # nm; largest permitted distance between samples of a measured illuminant
+DARK = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
 
 OUTPUTS = {
     "CIE 1931": ("X", "Y", "Z"),
@@ -36,43 +36,43 @@ OUTPUTS = {
     "reflectance 31": spectra.REFLECTANCES,
     "radiance 31": spectra.RADIANCES,
 }
-UNLIT = "reflectance 31"  # the outputs that do not depend on the light
-NOTICEABLE = 0.01  # fraction of a channel's electrons from wavelengths at which the light or the surfaces are unknown
+UNLIT = "reflectance 31"  # outputs that do not depend on the illuminant
+NOTICEABLE = 0.01  # l3 warns if a larger fraction of a channel's electrons comes from wavelengths without data
 CAMERA = "camera"  # the camera's own bands at full resolution
 
 
 @dataclass(frozen=True)
 class Light:
-    """The radiance of a perfect white under an illuminant."""
+    """An illuminant, as the spectral radiance of a perfect white under it."""
 
     name: str
     luminance: float  # cd/m² of a perfect white
     wavelength: Array  # (sample) nm
     radiance: Array  # (sample) photons/s/sr/m²/nm
-    measured: str = ""  # digest of the measured spectra that it consists of
+    measured: str = ""  # digest of the measured spectra in the illuminant
 
     def at(self, luminance: float) -> "Light":
-        """Return the same light at another luminance, in cd/m²."""
+        """Return the same illuminant at another luminance, in cd/m²."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """The light as a training set stores it, for a luminance of 1 cd/m²."""
+        """The spectrum as a training set stores it, for a luminance of 1 cd/m²."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
 def mixture(text: str) -> list[tuple[float, str]]:
-    """Parse the light of a recipe, such as "0.7 D65 + 0.3 lamp.csv".
+    """Parse the text that names an illuminant in a recipe, such as "0.7 D65 + 0.3 lamp.csv".
 
     Returns
     -------
     list of (float, str)
-        Proportion of the luminance and name of each part.
+        For each component, its share of the luminance and its name.
 
     Raises
     ------
     RecipeError
-        If a proportion is not above 0.
+        If a share is not above 0.
     """
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
@@ -84,27 +84,27 @@ def mixture(text: str) -> list[tuple[float, str]]:
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Make the light that a recipe names, at 1 cd/m².
+    """Return the illuminant that a recipe names, at 1 cd/m².
 
     Parameters
     ----------
     text : str
         A name that `spectra.illuminant` knows, a key of `measured`, or a mixture of these.
     measured : mapping of str to Curve
-        Measured lights: wavelength in nm and power per nm.
+        Measured illuminants: wavelength in nm and power per nm.
     seen : ndarray, (wavelength)
-        Wavelengths that the camera sees, in nm.
+        Wavelengths at which the camera is sensitive, in nm.
 
     Raises
     ------
     RecipeError
-        If a name is unknown or the light is invisible.
+        If a name is unknown or the illuminant is invisible.
 
     Notes
     -----
-    The light is tabulated every nanometre over the range of the observer and of the camera. Power between two of these
-    wavelengths is divided between them, so that no spectral line is lost. A light that was measured on the camera's own grid
-    stays on it. All sums then run over that grid, as in ISETCam.
+    The illuminant is tabulated at every nanometre that the observer or the camera sees. Power between two of these
+    wavelengths is divided between them, so that no spectral line is lost. If the illuminant was measured on the camera's
+    wavelength grid, it keeps this grid. All sums then run over the same grid, as in ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
@@ -126,7 +126,7 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
 
 
 class Sees(Protocol):
-    """Anything that collects electrons from a light: a camera, or filters on a pixel."""
+    """Anything that turns light into electrons: a camera, or colour filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -138,11 +138,11 @@ class Sees(Protocol):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Electrons (channel, wavelength) of unit radiance in photons, of any scale."""
+        """Electrons (channel, wavelength) for unit photon radiance, up to a common factor."""
 
 
 class Filters(NamedTuple):
-    """Filters on a pixel, with the attributes that `Sees` requires."""
+    """Colour filters on a pixel, as an implementation of `Sees`."""
 
     channels: tuple[str, ...]
     wavelength: NDArray[np.float64]
@@ -155,10 +155,22 @@ class Filters(NamedTuple):
 
 
 def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
-    """Return the warnings of `beyond_known` for lights that are known by name.
+    """Collect the warnings of `beyond_known` for standard illuminants.
 
-    Measured lights, the light of a scene, and names that are not those of a light are skipped, because no spectrum is
-    available from such a name. An artifact may contain any name.
+    Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available here. An
+    artifact may contain any name.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Names of illuminants.
+    camera : CameraModel or Filters
+        The camera.
+
+    Returns
+    -------
+    list of str
+        The warnings.
     """
     warnings = []
     for name in dict.fromkeys(names):
@@ -173,17 +185,17 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
-    """Warn if a channel collects 1 % or more of its electrons where the spectrum of a light is unknown.
+    """Warn if a channel collects 1 % or more of its electrons where the spectrum of an illuminant is unknown.
 
-    A named light is held constant beyond its table. A measured light counts as dark there. Its contribution is estimated as
-    if the light kept its last value.
+    Beyond the ends of its table, a standard illuminant is continued with its last value, and a measured one with zero. For
+    the warning, the missing part of a measured illuminant is estimated as if it kept its last value.
 
     Parameters
     ----------
     light : Light
-        The light.
+        The illuminant.
     measured : mapping of str to Curve
-        Measured lights: wavelength in nm and power per nm.
+        Measured illuminants: wavelength in nm and power per nm.
     camera : CameraModel
         The camera.
 
@@ -216,19 +228,19 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Warn if the file of a lens's transmittance ends where a channel could collect electrons.
+    """Warn if a lens transmittance file does not cover wavelengths at which a channel could collect electrons.
 
-    The lens passes nothing beyond the file. The fraction of electrons is estimated as if the transmittance kept its last
-    value.
+    The transmittance is zero beyond the ends of the file. The fraction of missing electrons is estimated as if the
+    transmittance kept its last value.
 
     Parameters
     ----------
     name : str
         Name of the file.
     transmittance : Curve
-        Its contents.
+        Contents of the file.
     light : Light
-        The light.
+        The illuminant.
     camera : CameraModel
         The camera without this lens.
 
@@ -244,21 +256,21 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Warn if a file of matching functions ends where an output needs them.
+    """Warn if a file of matching functions does not cover wavelengths that contribute to an output.
 
-    The functions are zero beyond the file. The missing fraction of an output is estimated for a white, as if the functions
-    kept their last values.
+    The functions are zero beyond the ends of the file. The missing fraction of an output is estimated for a white surface,
+    as if the functions kept their last values.
 
     Parameters
     ----------
     name : str
         Name of the file.
     functions : Curve
-        Its contents.
+        Contents of the file.
     names : sequence of str
         Names of the outputs.
     light : Light
-        The light.
+        The illuminant.
 
     Returns
     -------
@@ -276,16 +288,17 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Warn if a camera recipe takes its responsivities from a file that ends where a channel could collect electrons.
+    """Warn if a camera recipe's responsivity file does not cover wavelengths at which a channel could collect electrons.
 
-    The camera model is zero there. The fraction of electrons is estimated as if the curves kept their last values.
+    The responsivity is zero beyond the ends of the file. The fraction of missing electrons is estimated as if the curves
+    kept their last values.
 
     Parameters
     ----------
     recipe : Path
         The camera recipe.
     light : Light
-        The light.
+        The illuminant.
     camera : CameraModel
         The camera that the recipe describes.
 
@@ -307,34 +320,34 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Warn about unknown parts of a camera's curves and of named lights where its channels collect electrons.
+    """Warn if channels collect electrons at wavelengths where the camera's curves or an illuminant are unknown.
 
     Parameters
     ----------
     path : Path
         The camera recipe.
     camera : CameraModel
-        The camera that it describes.
+        The camera that the recipe describes.
     lights : sequence of str
-        The lights that the camera is used under.
+        Illuminants under which the camera is used.
 
     Returns
     -------
     list of str
-        At most one warning for each named light, and one for the file of curves.
+        At most one warning per standard illuminant, and at most one for the file of curves.
     """
     ends = (curves_beyond_known(path, make_light(name, {}, camera.wavelength), camera) for name in lights)
     return [*named_beyond_known(lights, camera), *itertools.islice(filter(None, ends), 1)]
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Resample curves to `wavelength` (curve, wavelength), held constant beyond their ends."""
+    """Resample curves to `wavelength` (curve, wavelength). They keep their last values beyond their ends."""
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
 
 def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) -> str:
-    """Return the warning about a file of curves, or "" if the fraction `taken` is below 1 %."""
+    """Return the warning about a file of curves, or "" if the missing fraction `taken` is at most 1 %."""
     if taken <= NOTICEABLE:
         return ""
     known = f"{name} is known at {grid.min():g}…{grid.max():g} nm and counts as zero beyond"
@@ -342,7 +355,9 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Warn if a channel collects 1 % or more of its electrons where measured surfaces are held constant.
+    """Warn if a channel collects 1 % or more of its electrons at wavelengths where the reflectances are not measured.
+
+    Beyond the measured range the reflectances keep their last values.
 
     Returns
     -------
@@ -360,21 +375,21 @@ def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
 
 
 def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
-    """Find the channel that depends most on a part of a light outside two wavelengths.
+    """Find the channel to which one component of an illuminant contributes most outside a range of wavelengths.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     part, whole : Light
-        The part of the light, and the light.
+        The component, and the whole illuminant.
     ends : tuple of float
-        The two wavelengths, in nm.
+        Ends of the range, in nm.
 
     Returns
     -------
     fraction : float
-        Fraction of the electrons from a white under `whole` that `part` contributes outside `ends`.
+        Electrons that `part` contributes outside the range, divided by all electrons from a white under `whole`.
     channel : str
         The channel in which this fraction is largest.
     """
@@ -387,30 +402,30 @@ def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, flo
 
 
 def span_of(camera: Sees) -> str:
-    """Return the range of wavelengths that a camera sees, as text."""
+    """Return the wavelength range of a camera as text."""
     return f"{camera.wavelength[0]:g}…{camera.wavelength[-1]:g} nm"
 
 
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Make the light that a scene was recorded under.
+    """Return the illuminant under which a scene was recorded.
 
-    It differs from `make_light` for a single measured light, which stays on its own grid, because the scene often has the
-    same bands.
+    This does the same as `make_light`, except that a single measured illuminant keeps its own wavelength grid. The scene
+    often has the same bands.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
 
 def check_measured(curve: Curve, name: str) -> None:
-    """Check the spectrum of a measured light.
+    """Check the spectrum of a measured illuminant.
 
     Raises
     ------
     InputFileError
-        If the spectrum has gaps, is negative by more than noise, or ends in the visible while the light is still bright.
+        If the spectrum has gaps, is more negative than noise explains, or ends at a visible wavelength with high power.
     """
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
-        raise InputFileError(f"{name} holds {len(curve[1])} curves; give wavelength and power of one light")
+        raise InputFileError(f"{name} contains {len(curve[1])} curves; give wavelength and power of one light")
     if power.max() <= 0:
         raise InputFileError(f"{name} is zero at all wavelengths; give the power of the light at each wavelength")
     missing = gaps(wavelength, curve[1], WIDEST_GAP)
@@ -435,19 +450,19 @@ def read_curve(path: Path, role: str) -> Curve:
     path : Path
         The file.
     role : {"light", "transmittance", "functions"}
-        What the recipe uses it for.
+        Use of the file in the recipe.
 
     Returns
     -------
     wavelength : ndarray, (sample)
-        In nm.
+        Wavelengths in nm.
     values : ndarray, (curve, sample)
-        Power of one light; transmittance, 0 to 1, of one filter; or matching functions.
+        Power of one illuminant, transmittance of one filter (0 to 1), or matching functions.
 
     Raises
     ------
     InputFileError
-        If the contents do not suit this use.
+        If the contents of the file do not fit its role.
     """
     table = read_table(path)
     if role == "transmittance":
@@ -460,14 +475,14 @@ def read_curve(path: Path, role: str) -> Curve:
 
 
 def scene_light(scene: Scene, luminance: float) -> Light:
-    """Return the light that a scene was recorded under, scaled to a luminance in cd/m².
+    """Return the illuminant under which a scene was recorded, scaled to a luminance in cd/m².
 
     Its spectrum is known only at the wavelengths of the scene.
 
     Raises
     ------
     RecipeError
-        If the scene has no light of its own, or an invisible one.
+        If the scene has no illuminant of its own, or its illuminant is invisible.
     """
     if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
         raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{SCENE_LIGHT}" out of illuminants')
@@ -487,41 +502,42 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
     camera : CameraModel
         The camera.
     light : Light
-        The light on the scene.
+        Illuminant of the scene.
     bands : ndarray, (band)
         Wavelengths of the scene, in nm.
 
     Returns
     -------
     ndarray, (channel, band)
-        In e-/s, for a reflectance of 1 in the band.
+        Photo-electrons in e-/s for a reflectance of 1 in the band.
 
     Notes
     -----
-    The responsivity is linear between its samples, so each sample weights the light with a triangle around its wavelength.
+    The responsivity is interpolated linearly, so each of its samples weights the illuminant with a triangle around its
+    wavelength.
     """
     seen = camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the photons per second that each band contributes to a pixel, per step of the camera's grid.
+    """Return the photons per second that each band contributes to a pixel, at each sample of the camera's wavelength grid.
 
-    `electron_weights` are the responsivities times these.
+    `electron_weights` equals the product of the responsivities and these values.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     light : Light
-        The light on the scene.
+        Illuminant of the scene.
     bands : ndarray, (band)
         Wavelengths of the scene, in nm.
 
     Returns
     -------
     ndarray, (wavelength, band)
-        In photons/s, for a reflectance of 1 in the band.
+        Photons per second for a reflectance of 1 in the band.
     """
     photons = camera.optics.irradiance_per_radiance * camera.pixel_pitch**2 * spectra.bin_widths(camera.wavelength)
     seen = photons[:, None] * spectra.sampling_matrix(light.wavelength, camera.wavelength)
@@ -529,34 +545,46 @@ def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
 
 
 def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
-    """Return the outputs (output, band) of a reflectance of 1 in each band.
+    """Return the contribution of each band to the outputs of matching functions.
 
-    The matching functions (output, light) are per watt, on the grid of the light.
+    Parameters
+    ----------
+    functions : ndarray, (output, wavelength)
+        Matching functions per watt, at the wavelengths of the illuminant.
+    light : Light
+        Illuminant of the scene.
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+
+    Returns
+    -------
+    ndarray, (output, band)
+        Outputs for a reflectance of 1 in the band.
     """
     weights = spectra.matching_weights(functions, light.wavelength) * light.radiance
     return weights @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def white_rates(camera: Sees, light: Light) -> Array:
-    """Return the photo-electrons per second (channel) that a pixel collects of a perfect white."""
+    """Return the photo-electrons per second (channel) that a pixel collects from a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
 
 def colour_matrix(camera: CameraModel, light: Light) -> Array:
-    """Fit the matrix that converts XYZ to camera channels for surfaces under a light.
+    """Fit the matrix that converts XYZ to camera channels for surfaces under an illuminant.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     light : Light
-        The light. Its white has Y = 1, and 1 in the brightest channel.
+        The illuminant.
 
     Returns
     -------
     ndarray, (channel, 3)
-        M with channels = M @ XYZ. It is fitted by least squares to measured reflectances and exact for white, because raw
-        converters derive the white balance from it.
+        Matrix M with channels = M @ XYZ. White has Y = 1, and 1 in its brightest channel. The matrix is fitted to measured
+        reflectances by least squares. It is exact for white, because raw converters derive the white balance from it.
     """
     library = spectra.reflectance_library(light.wavelength)
     weights = electron_weights(camera, light, light.wavelength)
@@ -575,14 +603,14 @@ def neutral(camera: CameraModel, light: Light) -> Array:
 
 
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
-    """Return the exposure time, in s, at which a white reaches `share` of full scale in its brightest channel."""
+    """Return the exposure time, in s, at which a white fills its brightest channel to the fraction `share` of full scale."""
     return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Return the fraction of a channel's electrons that come from outside the bands of a scene.
+    """Return the fraction of a channel's electrons that comes from wavelengths outside the bands of a scene.
 
-    The fraction is that of the most affected channel, for a white with equally many photons at all wavelengths.
+    It is computed for a white under an equal-photon illuminant. The result is for the channel in which it is largest.
     """
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
@@ -592,13 +620,13 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
 
 @dataclass(frozen=True)
 class Target:
-    """The outputs that a table should compute, and the light they refer to."""
+    """The outputs that a table should compute, and the illuminant to which they refer."""
 
     outputs: tuple[str, ...]
     description: str
     kind: str  # a key of OUTPUTS, CAMERA, or the name of a file of matching functions
-    functions: Curve | None = None  # matching functions of the file: wavelength in nm, (output, wavelength) per watt
-    light: Light | None = None  # None: the light of the frame
+    functions: Curve | None = None  # matching functions from the file: wavelength in nm, (output, wavelength) per watt
+    light: Light | None = None  # None means the illuminant of the frame
 
 
 XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light, without lens or noise", "CIE 1931")
@@ -614,11 +642,11 @@ def make_target(
     kind : str
         A key of OUTPUTS, CAMERA, or the name of a file of matching functions.
     functions : Curve or None
-        The matching functions of the file.
+        Matching functions from the file.
     names : tuple of str
         Names of the outputs, if a file defines them.
     light : Light or None
-        Light that the outputs refer to; None means the light of each frame.
+        Illuminant to which the outputs refer. None means the illuminant of each frame.
     camera : CameraModel
         The camera.
     """
@@ -637,24 +665,24 @@ def make_target(
 
 
 def output_weights(target: Target, camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the outputs (output, band) of a reflectance of 1 in each band.
+    """Return the contribution of each band to the target outputs.
 
     Parameters
     ----------
     target : Target
-        The wanted outputs.
+        The target outputs.
     camera : CameraModel
         The camera.
     light : Light
-        Light on the frame.
+        Illuminant of the scene.
     bands : ndarray, (band)
         Wavelengths of the scene, in nm.
 
     Returns
     -------
     ndarray, (output, band)
-        In cd/m². For the camera's bands this is the fraction of full scale per second times the camera's saturation
-        exposure.
+        Outputs for a reflectance of 1 in the band, in cd/m². If the outputs are the camera's bands, they are the fraction of
+        full scale per second, times the camera's saturation exposure.
     """
     if target.light:
         light = target.light.at(light.luminance)
@@ -678,19 +706,28 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     return matching_weights(functions, light, bands)
 
 
-LEAST_SEEN = 0.1  # smallest fraction of a target's spectral weight that must lie within the bands of a scene
+LEAST_SEEN = 0.1  # the bands of a scene must contain at least this fraction of a target's spectral weight
 
 
 def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     """Check that the bands of a scene cover the wavelengths that a target needs.
 
-    Colours need the wavelengths of luminance, and spectra need 400 to 700 nm. A camera's bands need those of any channel,
-    and the functions of a file those of any function.
+    The required wavelengths are those of luminance for a colour target, and 400 to 700 nm for a spectral target. If the
+    outputs are the camera's bands or come from a file, it is enough to cover one channel or function.
+
+    Parameters
+    ----------
+    bands : ndarray, (band)
+        Wavelengths of the scene, in nm.
+    target : Target
+        The target.
+    camera : CameraModel
+        The camera.
 
     Raises
     ------
     ValueError
-        If the bands (band), in nm, hold less than a tenth of what the target needs.
+        If the bands contain less than a tenth of the target's spectral weight.
     """
     grid: Array = np.arange(300.0, 1101.0)
     wanted: Array
@@ -708,13 +745,13 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     seen = weight[:, inside].sum(axis=1) / np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
     if seen.max() < LEAST_SEEN:
         raise ValueError(
-            f"its bands of {bands[0]:g}…{bands[-1]:g} nm hold {seen.max():.1%} of what is wanted of it "
-            f"({', '.join(target.outputs[:3])}); check the unit of its wavelengths, or leave it out"
+            f"its bands of {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the target "
+            f"({', '.join(target.outputs[:3])}); check the unit of its wavelengths, or leave the scene out"
         )
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the column names of a file of matching functions. Columns without names are numbered."""
+    """Return the column names of a file of matching functions. Columns without names get numbers."""
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()

@@ -21,23 +21,23 @@ from l3cli.simulation.reflectances import DRAWN, drawn_bands, dyed, materials, p
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
-OVERSAMPLING = 2  # samples per pixel in each direction; averaging them gives edges between pixels
-SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels of the scene
-BRIGHTEST = 3.0  # perfect whites; highest value of a scene, including highlights
-STRIP = 8  # rows drawn at once, few enough to stay in the processor cache
+OVERSAMPLING = 2  # samples per pixel in each direction; their mean places edges at fractions of a pixel
+SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels; range of the leaf radii
+BRIGHTEST = 3.0  # highest value of a scene relative to a perfect white, including highlights
+STRIP = 8  # number of rows drawn at once, few enough to stay in the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
 BOARD = 0.03  # reflectance of the dark board of charts
-FINER = 8  # samples per pixel in each direction, from which edges are averaged
+FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths (band), in nm, of a procedural scene for a camera that sees `wavelength`.
+    """Return the wavelengths (band), in nm, at which procedural scenes are drawn for a camera.
 
-    They are those of DRAWN, extended in steps of 10 nm to the range that the camera sees.
+    These are the wavelengths of DRAWN, extended in steps of 10 nm to the range of `wavelength`, which the camera sees.
     """
-    first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # materials are formulas of 1/wavelength
+    first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # not 0: materials divide by the wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
     return np.arange(first, last + 5.0, 10.0)
 
@@ -47,16 +47,16 @@ def grid(wavelength: Array) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Coat:
-    """Appearance of each leaf: its material and its shading. Positions are relative to the centre and the radius."""
+    """Material and shading of each leaf. Positions are relative to the centre of the leaf, in radii."""
 
     reflectance: NDArray[np.float32]  # (leaf, band)
-    brightness: NDArray[np.float32]  # (leaf) natural logarithm
-    slope: NDArray[np.float32]  # (2, leaf) gradient of the logarithm of the brightness, down and across
-    hollow: NDArray[np.float32]  # (leaf) decrease of the logarithm of the brightness from the centre to the rim
-    texture: NDArray[np.float32]  # (leaf) amplitude of the texture in the logarithm of the brightness
-    highlight: NDArray[np.float32]  # (leaf) peak of the white highlight, in perfect whites; 0 for matt leaves
-    sharpness: NDArray[np.float32]  # (leaf) of the highlight
-    position: NDArray[np.float32]  # (2, leaf) of the highlight, down and across
+    brightness: NDArray[np.float32]  # (leaf) natural logarithm of the mean brightness
+    slope: NDArray[np.float32]  # (2, leaf) gradient of the log brightness, down and across
+    hollow: NDArray[np.float32]  # (leaf) decrease of the log brightness from the centre to the rim
+    texture: NDArray[np.float32]  # (leaf) amplitude of the texture in log brightness
+    highlight: NDArray[np.float32]  # (leaf) peak of the highlight relative to a perfect white; 0 for matt leaves
+    sharpness: NDArray[np.float32]  # (leaf) sharpness of the highlight
+    position: NDArray[np.float32]  # (2, leaf) position of the highlight, down and across
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
@@ -77,11 +77,11 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     Returns
     -------
     ndarray, (row, col, band)
-        Reflectance. Highlights exceed 1.
+        Reflectance. Highlights may exceed 1.
     """
     fine = (size[0] * OVERSAMPLING, size[1] * OVERSAMPLING)
     materials = palette(rng, surfaces(tuple(wavelength)))
-    smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half of the scenes have only larger leaves
+    smallest = SMALLEST_RADIUS * (4.0 if rng.random() < 0.5 else 1.0)  # half of the scenes have no small leaves
     cover = leaves.dead_leaves(rng, fine, smallest * OVERSAMPLING, LARGEST_RADIUS * OVERSAMPLING)
     coat = _coats(rng, materials, len(cover.radius))
     textures = draw_textures(rng, fine, rng.integers(TEXTURES, size=len(cover.radius)), OVERSAMPLING)
@@ -100,7 +100,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
     """Draw the appearance of `count` leaves.
 
-    Each leaf has one of the materials (material, band), or a mixture of two with a probability of 40 %.
+    Each leaf has one of `materials` (material, band) or, with a probability of 40 %, a mixture of two.
     """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
@@ -120,8 +120,9 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Draw the relative illumination (row, col). It is uneven everywhere, and 30 % of the scenes can have shadows with soft,
-    ragged edges.
+    """Draw the relative illumination (row, col) of a scene.
+
+    It is always uneven. In 30 % of the scenes it can include shadows with soft, ragged edges.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -145,7 +146,7 @@ def _draw(
     light: NDArray[np.float32],
     rows: slice,
 ) -> None:
-    """Fill some rows of a scene with reflectance, averaged from samples to pixels."""
+    """Compute the reflectance of some rows of a scene by averaging samples over pixels, and write it into `cube`."""
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
@@ -161,7 +162,7 @@ def _draw(
     shine = _block_mean(gloss)
     glossy = np.nonzero(shine)
     cube[glossy] += shine[glossy][:, None]
-    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # limits the values to what is plausible
+    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # pixels that are implausibly bright
     cube[bright] = np.minimum(cube[bright], np.float32(BRIGHTEST))
 
 
@@ -177,8 +178,7 @@ def _shading(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the shading and the gloss of each sample.
 
-    Shading is the factor by which a sample is brighter than its material. Gloss is a mirror-like reflection that is added to
-    it.
+    Shading is a factor on the reflectance of the material. Gloss is a mirror-like reflection that is added afterwards.
     """
 
     def of(values: NDArray[Any]) -> NDArray[Any]:
@@ -202,7 +202,7 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
     """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
 
     Each sample contributes the spectrum of its leaf (`materials` (leaf, band), selected by `label` (row, col)) times its
-    `amount` (row, col). Most blocks show a single leaf; their amounts are summed first, and the spectrum is multiplied once.
+    `amount` (row, col). Most blocks show a single leaf. For these, the amounts are summed before the spectrum is multiplied.
     """
     step = OVERSAMPLING
     samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
@@ -220,8 +220,8 @@ def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integ
 def _blurred(cube: Cube, sigma: float) -> Cube:
     """Blur a scene with a Gaussian of `sigma` pixels, in place, to imitate the lens of a real picture.
 
-    A blur below 0.2 pixels would change nothing and is skipped. The scene is mirrored at its border. Working row by row
-    keeps the data in the processor cache and takes a fifth of the time of scipy.ndimage.
+    A blur of less than 0.2 pixels has no effect and is skipped. The scene is mirrored at its borders. The data are processed
+    row by row and so stay in the processor cache, which takes a fifth of the time of scipy.ndimage.
     """
     if sigma <= 0.2:
         return cube
@@ -232,10 +232,10 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     around = np.pad(np.arange(rows), reach, mode="symmetric").tolist()
     sides = np.pad(np.arange(cols), reach, mode="symmetric")
     scratch, window = np.empty((cols, bands), np.float32), np.empty((reach, cols, bands), np.float32)
-    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row after the vertical blur, with its mirrored ends
+    wide = np.empty((cols + 2 * reach, bands), np.float32)  # a row after the vertical blur, extended by mirroring
     for row in range(rows):
 
-        def sharp(at: int, row: int = row) -> Array:  # the rows above are already blurred; `window` keeps their sharp values
+        def sharp(at: int, row: int = row) -> Array:  # rows above are already blurred in `cube`, but sharp in `window`
             return window[at % reach] if at < row else cube[at]
 
         line = wide[reach : reach + cols]
@@ -284,7 +284,7 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     return cube
 
 
-# ColorChecker in a composition of 18 × 32 units: rows and columns in units, centre as a fraction of the size.
+# ColorChecker in a composition, which is divided into 18 × 32 units: (rows, columns) in units, and its relative centre.
 CHART_PANEL = (8, 12), (0.66, 0.25)
 
 
@@ -298,7 +298,7 @@ def _placed(
 
 
 def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
-    """Return where a ColorChecker may lie in a picture.
+    """Return the possible positions of a ColorChecker in a picture.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def chart_places(size: tuple[int, int]) -> list[list[tuple[slice, slice]]]:
     Returns
     -------
     list of list of (slice, slice)
-        Rows and columns of the 24 patches: first for a chart that fills the picture, then for the chart in a composition.
+        Rows and columns of the 24 patches, first for a chart that fills the picture, then for the chart in a composition.
     """
     (top, left), shape = _placed(size, *CHART_PANEL)
     within = [
@@ -334,7 +334,7 @@ PAINTERS: dict[type, Painter] = {
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
-    """Draw a scene for a camera. Equal seeds give equal scenes.
+    """Draw a procedural scene for a camera. Equal seeds give equal scenes.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
     Returns
     -------
     Scene
-        The ColorChecker keeps the wavelengths at which it was measured. All other scenes have those of `grid`.
+        A ColorChecker has the wavelengths at which it was measured. All other scenes have the wavelengths of `grid`.
     """
     source = wanted.source
     measured = isinstance(source, sources.ColorChecker)
@@ -361,7 +361,10 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
 
 
 def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the reflectance (row, col, band) of the classic ColorChecker: 24 patches on a dark board that fills `size`."""
+    """Return the reflectance (row, col, band) of the classic ColorChecker, with 24 patches on a dark board.
+
+    The board fills `size` (rows, columns).
+    """
     _, reflectance = spectra.colorchecker(wavelength)
     cube = np.full((*size, wavelength.size), BOARD, np.float32)
     for patch, (rows, cols) in zip(reflectance, colorchecker_patches(size), strict=True):
@@ -370,9 +373,9 @@ def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
-    """Return the rows and columns of the 24 square patches on a board of `size`, row by row.
+    """Return the rows and columns of the 24 square patches on a ColorChecker that fills `size`, row by row.
 
-    The gap between patches is a fifth of their side.
+    The gap between patches is a fifth of a patch.
     """
     pitch = min(size[0] / 4.2, size[1] / 6.2)
     side = max(1, int(pitch / 1.2))
@@ -385,7 +388,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Arrange patches (patch, band) in `rows` rows that fill `size`, with dark borders if the patches are large enough."""
+    """Arrange patches (patch, band) in `rows` rows that fill `size`. Large patches get dark borders."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -399,7 +402,26 @@ def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
 def material_patches(
     kind: str, rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array
 ) -> Cube:
-    """Draw a chart of `patches` (rows, columns) different samples of one material: `kind` is "skin" or "leaf"."""
+    """Draw a chart of different samples of one kind of material.
+
+    Parameters
+    ----------
+    kind : {"skin", "leaf"}
+        Kind of material.
+    rng : Generator
+        Source of the random numbers.
+    patches : tuple of int
+        Rows and columns of patches.
+    size : tuple of int
+        Rows and columns of the scene.
+    wavelength : ndarray, (band)
+        Wavelengths in nm.
+
+    Returns
+    -------
+    ndarray, (row, col, band)
+        Reflectance.
+    """
     drawn = materials(kind, rng, surfaces(tuple(wavelength)), patches[0] * patches[1])
     return patch_grid(drawn, patches[0], size)
 
@@ -426,13 +448,13 @@ def surface_patches(rng: np.random.Generator, patches: tuple[int, int], size: tu
     return patch_grid(dyed(rng, surfaces(tuple(wavelength)), patches[0] * patches[1]), patches[0], size)
 
 
-MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35, 55)  # number of hues, L*, C*ab
+MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35, 55)  # number of hues; L*; C*ab
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a chart of equal steps of hue (across), lightness and chroma (down) in CIE LCh under D65.
+    """Return a chart of colours in CIE LCh under D65: hue varies across, lightness and chroma vary down.
 
-    The patches have the smoothest reflectances of these colours. A colour outside sRGB is moved towards grey until it is
+    Each patch has the smoothest reflectance with its colour. Colours outside sRGB are moved towards grey until they are
     inside.
     """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
@@ -461,7 +483,7 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
     angle : float
         Angle from the vertical, in degrees.
     dark, bright : float
-        Reflectance on the left and on the right of the edge.
+        Reflectance to the left and to the right of the edge.
 
     Returns
     -------
@@ -475,16 +497,19 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 
 
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
-    """Return concentric rings whose frequency grows linearly to `highest` cycles per pixel at the nearest sides."""
+    """Return concentric rings whose frequency grows linearly from the centre.
+
+    It reaches `highest` cycles per pixel at the nearest sides.
+    """
     down, across = _centred(size)
     phase = np.pi * highest * (down**2 + across**2) / (min(size) / 2)
     return _grey(0.475 + 0.425 * np.cos(phase), wavelength)
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return columns of gratings, each with twice the frequency of its left neighbour; the last has 0.5 cycles per pixel.
+    """Return a row of gratings, each with twice the frequency of its left neighbour.
 
-    The contrast falls from 1 at the top to 1/100 at the bottom.
+    The last grating has 0.5 cycles per pixel. The contrast falls from 1 at the top to 1/100 at the bottom.
     """
     across = np.arange(size[1])
     order = across * orders // size[1]
@@ -525,7 +550,7 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return black and white bars, slanted by 5° and narrower from left to right. Their edges suit ISO 12233 analysis."""
+    """Return black and white bars, slanted by 5°, that narrow from left to right. Their edges suit ISO 12233 analysis."""
     down, across = _centred(shape, 4)
     position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5
     bars = np.sin(2 * np.pi * (1.5 * position + 8 * position**3)) > 0
@@ -534,7 +559,7 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Return the coordinates, in pixels, down and across from the centre of `shape`, at `finer` samples per pixel."""
+    """Return coordinates down and across, in pixels from the centre of `shape`, with `finer` samples per pixel."""
     down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
     return down[:, None], across[None]
 

@@ -1,6 +1,6 @@
-"""The scene recipe (SCENES.toml): which scenes are simulated, under which lights and with which exposures.
+"""The scene recipe (SCENES.toml): which scenes are simulated, under which illuminants and with which exposures.
 
-The number of frames is scenes × lights × luminances × exposures.
+The number of frames is scenes × illuminants × luminances × exposures.
 """
 
 import itertools
@@ -28,43 +28,44 @@ EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "expo
 
 
 class Lens(Recipe):
-    """Which imperfections of the lens are simulated, and what replaces the camera's own lens (docs/method.md#optics)."""
+    """Simulated lens aberrations, and settings that replace the lens of the camera recipe (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # darker corners; a table treats all parts of the frame alike and cannot correct them
+    off_axis: bool = False  # darker corners; a table is the same everywhere in the frame and cannot correct them
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # number or CSV file, multiplied with the camera's responsivity
+    # number or CSV file; the camera's responsivity is multiplied by it
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
-    magnification: NotNegative | None = None  # |image size / object size|; 0: infinity
+    magnification: NotNegative | None = None  # |image size / object size|; 0 is an object at infinity
 
 
 class SensorSetting(Recipe):
     """Noise and gain of the sensor."""
 
-    noise: Literal["all", "shot", "none"] = "all"  # shot: shot noise of light and dark current; none: only rounding
-    noise_model: str | None = None  # an installed package's, instead of the camera's noise (docs/python.md#a-noise-model)
-    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # multiplied with the camera's own gain
+    noise: Literal["all", "shot", "none"] = "all"  # "shot": of light and dark current; "none": only quantisation
+    noise_model: str | None = None  # name of a noise model from an installed package (docs/python.md#a-noise-model)
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # the camera's gain is multiplied by this factor
 
 
 class TargetRecipe(Recipe):
-    # or "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31", "radiance 31" (400…700 nm), "camera" (its bands), or a
-    # CSV file of matching functions
     """What the table should compute from the raw frame."""
 
+    # Alternatives: "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both 400…700 nm), "camera"
+    # (the camera's bands), or a CSV file of matching functions.
     outputs: str = "CIE 1931"
-    illuminant: str | None = None  # light of the target if it differs from the light of the frame: illuminant correction
+    illuminant: str | None = None  # illuminant of the target if it is not the frame's own (illuminant correction)
 
 
 class Pair(Recipe):
     """A raw file and the picture that it should become, registered pixel by pixel."""
 
-    raw: str  # relative to the recipe
-    picture: str  # encoded sRGB, or EXR with channels named like the target's outputs
+    raw: str  # path relative to the recipe
+    picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target's outputs
     offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw frame at the picture's first pixel
-    phase: tuple[int, int] | None = None  # CFA row and column at the first raw pixel; default: from the file
-    # picture value × scale = fraction of full scale that a white surface of this brightness reaches; default: fitted
+    phase: tuple[int, int] | None = None  # row and column of the CFA at the first raw pixel; default: read from the file
+    # A picture value × scale is the fraction of full scale that a white surface of the same brightness reaches. Default:
+    # fitted.
     scale: Positive | None = None
 
 
@@ -75,12 +76,13 @@ class SceneRecipe(Recipe):
 
     scene: list[sources.Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
-    # CIE names, "3200K", "D6000K", files of spectra, mixtures such as "0.7 D65 + 0.3 lamp.csv", or "scene": the scene's own
+    # CIE names, "3200K", "D6000K", files of spectra, mixtures such as "0.7 D65 + 0.3 lamp.csv", or "scene" for the scene's
+    # own illuminant
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
     luminances_cd_m2: Several | None = None  # of a perfect white; default: 100
-    lux: Several | None = None  # illuminance of the white, instead of its luminance; π times the luminance
-    exposure_share: Several | None = None  # automatic: fraction of full scale that a white reaches in its brightest channel
-    # automatic: fraction of the pixels that reach full scale
+    lux: Several | None = None  # illuminance (π times the luminance of the white), an alternative to luminances_cd_m2
+    exposure_share: Several | None = None  # automatic: fraction of full scale that the brightest channel of a white reaches
+    # automatic: fraction of pixels that reach full scale
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
     exposure_mean: Several | None = None  # automatic: mean of the mosaic without clipping, as a fraction of full scale
     exposure_s: Several | None = None  # fixed exposure time
@@ -110,14 +112,14 @@ class SceneRecipe(Recipe):
 
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
-    """Return the lights under which the recipe says that its scenes were recorded."""
+    """Return the illuminants under which scenes were recorded, according to the recipe."""
     return [
         source.light for source in recipe.scene if isinstance(source, sources.Spectral | sources.IsetScenes) and source.light
     ]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Return the files of spectra that the recipe names, each with its role: "light", "transmittance" or "functions"."""
+    """Return the spectrum files in a recipe, each with its role: "light", "transmittance" or "functions"."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
     curves = {name: "light" for text in lights for _, name in mixture(text) if names_file(name)}
@@ -138,17 +140,17 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     recipe : SceneRecipe
         The recipe.
     curves : mapping of str to Curve
-        The files of spectra, already read.
+        Contents of the spectrum files.
 
     Returns
     -------
     CameraModel
-        The camera that the training set stores.
+        The camera that is stored in the training set.
 
     Raises
     ------
     RecipeError
-        If the lens is not possible.
+        If the settings of the lens are physically impossible.
     """
     lens, optics = recipe.lens, camera.optics
     focal = optics.focal_length if lens.focal_length_mm is None else lens.focal_length_mm * 1e-3
@@ -177,12 +179,12 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
     recipe : SceneRecipe
         The recipe.
     camera : CameraModel or None
-        The camera that it is meant for, if known.
+        The camera for which the recipe is used, if known.
 
     Yields
     ------
     Fault
-        A message and the keys that it concerns.
+        A message and the keys to which it refers.
     """
     if not (recipe.scene or recipe.pair):
         yield fault("scene or pair must have an entry", "scene", "pair")
@@ -197,16 +199,16 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
             message = f'{name} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants'
             yield fault(message, "illuminants", key)
         if recipe.illuminants != [SCENE_LIGHT] and not sources.can_be_relit(source):
-            message = f'{name} holds radiance without its light; give light, or illuminants = ["{SCENE_LIGHT}"]'
+            message = f'{name} contains radiance under an unknown light; give light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
         elif recipe.target.outputs == UNLIT and not sources.can_be_relit(source):
-            message = f"{name} holds radiance without its light, so its reflectance is not known; give light"
+            message = f"{name} contains radiance under an unknown light, so its reflectance is not known; give light"
             yield fault(message, (*key, "light"), "target.outputs")
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
     if any(map(sources.holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
-        message = f'pictures that hold codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
+        message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
         yield fault(message, "target.outputs", "target.illuminant")
     if outputs not in (*OUTPUTS, CAMERA) and not names_file(outputs):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
@@ -252,7 +254,7 @@ class Shot:
     index: int  # number of the frame
     illuminant: str
     luminance: float  # cd/m²
-    exposure: float  # in the unit that SceneRecipe.exposures returns: seconds, fraction of full scale or of pixels
+    exposure: float  # in seconds, or a fraction of full scale or of pixels, as stated by SceneRecipe.exposures
     moment: int = 0  # number of the frame within its clip
 
 
@@ -264,14 +266,14 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
     recipe : SceneRecipe
         The recipe.
     files : list of list of Path
-        The files of each source; an empty list for a source without files.
+        Files of each source. The list is empty for a source without files.
 
     Yields
     ------
     scene : WantedScene
         The scene.
     frames : list of Shot
-        Its frames, numbered throughout the recipe.
+        Its frames. They are numbered consecutively through the whole recipe.
     """
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
@@ -282,7 +284,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
 
 
 def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the lights and the files of spectra that a recipe names."""
+    """Yield the faults of the illuminants and the spectrum files that a recipe names."""
     lens, target = recipe.lens, recipe.target
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
@@ -293,7 +295,7 @@ def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
 
 
 def _lights(recipe: SceneRecipe) -> Iterator[tuple[str, KeyPath]]:
-    """Yield each light that a recipe names, and the key that names it."""
+    """Yield each illuminant in a recipe with its key."""
     yield from ((text, ("illuminants", number)) for number, text in enumerate(recipe.illuminants))
     if recipe.target.illuminant is not None:
         yield recipe.target.illuminant, ("target", "illuminant")
@@ -315,7 +317,7 @@ def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fau
 
 
 def _require_named(name: str, path: Path) -> None:
-    """Raise RecipeError if no light has this name. If a file has it, the message says that its suffix is unknown."""
+    """Raise RecipeError if `name` is not a known illuminant. If it is a file, the message names the permitted suffixes."""
     if path.is_file():
-        raise RecipeError(f"{path} has no suffix of a spectrum file; end its name in one of {' '.join(SUFFIXES)}")
+        raise RecipeError(f"{path} does not have the suffix of a spectrum file; use one of {' '.join(SUFFIXES)}")
     spectra.require_illuminant(name)

@@ -24,19 +24,19 @@ from l3cli.simulation.light import make_light, matching_weights
 
 Array = NDArray[np.floating]
 
-COMPONENTS = 8  # principal components of the Gaussian in logit space
-# nm; the wavelengths at which colours are drawn. They are the same for every camera, so a material has one colour for all.
+COMPONENTS = 8  # number of principal components of the Gaussian in logit space
+# nm; wavelengths at which materials are drawn. They do not depend on the camera, so neither does the colour of a material.
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
-# Fraction of each kind of material (docs/method.md#procedural-scenes).
+# Relative frequency of each kind of material (docs/method.md#procedural-scenes).
 KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
-# Kinds whose saturation is drawn per scene. The other kinds have their natural saturation.
+# Kinds whose saturation is drawn at random for each scene. The other kinds have their natural saturation.
 DYED = ("library", "mixture", "gaussian")
-VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey
+VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
 VESSEL = 0.007  # cm; radius of the blood vessels of the skin
 PAINTED = 0.75  # fraction of the dyed materials that contain titanium white, as paint, plastic and paper do
 
-# Molar extinction of oxygenated and deoxygenated haemoglobin, cm-1/M, 390…780 nm by 10 (S. Prahl, omlc.org).
+# Molar extinction of oxygenated and deoxygenated haemoglobin in cm-1/M, 390…780 nm in steps of 10 nm (S. Prahl, omlc.org).
 HAEMOGLOBIN_WAVELENGTH = np.arange(390.0, 781.0, 10.0)
 OXYGENATED = np.array(
     [167748, 266232, 466840, 480360, 246072, 102580, 62816, 44480, 33209, 26629, 23684, 20932, 20035, 24202, 39956, 53236]
@@ -54,26 +54,26 @@ EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Measured surfaces and the Gaussian distribution fitted to them in logit space."""
+    """Measured reflectances, and a Gaussian distribution fitted to them in logit space."""
 
     wavelength: Array  # (band) nm
     measured: Array  # (sample, band) reflectance
-    mean: Array  # (band) logit
-    components: Array  # (component, band) logit, each scaled to one standard deviation
+    mean: Array  # (band) mean logit
+    components: Array  # (component, band) principal components of the logit, each scaled to one standard deviation
     drawn: NDArray[np.bool_]  # (band) whether the wavelength belongs to DRAWN
 
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return the measured surfaces of colour-science, without the ColorChecker, and their Gaussian distribution.
+    """Return the measured reflectances of colour-science, without the ColorChecker, and a Gaussian fitted to them.
 
-    The Gaussian is fitted at the wavelengths of DRAWN. Other wavelengths follow by their regression on it, so a draw has the
-    same colour on every grid.
+    The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so a
+    drawn material has the same colour on every wavelength grid.
 
     Parameters
     ----------
     wavelength : tuple of float
-        The grid in nm.
+        Wavelength grid in nm.
     """
     grid = np.array(wavelength)
     every = np.union1d(DRAWN, grid)
@@ -113,12 +113,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances (material, band) of one of KINDS."""
+    """Draw `count` reflectances (material, band) of the given kind, which is a key of KINDS."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances (material, band) of dyed surfaces, from grey to slightly more vivid than measured ones."""
+    """Draw `count` reflectances (material, band) of dyed surfaces, from grey to slightly more vivid than measured."""
     shares = np.array([KINDS[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
@@ -136,7 +136,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Add the absorption edge of titanium white to a reflectance (band), as in paints, plastics and papers."""
+    """Apply the absorption edge of titanium white to a reflectance (band), as in paints, plastics and papers."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
@@ -155,21 +155,21 @@ def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
 def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
     scores = rng.standard_normal(COMPONENTS)
     logit = of.mean + scores @ of.components
-    # A separate product, so that rounding does not depend on the grid.
+    # These bands are computed in a separate product, so that their rounding does not depend on the grid.
     logit[of.drawn] = of.mean[of.drawn] + scores @ np.compress(of.drawn, of.components, axis=1)
     return 1.0 / (1.0 + np.exp(-logit))
 
 
 def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw a skin: a dermis with blood under an epidermis with melanin.
+    """Draw the reflectance of skin: a dermis with blood under an epidermis with melanin.
 
     Notes
     -----
-    Absorption, in cm⁻¹, is that of whole blood with 150 g/l haemoglobin (64 500 g/mol), plus the blood-free baseline and
-    melanin ∝ λ^−3.33 of [1]_. Reduced scattering is 46 (λ/500)^−b cm⁻¹. Light does not reach the blood in the middle of a
-    vessel [2]_. The mean blood and melanin contents and VESSEL are chosen so that the mean skin agrees with that of 41
-    measured skins (Vrhel and others 1994; University of Utah) within 2 %. The mean of 71 other skins differs
-    by at most 5 %.
+    The absorption coefficient, in cm⁻¹, is the sum of whole blood with 150 g/l haemoglobin (64 500 g/mol), the blood-free
+    baseline of [1]_ and the melanin of [1]_, which is proportional to λ^−3.33. Reduced scattering is 46 (λ/500)^−b cm⁻¹.
+    Light does not reach the blood in the middle of a vessel [2]_. The mean blood and melanin contents and VESSEL are chosen
+    so that the mean reflectance agrees within 2 % with the mean of 41 measured skins (Vrhel and others 1994; University of
+    Utah). The mean of 71 other skins differs by at most 5 %.
 
     References
     ----------
@@ -186,12 +186,12 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
     absorption = blood * seen + 0.244 + 85.3 * np.exp(-(wavelength - 154.0) / 66.2)
     scattering = 46.0 * (wavelength / 500.0) ** -rng.uniform(1.1, 1.6)
     dermis = kubelka_munk(8 / 3 * absorption / (scattering * rng.uniform(0.7, 1.3)))  # K = 2 μ_a, S = 3/4 μ_s'
-    epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm, passed twice
+    epidermis = np.exp(-2 * 0.006 * melanin * 6.6e11 * wavelength**-3.33)  # 60 µm thick; light passes it twice
     return 0.025 + 0.95 * dermis * epidermis * rng.uniform(0.8, 1.1)
 
 
 def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw a plant leaf: Gaussian absorption bands of chlorophyll and carotenoids in a clear tissue.
+    """Draw the reflectance of a plant leaf: Gaussian absorption bands of chlorophyll and carotenoids in a clear tissue.
 
     A quarter of the leaves also contain anthocyanin.
     """
@@ -209,7 +209,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw hair or fur, from dark brown to blond: a grey gloss and the slope of melanin."""
+    """Draw the reflectance of hair or fur, from dark brown to blond: a grey gloss plus the spectral slope of melanin."""
     slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 
@@ -228,7 +228,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
     linear : ndarray, (row, col, 3)
         Linear sRGB; 1 is white.
     wavelength : ndarray, (band)
-        Wavelengths in nm: some of DRAWN, and any beyond its ends, where the spectra are held constant.
+        Wavelengths in nm. Each must belong to DRAWN or lie beyond its ends, where the spectra are constant.
     name : str
         Name of the scene.
 
@@ -251,7 +251,7 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
     linear : ndarray, (row, col, 3)
         The picture.
     by : int
-        Side of a block, in pixels. Incomplete blocks at the ends are cut off.
+        Side of a block, in pixels. Incomplete blocks at the right and bottom are cut off.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""The sensor: mean photo-electrons become a raw frame in digital numbers (docs/method.md#sensor).
+"""Simulation of the sensor: converts mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
 
-It also draws the defects that the virtual lab adds to a camera.
+This module also draws the defects that the virtual lab adds to a camera.
 """
 
 import functools
@@ -18,7 +18,7 @@ from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
 MAX_ELECTRONS = 1e15  # larger than any well, and small enough for the Poisson generator
-NOISES = ("all", "shot", "none")  # shot: shot noise of light and dark current; none: only rounding
+NOISES = ("all", "shot", "none")  # "shot" is the shot noise of light and dark current; "none" leaves only quantisation
 OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
@@ -27,7 +27,7 @@ class FixedPattern:
     """Differences between the pixels of a camera that are the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col) e-; offset, including the offset of the column
+    dsnu: NDArray[np.float32]  # (row, col) offset in e-, including the column offset
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
@@ -46,7 +46,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Sample full-resolution electrons (channel, row, col) through the CFA, whose site (0, 0) lies at the first pixel."""
+    """Sample full-resolution electrons (channel, row, col) through the CFA. The first pixel is site (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -55,10 +55,10 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Convert rates (row, col), in e-/s, to a common gain.
+    """Convert electron rates (row, col), in e-/s, to what they would be if all channels had the camera's gain.
 
-    The result is the rate at which a pixel with the camera's gain would have the same signal in DN. It differs from the
-    input only if the channels have gains of their own.
+    A pixel with the camera's gain and the resulting rate has the same signal in DN. The result differs from the input only
+    if the channels have gains of their own.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
@@ -78,7 +78,7 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
     Raises
     ------
     ValueError
-        If these pixels collect nothing.
+        If the brightest pixels collect no electrons.
     """
     rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
@@ -101,7 +101,7 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
     Raises
     ------
     ValueError
-        If the pixels collect nothing.
+        If the pixels collect no electrons.
     """
     rate = float(np.mean(signals(camera, rates), dtype=np.float64))
     if rate <= 0:
@@ -134,12 +134,12 @@ def expose(
     rng : Generator
         Source of the noise.
     noises : str
-        One of NOISES, or the name of a noise model of an installed package.
+        One of NOISES, or the name of a noise model from an installed package.
 
     Returns
     -------
     ndarray of uint16, (row, col)
-        Raw values in DN. The frame carries the fixed pattern of the upper left part of the sensor.
+        Raw values in DN. They include the fixed pattern of the upper left part of the sensor.
 
     Raises
     ------
@@ -164,13 +164,13 @@ def read_out(
 ) -> NDArray[np.uint16]:
     """Simulate one raw frame, in DN, of a sensor with a given fixed pattern (docs/method.md#sensor).
 
-    The other parameters are those of `expose`.
+    The other parameters are the same as in `expose`.
     """
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
     read_noise: Any = np.float32(noise.read_noise)
     gain: Any = np.float32(camera.gain)
-    if readout is not None:  # exposure, read noise and gain then differ between channels
+    if readout is not None:  # the channels differ in exposure, read noise and gain
         channel = camera.channel_map(electrons.shape)
         time = exposure * readout.channel_exposure[channel]
         read_noise = readout.channel_read_noise.astype(np.float32)[channel]
@@ -188,7 +188,7 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons (row, col) with the noise of the camera, or with a part of it as `noises` says."""
+    """Return the electrons (row, col) with the camera's noise, or with those parts of it that `noises` selects."""
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
     if noises != "none":
@@ -203,12 +203,12 @@ def _collected(
 
 @functools.cache
 def noise_plugin(name: str) -> EntryPoint:
-    """Find the noise model of an installed package (docs/python.md#a-noise-model).
+    """Find a noise model that an installed package provides (docs/python.md#a-noise-model).
 
     Raises
     ------
     RecipeError
-        If no installed package offers a noise model of this name.
+        If no installed package provides a noise model with this name.
     """
     offered = {each: entry for each, entry in plugins(NOISE).items() if each not in NOISES}
     if name not in offered:
@@ -220,7 +220,7 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons (row, col) with the noise of a package's model; L3Error if its result is unusable."""
+    """Return the electrons (row, col) with noise from a package's model. Raises L3Error if its result is unusable."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
@@ -237,20 +237,20 @@ class DefectRecipe(Recipe):
     hot_pixels_per_million: OfMillion = 25.0
     hot_current_e_per_s: NotNegative = 4000.0  # dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
-    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # soft shadows of dust
-    dust_depth: Share = 0.03  # fraction of the light that a speck blocks at its centre
+    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # dust specks, which cast soft shadows
+    dust_depth: Share = 0.03  # fraction of the light that the centre of a speck blocks
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
     column_noise_e: NotNegative = 2.0  # e-; standard deviation of the column offsets
 
 
 @dataclass(frozen=True)
 class SensorDefects:
-    """The defects of one sensor, which are the same in every frame."""
+    """The defects of one sensor. They are the same in every frame."""
 
-    hot: NDArray[np.int64]  # (pixel, 2) row, col
-    dead: NDArray[np.int64]  # (pixel, 2) row, col
-    shade: NDArray[np.float32]  # (row, col) fraction of the light that passes the dust
-    columns: NDArray[np.float32]  # (col) e-, offset
+    hot: NDArray[np.int64]  # (pixel, 2) row and column of each hot pixel
+    dead: NDArray[np.int64]  # (pixel, 2) row and column of each dead pixel
+    shade: NDArray[np.float32]  # (row, col) transmittance of the dust
+    columns: NDArray[np.float32]  # (col) offset of each column in e-
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:

@@ -1,6 +1,6 @@
-"""The [[scene]] tables of a scene recipe: where a scene comes from, and how it is laid on the sensor.
+"""The [[scene]] tables of a scene recipe: where a scene comes from, and how it is placed on the sensor.
 
-A scene can be cropped, mirrored, turned and scaled. This module also turns a stored spectral cube into a scene.
+A scene can be cropped, mirrored, rotated and scaled. This module also converts stored spectral cubes to scenes.
 """
 
 import itertools
@@ -25,21 +25,21 @@ from l3cli.simulation.light import Light
 from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
-CODED = ("r", "g", "b")  # camera channels that pictures of codes hold, in this order
-SMALLEST = 16  # pixels; shortest permitted side of a scene
+CODED = ("r", "g", "b")  # channels of a picture that contains camera codes instead of colours, in this order
+SMALLEST = 16  # pixels; smallest permitted number of rows and of columns
 
 
 class Framing(Recipe, kw_only=True):
-    """The part of a scene that is used, its orientation and its scale, applied in this order."""
+    """Crop, orientation and scale of a scene, applied in this order."""
 
-    # first row, first column, rows, columns, in the scene's own samples
+    # first row, first column, number of rows, number of columns, in samples of the scene
     crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = None
     flip: Literal["rows", "cols"] | None = None
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
-    scale: Positive | None = None  # pixels per sample; the parts that exceed the sensor are cut off on all sides
-    # the scene's width as the lens sees it, instead of scale
+    scale: Positive | None = None  # pixels per sample; a scene that becomes larger than the sensor is cropped to its centre
+    # width of the scene as an angle seen through the lens, an alternative to scale
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = None
-    motion: Motion | None = None  # a clip, whose frames are parts of the scene
+    motion: Motion | None = None  # simulates a clip whose frames show parts of the scene
 
 
 class Synthetic(Framing, kw_only=True):
@@ -49,12 +49,12 @@ class Synthetic(Framing, kw_only=True):
 
 
 class Random(Synthetic, kw_only=True):
-    count: Count = 1  # pictures
-    seed: Seed = 0  # combined with --seed; recipes with different seeds share no picture
+    count: Count = 1  # number of scenes
+    seed: Seed = 0  # combined with --seed; recipes with different seeds have no scene in common
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
-    patterned: Share = 0.0  # fraction of the leaves that carry gratings, lattices or lettering
+    patterned: Share = 0.0  # fraction of the leaves with gratings, lattices or lettering
 
 
 class Composition(Random, tag_field="source", tag="composition", kw_only=True):
@@ -62,7 +62,7 @@ class Composition(Random, tag_field="source", tag="composition", kw_only=True):
 
 
 class Skin(Random, tag_field="source", tag="skin", kw_only=True):
-    patches: tuple[Count, Count] = (6, 9)  # rows, columns of patches
+    patches: tuple[Count, Count] = (6, 9)  # rows and columns of patches
 
 
 class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
@@ -70,7 +70,7 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
-    """Paints, plastics and textiles: a chart for training colours. It contains no ColorChecker patches."""
+    """A chart of paints, plastics and textiles for training colours. It contains no ColorChecker patches."""
 
     patches: tuple[Count, Count] = (6, 9)
 
@@ -80,21 +80,21 @@ class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=Tr
 
 
 class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
-    """Hues across, lightness and chroma down: colours on a regular grid with the smoothest reflectances."""
+    """A regular grid of colours: hue varies across, lightness and chroma vary down. All reflectances are smooth."""
 
 
 class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
-    angle_deg: float = 5.0  # from the vertical
-    dark: float = 0.05  # reflectance left of the edge
+    angle_deg: float = 5.0  # angle from the vertical
+    dark: float = 0.05  # reflectance to the left of the edge
     bright: float = 0.8
 
 
 class ZonePlate(Synthetic, tag_field="source", tag="zone plate", kw_only=True):
-    highest: float = 0.5  # cycles per pixel at the nearest sides
+    highest: float = 0.5  # cycles per pixel; frequency at the nearest sides
 
 
 class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True):
-    """Columns of gratings, each with twice the frequency of its left neighbour. The contrast falls downwards."""
+    """A row of gratings, each with twice the frequency of its left neighbour. The contrast decreases from top to bottom."""
 
     orders: Count = 6  # number of gratings; the last has 0.5 cycles per pixel
 
@@ -104,35 +104,35 @@ class GreyRamp(Synthetic, tag_field="source", tag="grey ramp", kw_only=True):
 
 
 class FileSource(Framing, kw_only=True):
-    file: str  # a name or a glob such as "faces/*.mat", relative to the recipe
+    file: str  # path relative to the recipe, or a pattern such as "faces/*.mat"
 
 
 class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
-    light: str | None = None  # CSV or name of the illuminant of files that lack their own
+    light: str | None = None  # name or CSV file of the illuminant, for scenes that do not state their own
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
-    # a picture of colours; or codes that are the camera's channels r, g, b, linearly
+    # "sRGB": colours; "codes": linear signals of the camera's channels r, g and b
     holds: Literal["sRGB", "codes"] = "sRGB"
-    shrink: Count = 1  # each shrink × shrink pixels are averaged to one, which also removes JPEG's and demosaicking's traces
+    shrink: Count = 1  # averages blocks of shrink × shrink pixels, which also removes JPEG and demosaicking artifacts
 
 
 class Spectral(FileSource, kw_only=True):
-    """A cube of bands. These keys supply what its file does not say."""
+    """A spectral cube. The keys supply what its file does not state."""
 
-    wavelengths_nm: list[float] | None = None  # of the bands; default: the file's own
-    wavelength_range_nm: tuple[float, float, float] | None = None  # first, last, step, instead of a list
+    wavelengths_nm: list[float] | None = None  # wavelengths of the bands; default: read from the file
+    wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step, an alternative to wavelengths_nm
     holds: Literal["reflectance", "radiance", "photons"] = "reflectance"  # radiance: power per nm; photons: counts per nm
-    # stored value of a perfect white; default: that of the file; else 1 for floats, 255 for 8 bits, and 65535 for 16 bits
-    # that are used up to there; all other integers ask for it
+    # Stored value of a perfect white. Default: the value in the file, otherwise 1 for floats, 255 for 8-bit integers, and
+    # 65535 for 16-bit integers that use the whole range. It is required for all other integers.
     white: Positive | None = None
-    # stored value that marks pixels without data, which are left out of training; default: that of the file
+    # stored value that marks pixels without data, which training ignores; default: the value in the file
     ignored: float | Literal["nan"] | None = None
-    light: str | None = None  # CSV of the light that radiance was measured under, or an illuminant's name
+    light: str | None = None  # name or CSV file of the illuminant under which radiance was measured
 
 
 class BandFolder(Spectral, tag_field="source", tag="bands", kw_only=True):
-    """A folder with one picture per band, in the order of their names."""
+    """A folder with one picture per band, sorted by file name."""
 
 
 class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
@@ -140,14 +140,14 @@ class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
 
 
 class Cube(Spectral, tag_field="source", tag="cube", kw_only=True):
-    """MATLAB (any version), HDF5 or .npy."""
+    """A MATLAB (any version), HDF5 or .npy file."""
 
-    variable: str | None = None  # name in the file; default: its only cube
-    axes: str = "row col band"  # in the file as MATLAB or numpy show it
+    variable: str | None = None  # name of the variable; default: the only cube in the file
+    axes: str = "row col band"  # order of the axes as MATLAB or numpy shows it
 
 
 class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
-    """EXR or TIFF with one channel or page per band."""
+    """An EXR or TIFF file with one channel or page per band."""
 
 
 Source = (
@@ -159,7 +159,7 @@ Source = (
 
 @dataclass(frozen=True)
 class WantedScene:
-    """One scene of a recipe: a file, or drawing number `number` of its source."""
+    """One scene of a recipe: a file, or for a synthetic source the scene with index `number`."""
 
     source: Source
     path: Path | None = None
@@ -173,29 +173,30 @@ class WantedScene:
 
     @property
     def error(self) -> type[L3Error]:
-        """Exception class for faults of the scene: of the recipe, or of the file."""
+        """Exception class for faults of the scene: InputFileError if it is a file, otherwise RecipeError."""
         return RecipeError if self.path is None else InputFileError
 
 
 def name_of(source: Source) -> str:
-    """Return the name that a recipe gives to a kind of source."""
+    """Return the name of a kind of source, as in a recipe."""
     return str(source.__struct_config__.tag)
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """Return the scenes of one source. `files` are the files that match its pattern."""
+    """Return the scenes of one source. `files` are the files that match its path or pattern."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """Yield the faults of a source, called `name`, on the sensor of `camera` if one is given."""
+    """Yield the faults of the source called `name`. If `camera` is given, also check that the scene suits its sensor."""
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
         yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
     if source.crop and min(source.crop[2:]) < 1:
-        yield fault(f"{name}: crop is first row, first column, rows, columns; take one of these or more", "crop")
+        message = f"{name}: crop needs at least one row and one column; give first row, first column, rows, columns"
+        yield fault(message, "crop")
     if isinstance(source, Synthetic):
         try:
             fits = camera if whole and not source.crop and source.motion is None else None
@@ -205,11 +206,11 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
     if source.motion is not None:
         yield from _motion_faults(source.motion, camera, name)
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
-        yield fault(f'{name}: axes names row, col and band once each, such as "row col band"', "axes")
+        yield fault(f'{name}: axes must name row, col and band once each; give, for example, "row col band"', "axes")
     if isinstance(source, Spectral):
         yield from _spectral_faults(source, name)
     if camera is not None and holds_codes(source) and sorted(camera.channels) != sorted(CODED):
-        what = f"codes are channels r, g and b, but the camera has {', '.join(camera.channels)}"
+        what = f"codes require a camera with channels r, g and b, and this one has {', '.join(camera.channels)}"
         yield fault(f'{name}: {what}; leave out holds = "codes"', "holds")
 
 
@@ -237,56 +238,56 @@ def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
     if source.wavelength_range_nm is not None:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):
-            message = f"{name}: wavelength_range_nm must be first < last with a positive step"
+            message = f"{name}: wavelength_range_nm must be first, last and step, with first < last and a positive step"
             yield fault(message, "wavelength_range_nm")
     if source.light is not None and source.holds == "reflectance":
-        yield fault(f"{name}: reflectance needs no light; leave it out or say what else the cube holds", "light")
+        yield fault(f'{name}: reflectance needs no light; leave light out, or set holds to "radiance" or "photons"', "light")
 
 
 def has_light(source: Source) -> bool:
-    """Return whether scenes of a source include their own light, even if only as part of their radiance."""
+    """Return whether scenes of a source include their own illuminant, even if only as part of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
 def of_measured_surfaces(source: Source) -> bool:
-    """Return whether scenes of a source consist of the measured reflectances that come with l3."""
+    """Return whether scenes of a source are made of the measured reflectances that come with l3."""
     if isinstance(source, Synthetic):
         return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
     return isinstance(source, RgbPictures) and not holds_codes(source)
 
 
 def holds_codes(source: Source) -> bool:
-    """Return whether scenes of a source are channel signals, without a light or spectra."""
+    """Return whether scenes of a source are channel signals, without illuminant and spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:
-    """Return whether the reflectance is known. It is unknown for radiance whose light is not given."""
+    """Return whether the reflectances of a source are known. They are unknown for radiance under an unknown illuminant."""
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 
 def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3Error], name: str) -> None:
-    """Raise `error` if a scene of `size` (rows, cols) is too small for training or exceeds the sensor of `camera`."""
+    """Raise `error` if a scene of `size` (rows, cols) is too small for training, or larger than the sensor of `camera`."""
     rows, cols = size
     if min(size) < SMALLEST:
         larger = "give scale" if error is InputFileError else "make it larger"
-        raise error(f"{name} is {rows}×{cols}, and a scene has at least {SMALLEST}×{SMALLEST} pixels; {larger}")
+        raise error(f"{name} is {rows}×{cols}, but a scene needs at least {SMALLEST}×{SMALLEST} pixels; {larger}")
     if camera and (rows > camera.rows or cols > camera.cols):
-        smaller = "give scale, crop or (rgb) shrink" if error is InputFileError else "make it smaller"
+        smaller = "give scale, crop or (rgb only) shrink" if error is InputFileError else "make the scene smaller"
         raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; {smaller}")
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
-    """Crop, turn and scale a scene for the sensor.
+    """Crop, mirror, rotate and scale a scene for the sensor.
 
     Parameters
     ----------
     cube : ndarray, (row, col, band)
         Samples of the scene.
     framing : Framing
-        The crop, orientation and scale.
+        Crop, orientation and scale.
     camera : CameraModel
-        The camera. A scene that is scaled beyond its sensor is cut.
+        The camera. A scene that becomes larger than its sensor is cropped.
 
     Returns
     -------
@@ -306,9 +307,9 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 
 
 def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
-    """Crop, turn and scale a scene for the sensor, as `framed` does.
+    """Apply `framed` to a scene and to its mask of ignored samples.
 
-    A pixel is ignored if it sees any part of an ignored sample.
+    A pixel is ignored if any part of it shows an ignored sample.
     """
     ignored = scene.ignored
     if ignored is not None:
@@ -318,7 +319,7 @@ def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Crop, mirror and turn the samples (row, col, band) of a scene; ValueError if the crop extends beyond it."""
+    """Crop, mirror and rotate a scene (row, col, band). Raises ValueError if the crop extends beyond the scene."""
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -327,7 +328,7 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the size (rows, cols) that `framed` gives to a scene of `size`, or the size of each frame of its clip.
+    """Return the size (rows, cols) of the result of `framed` for a scene of `size`, or of each frame if it is a clip.
 
     Raises
     ------
@@ -347,12 +348,12 @@ def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) ->
 
 
 def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
-    """Return the first row, first column, rows and columns of the part of a scene that is used."""
+    """Return the crop of a scene: first row, first column, number of rows and number of columns."""
     if framing.crop is None:
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
     if top + rows > size[0] or left + cols > size[1]:
-        raise ValueError(f"crop {list(framing.crop)} reaches beyond the scene of {size[0]}×{size[1]}")
+        raise ValueError(f"crop {list(framing.crop)} extends beyond the scene of {size[0]}×{size[1]}")
     return framing.crop
 
 
@@ -361,13 +362,13 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
-            f"the camera sees {rows}×{cols} samples in the {motion.frames} frames of its motion, more than the "
-            f"{size[0]}×{size[1]} of the scene; make the scene larger, or motion.size or the motion smaller"
+            f"the {motion.frames} frames of the clip may show an area of {rows}×{cols} samples, and the scene has only "
+            f"{size[0]}×{size[1]}; make the scene larger, or motion.size or the motion smaller"
         )
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the pixels per sample of a scene that is `cols` wide, or None if one sample is one pixel."""
+    """Return the number of pixels per sample for a scene that is `cols` samples wide, or None if they are the same."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -379,15 +380,15 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """Resample a cube (row, col, band) to `scale` pixels per sample, and cut it to at most `most` (rows, cols)."""
+    """Resample a cube (row, col, band) to `scale` pixels per sample, and crop it to at most `most` (rows, cols)."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """Resample a cube (row, col, band) with sparse matrices (pixel, sample) for rows and columns.
+    """Resample a cube (row, col, band) with two sparse matrices (pixel, sample), for the rows and for the columns.
 
-    Working row by row limits the memory.
+    The cube is processed row by row to limit the memory.
     """
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
@@ -398,7 +399,10 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Return the sparse matrix (pixel, sample) that interpolates between samples and averages over larger pixels."""
+    """Return the sparse matrix (pixel, sample) that resamples a line.
+
+    It interpolates where pixels are smaller than samples, and averages where they are larger.
+    """
     from scipy.sparse import csr_array
 
     whole = _pixels(length, scale)
@@ -414,26 +418,26 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 
 
 AXES = ("row", "col", "band")
-BRIGHT = 0.999  # fraction of the pixels that are at most a perfect white, if radiance has no known white
-BRIGHTEST_USUAL = 2.0  # highest plausible median reflectance; higher values are percent, counts or radiance
-FULL_RANGE = 0.75  # fraction of 16 bits that the brightest pixels of a cube reach whose white is the top of its type
-SPARSE = 8  # the median is taken from every eighth sample
-STRIP = 128  # rows converted at once
+BRIGHT = 0.999  # quantile of the pixels that counts as a perfect white if the white of radiance is unknown
+BRIGHTEST_USUAL = 2.0  # highest plausible median reflectance; higher values are probably percent, counts or radiance
+FULL_RANGE = 0.75  # if the brightest pixels reach this fraction of 16 bits, 65535 is assumed to be white
+SPARSE = 8  # the median is computed from every eighth row and column
+STRIP = 128  # number of rows converted at once
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
-    """Turn a stored cube into a scene.
+    """Convert a stored spectral cube to a scene.
 
     Parameters
     ----------
     cube : SpectralCube
-        The cube as its file stores it.
+        The cube as stored in its file.
     source : Spectral
-        What the recipe says about it.
+        The recipe entry of the cube.
     name : str
         Name of the scene.
     light : Light or None
-        The light that radiance was measured under, if known.
+        Illuminant under which radiance was measured, if known.
 
     Raises
     ------
@@ -442,10 +446,12 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
 
     Notes
     -----
-    Reflectance is the stored value divided by the white. Radiance is divided by that of a perfect white under `light`. Only
-    `white` can give the absolute level of either. Without a light, the brightest pixels count as a white under equal
-    photons. Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data get
-    the reflectance of the nearest pixel with data, and are marked.
+    If the cube contains reflectance, its values are divided by the stored value of a perfect white. If it contains radiance,
+    its values are divided by the radiance of a perfect white under `light`. The absolute level is known only if the recipe
+    gives `white`. If the illuminant is unknown, it is assumed to be equal-photon, and the brightest pixels to be white.
+
+    Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data get the
+    reflectance of the nearest pixel with data, and are marked as ignored.
     """
     wavelength, values, ignored = _bands(cube, source)
     white = source.white or cube.white or _usual_white(values, source, ignored)
@@ -468,7 +474,7 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     if ignored is not None:
         _fill(reflectance, ignored)
     if not np.isfinite(reflectance).all():
-        raise ValueError('holds values that are not finite (NaN or Inf); repair the cube, or give ignored = "nan"')
+        raise ValueError('contains values that are not finite (NaN or Inf); repair the cube, or give ignored = "nan"')
     _require_no_mark(values, ignored)
     np.maximum(reflectance, 0.0, out=reflectance)
     if source.holds != "reflectance" and source.white is None:
@@ -476,18 +482,18 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     usual = float(np.median(reflectance[::SPARSE, ::SPARSE]))
     if source.holds == "reflectance" and usual > BRIGHTEST_USUAL:
         raise ValueError(
-            f"its reflectances are {usual:.3g} in the median, and 1 is white; give white, 100 for percent, or holds"
+            f"its median reflectance is {usual:.3g}, where 1 is white; set white (100 for percent), or correct holds"
         )
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 
 
 def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] | None) -> float:
-    """Guess the stored value of a perfect white that neither recipe nor file states; ValueError if this is impossible."""
+    """Guess the stored value of a perfect white from the data type. Raises ValueError if this is impossible."""
     if values.dtype.kind not in "iu":
         return 1.0
     top = float(np.iinfo(values.dtype).max)
     if source.holds != "reflectance" or values.dtype.itemsize == 1:
-        return top  # the brightest pixels tell; all that a camera of 8 bits has
+        return top  # radiance is scaled by its brightest pixels anyway, and 8-bit reflectances use the full range
     brightest = np.max(values, axis=2, where=True if ignored is None else ~ignored[..., None], initial=0)
     reached = float(np.quantile(brightest, BRIGHT))
     if values.dtype.kind == "u" and values.dtype.itemsize == 2 and reached >= FULL_RANGE * top:
@@ -499,17 +505,17 @@ def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] |
 
 
 def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
-    """Give pixels without data the reflectance of the nearest pixel with data; ValueError if there is none."""
+    """Give pixels without data the reflectance of the nearest pixel with data. Raises ValueError if no pixel has data."""
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
-        raise ValueError("all of its pixels are marked as without data; give a cube that holds some")
+        raise ValueError("all of its pixels are marked as missing; give a cube with data, or correct ignored")
     rows, cols = distance_transform_edt(ignored, return_distances=False, return_indices=True)
     reflectance[ignored] = reflectance[rows[ignored], cols[ignored]]
 
 
 def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None:
-    """Raise ValueError if pixels hold one negative number in all bands: it marks missing data and is not noise."""
+    """Raise ValueError if a pixel has the same negative number in all bands, which marks missing data rather than noise."""
     if values.shape[2] < 2 or values.dtype.kind == "u":
         return
     for row, line in enumerate(values):
@@ -519,12 +525,12 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
         if marked.any():
             mark = float(line[marked.argmax(), 0])
             raise ValueError(
-                f"holds {mark:g} in all bands of some pixels; give ignored = {mark:g} if that marks missing data"
+                f"contains pixels with the value {mark:g} in all bands; give ignored = {mark:g} if that marks missing data"
             )
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the photons (wavelength) per unit of what the cube holds, up to a common factor."""
+    """Return the photons (wavelength) per unit of the stored values, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 
@@ -541,7 +547,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
     """Return the good bands of a cube in increasing order of wavelength.
 
     The result is the wavelengths in nm, the values (row, col, band) and the mask (row, col) of pixels without data.
-    Wavelengths in the recipe override those of the file.
+    Wavelengths in the recipe take precedence over wavelengths in the file.
     """
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
@@ -551,7 +557,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
     elif cube.wavelength is not None:
         wavelength = cube.wavelength
     else:
-        raise ValueError("holds no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
+        raise ValueError("contains no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
     values, shape = cube.values, cube.values.shape
     if shape[2] != wavelength.size:
         described = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
@@ -573,7 +579,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
             f"{wavelength[order][twice.argmax()]:g} nm occurs twice among its wavelengths; give wavelengths_nm in the recipe"
         )
     steps = np.unique(np.diff(order)) if order.size > 1 else np.ones(1, int)
-    if steps.size == 1 and abs(steps[0]) == 1:  # a view
+    if steps.size == 1 and abs(steps[0]) == 1:  # the bands are equally spaced, so a view suffices and nothing is copied
         start, step = int(order[0]), int(steps[0])
         values = values[..., start : start + step * order.size if start + step * order.size >= 0 else None : step]
     else:

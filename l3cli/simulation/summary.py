@@ -15,7 +15,7 @@ from l3cli.simulation.light import camera_unknown, make_light, named_beyond_know
 from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # cd/m²; luminance of a white in a room, for which the exposure is reported
+LUMINANCE = 100.0  # cd/m²; luminance of a white indoors, for which exposure times are reported
 
 
 def camera_figures(camera: CameraModel) -> dict[str, Any]:
@@ -29,19 +29,19 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Values for JSON: the array, the curve of each channel, its response to white relative to the brightest channel, and
-        the exposures at which a white saturates a pixel.
+        Values for JSON: the CFA, the curve of each channel, the response of each channel to white relative to the brightest
+        channel, and the exposures at which a white saturates a pixel.
 
     Raises
     ------
     InputFileError
-        If the camera collects nothing of a white.
+        If the camera collects no electrons from a white.
     """
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
     rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # per cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
-        raise InputFileError(f"camera {camera.name} collects nothing of {' and '.join(dark)}; check responsivity")
-    _ = camera.saturation_exposure  # raises InputFileError if the camera collects nothing of D65 at its own wavelengths
+        raise InputFileError(f"camera {camera.name} collects no light from {' and '.join(dark)}; check responsivity")
+    _ = camera.saturation_exposure  # raises InputFileError if the camera collects no electrons from D65 at its wavelengths
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):
@@ -74,7 +74,7 @@ def camera_figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a camera, with a note on unused columns in its file of curves."""
+    """Return the summary of a camera, with warnings and a note about unused columns in its file of curves."""
     camera = load_camera(source.path)
     unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
     return camera_figures(camera) | {"note": columns_left_out(source.path)} | unknown, []
@@ -110,7 +110,7 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
 
 
 def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
-    """Return the captures per kind and the size of the frames, if a camera is given."""
+    """Return the number of captures of each kind and the size of the frames. The result is empty without a camera."""
     camera = source.camera
     if camera is None:
         return {}, []

@@ -59,7 +59,7 @@ size = [4000, 8]  # at least 16×16
 source = "cube"
 file = "cubes/*.npy"  # cubes/*.npy does not exist
 wavelengths_nm = [400, 500, 450]  # must increase or decrease
-axes = "row col"  # axes names row, col and band
+axes = "row col"  # axes must name row, col and band
 [[pair]]
 raw = "a.dng"  # a.dng does not exist
 picture = "a.png"  # a.png does not exist
