@@ -1,8 +1,9 @@
-"""Moments of spectral patches, and the error of any array computed from them (docs/method.md#designs).
+"""Predicts the error of any CFA from the statistical moments of spectral patches (docs/method.md#designs).
 
-Moments are gathered once for one lens, pixel and light. From them, the error of an array follows in closed form, without
-training. Weights w are (Y + 0.02)^(-2/3), the slope of CIELAB around a grey, or 1. The sums of several scenes add up. An
-error of 1 is about one ΔE00. A filter that clips on average in a group of patches contributes no information there.
+The moments are computed once for one lens, pixel and illuminant, and the sums of several scenes can be added. The error of
+an array then follows in closed form, without training. Patches have the weight (Y + 0.02)^(-2/3), which is the slope of
+CIELAB around a grey, or 1. An error of 1 is about one ΔE00. If a filter clips on average in a group of patches, it
+contributes no information there.
 """
 
 from dataclasses import dataclass, replace
@@ -14,20 +15,20 @@ from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS, LightMoments
 
 Array = NDArray[np.floating]
-Sums = dict[str, NDArray[np.float64]]  # patches, weight, mean and moment as in LightMoments; sums of scenes add up
+Sums = dict[str, NDArray[np.float64]]  # "patches", "weight", "mean" and "moment", as in LightMoments
 
-EDGE, LEVELS = 0.25, (0.06, 0.25)  # group limits: contrast of an edge; mean luminance relative to white
-NEUTRAL = 5.0  # largest ratio of chroma to luminance of a neutral patch
+EDGE, LEVELS = 0.25, (0.06, 0.25)  # limits between groups: contrast; mean luminance relative to white
+NEUTRAL = 5.0  # largest ratio of chroma to luminance for a patch without hue
 CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # d(a*, b*) / d(XYZ over white), halved
-DARKEST = 0.02  # offset relative to white, which limits the weights of dark patches
-POWER = 2 / 3  # exponent of CIELAB's slope
-KEPT = 0.9999  # fraction of the spectra's power that the principal spectra keep
-SOFTNESS = 2.0  # pixels, standard deviation of the blur of chroma; that of S-CIELAB at about 50 pixels per degree
-WINDOW = 2  # pixels to each side that determine the group
+DARKEST = 0.02  # luminance offset relative to white, which limits the weights of dark patches
+POWER = 2 / 3  # exponent of the slope of CIELAB
+KEPT = 0.9999  # fraction of the spectral power that the principal spectra represent
+SOFTNESS = 2.0  # pixels; standard deviation of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
+WINDOW = 2  # pixels; the group of a patch depends on its pixels up to this distance from the centre
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return sums over no patches, with `terms` terms per tap."""
+    """Return zero sums, with `terms` principal spectra per tap."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -35,14 +36,14 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the second moment (wavelength, wavelength) of the photons of a scene, relative to the scene's mean.
+    """Return the second moment (wavelength, wavelength) of the photon spectra of a scene, relative to the scene's mean.
 
     Parameters
     ----------
     reflectance : ndarray, (row, col, band)
         The scene.
     rate : ndarray, (wavelength, band)
-        Photons from unit reflectance in each band.
+        Photons for a reflectance of 1 in each band.
     """
     pixels = reflectance.reshape(-1, reflectance.shape[-1]).astype(np.float64)
     bands = pixels.T @ pixels / max(float(np.square(pixels.mean())), 1e-12) / len(pixels)
@@ -50,14 +51,14 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Return the basis (wavelength, term) that keeps the fraction KEPT of the power.
+    """Return the principal spectra of scenes: a basis (wavelength, term) that represents the fraction KEPT of the power.
 
     Parameters
     ----------
     power : ndarray, (wavelength, wavelength)
-        Second moment of the spectra.
+        Second moment of the photon spectra.
     white : ndarray, (wavelength)
-        Photons of a white. The basis is scaled to their mean.
+        Photons from a white. The basis is scaled to their mean.
     """
     values, vectors = np.linalg.eigh(power)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -80,13 +81,13 @@ def gather(
     Parameters
     ----------
     sums : dict
-        Sums, changed in place.
+        Sums. They are changed in place.
     planes : ndarray, (term, row, col)
-        Coefficients of the principal spectra after the lens.
+        Coefficients of the principal spectra, with the blur of the lens.
     target : ndarray, (XYZ, row, col)
         XYZ relative to white.
     sharp : ndarray, (term, row, col)
-        Coefficients before the lens.
+        Coefficients without the blur of the lens.
     patches : int
         Number of patches.
     rng : numpy.random.Generator
@@ -112,9 +113,14 @@ def gather(
 
 
 def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the group of each patch from XYZ relative to white (XYZ, patch, row, col) around its centre.
+    """Return the group (patch) of each patch.
 
-    Groups differ in contrast, luminance and hue, like classes. A patch has a hue if its colour is visible.
+    Like classes, groups differ in contrast, luminance and hue. Patches without visible colour have no hue.
+
+    Parameters
+    ----------
+    around : ndarray, (XYZ, patch, row, col)
+        XYZ relative to white around the centre of each patch.
     """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
@@ -125,7 +131,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average sums over the eight orientations of every patch, so that mirrored arrays have equal errors."""
+    """Average the sums over the eight orientations of a patch, so that an array and its mirror image have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -136,12 +142,12 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
     return sums | {"mean": mean, "moment": moment}
 
 
-Cfa = NDArray[np.integer]  # (row, col) number of the filter of each site
+Cfa = NDArray[np.integer]  # (row, col) index of the filter at each site
 
-OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), chroma halved
+OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), with halved chroma
 RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
-EMPTY = 1.0  # noise added in groups without patches, so that the equations can be solved
-NOTHING = 1e6  # noise of a clipped tap relative to its power, so that it contributes no information
+EMPTY = 1.0  # noise added to groups without patches, so that the equations have a solution
+NOTHING = 1e6  # noise of a clipped tap relative to its power, so high that the tap contributes no information
 
 
 @dataclass(frozen=True)
@@ -151,11 +157,11 @@ class Noise:
     floor: float  # e-², variance of read noise, offsets and quantisation
     dark: float  # e-/s, dark current
     full: float  # e-, full scale
-    prnu: float  # relative
+    prnu: float  # relative standard deviation of the response
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise of a camera's pixel, assuming that all channels are read out alike."""
+    """Return the noise of a camera's pixels, assuming that all channels have the same exposure and gain."""
     noise = camera.noise
     floor = noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2 + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
@@ -163,19 +169,19 @@ def noise_of(camera: CameraModel) -> Noise:
 
 @dataclass(frozen=True)
 class Level:
-    """A light and an exposure."""
+    """An illuminant and an exposure."""
 
     name: str
-    light: int  # index of the light in the moments
-    share: float | None  # fraction of full scale of white in the brightest filter; None for a fixed exposure
+    light: int  # index of the illuminant in the moments
+    share: float | None  # signal of white in the brightest filter, as a fraction of full scale; None for a fixed exposure
     luminance: float = 1.0  # cd/m² of a perfect white
     seconds: float = 0.0  # s, fixed exposure time
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return the exposure of white in cd s/m² and its time in seconds.
+    """Return the exposure of a white in cd s/m², and the exposure time in s.
 
-    `white` is the signal of the array's brightest filter, in e-/s, from a white of 1 cd/m².
+    `white` is the signal of the brightest filter in the array, in e-/s, for a white of 1 cd/m².
     """
     if level.share is None:
         return level.luminance * level.seconds, level.seconds
@@ -185,19 +191,19 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Seen:
-    """Moments of the patches of each group under a light, as a library of filters sees them, and of the outputs.
+    """Moments of filter signals and outputs, for each group of patches under one illuminant.
 
-    An array only picks rows and columns from them. In terms of principal spectra, before filters are chosen, `white` is
-    empty.
+    They cover all filters of a library, so that the moments for an array are a selection of rows and columns. The same
+    structure is used for the coefficients of principal spectra, before there are filters. `white` is then empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap)
     cross: Array  # (group, output, tap, filter)
     mean: Array  # (group, tap, filter)
-    target: Array  # (group) trace of the outputs' second moments; errors are root sums of squares over outputs
-    weight: Array  # (group)
-    patches: Array  # (group)
-    white: Array  # (filter) e-/s from a perfect white of 1 cd/m²
+    target: Array  # (group) trace of the second moments of the outputs; errors are root sums of squares over outputs
+    weight: Array  # (group) sum of the weights of the patches
+    patches: Array  # (group) number of patches
+    white: Array  # (filter) e-/s for a perfect white of 1 cd/m²
 
     @property
     def share(self) -> Array:
@@ -205,16 +211,16 @@ class Seen:
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Return the moments in terms of principal spectra, for the outputs that a recipe asks for.
+    """Return the moments of principal spectra and of the outputs that a recipe asks for.
 
     Parameters
     ----------
     moments : LightMoments
-        Moments under a light.
+        Moments under one illuminant.
     output, counts : str
-        Keys of the design recipe.
+        Values of these keys in the design recipe.
     curves : ndarray, (filter, wavelength)
-        Quantum efficiencies. They are the outputs if `output` is "bands".
+        Quantum efficiencies, which define the outputs if `output` is "bands".
     """
     rows, weighting = wanted_outputs(moments, output, counts, curves)
     terms, number, place = moments.terms, np.maximum(moments.patches, 1.0), WEIGHTINGS.index(weighting)
@@ -232,9 +238,9 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
 
 
 def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Array) -> tuple[Array, str]:
-    """Return the matrix (output, target) from a patch's targets to the outputs, and the name of the weighting.
+    """Return the matrix (output, target) that converts the targets of a patch to outputs, and the name of the weighting.
 
-    Outputs are colour differences for XYZ, otherwise percent of white.
+    The outputs are colour differences if the targets are XYZ, and otherwise percent of white.
     """
     count = SOFT.stop
     white = moments.basis.T @ moments.white_photons / np.square(moments.basis).sum(axis=0)
@@ -252,8 +258,9 @@ def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Arra
 
 
 def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
-    """Convert moments of principal spectra to moments as filters with efficiencies `curves` (filter, wavelength) see
-    them.
+    """Convert moments of principal spectra to moments of filter signals.
+
+    `curves` (filter, wavelength) are the quantum efficiencies of the filters.
     """
     to = curves @ moments.basis
     signal = np.einsum("fi,gj,ijKpq->fgKpq", to, to, spectra.signal, optimize=True)
@@ -262,7 +269,7 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the filters (site, tap) in the patch around each site of an array."""
+    """Return the index of the filter (site, tap) at each tap of the patch around each site of an array."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
@@ -284,7 +291,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 
 
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
-    """Whether every filter, exposed on its own, clips on average in every group of patches."""
+    """Whether every filter clips on average in every group of patches, even if it determines the exposure alone."""
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)
     return bool((signals > noise.full).all())

@@ -1,4 +1,4 @@
-"""The design recipe DESIGN.toml: pixel, filters, arrays to try, lights and exposures, and the error that counts."""
+"""The design recipe DESIGN.toml: pixel, filters, candidate arrays, illuminants and exposures, and the error to minimise."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -40,27 +40,29 @@ from l3cli.recipes.toml import (
 from l3cli.spectra.file import read_table
 from l3cli.system.text import printable
 
-MOST_FILTERS, MOST_SIDE = 16, 8  # filters of a recipe; rows or columns of an array
+MOST_FILTERS, MOST_SIDE = 16, 8  # largest number of filters in a recipe, and of rows or columns in an array
 Side = Annotated[int, msgspec.Meta(ge=1, le=MOST_SIDE)]
-LEAST_EFFICIENCY = 1e-3  # quantum efficiency at the peak below which a filter counts as opaque
+LEAST_EFFICIENCY = 1e-3  # a filter with a lower peak quantum efficiency counts as opaque
 Curves = NDArray[np.float64]  # (filter, wavelength)
 
 
 class PixelRecipe(Recipe):
-    """The pixel, common to all filters."""
+    """The pixel, which is the same under all filters."""
 
-    camera: str = "bayer"  # camera recipe (name or file) or camera.h5, for sensor, noise and lens; its array is ignored
-    # quantum efficiency of the pixel without filter, lens included, or a CSV file of it; it multiplies the filters
+    camera: str = "bayer"  # camera recipe (name or file) or camera.h5, for sensor, noise and lens; its CFA is ignored
+    # Quantum efficiency of the pixel without filter but with the lens, as a number or CSV file. The transmittances of the
+    # filters are multiplied by it.
     bare: float | str = 0.6
     pitch_um: Positive | None = None
-    well_e: Positive | None = None  # full well; the range of the converter is scaled with it
+    well_e: Positive | None = None  # full well; the range of the A/D converter is scaled in proportion
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
 
 class FilterRecipe(Recipe):
-    """A filter: a Gaussian, a measured curve, two filters stacked, or a channel of a camera. Without any of these, it is
-    clear.
+    """A colour filter: a Gaussian, a measured curve, two stacked filters, or a channel of a camera.
+
+    A filter without any of these is clear.
     """
 
     centre_nm: Positive | None = None
@@ -68,40 +70,40 @@ class FilterRecipe(Recipe):
     peak: Share = 0.9  # transmittance at the centre
     floor: Share = 0.04  # transmittance far from the centre
     file: str | None = None  # CSV file with wavelength in nm and transmittance
-    column: str | int = 1  # column of the file, by name or by number from 1
+    column: str | int = 1  # column of the file, as a name or as a number from 1
     stack: tuple[str, str] | None = None  # names of two other filters
-    channel: str | None = None  # channel of the pixel's camera, whose quantum efficiency is used without `bare`
+    channel: str | None = None  # channel of the pixel's camera; its quantum efficiency is used unchanged, without `bare`
 
 
 class PatternRecipe(Recipe):
-    """Arrays to try: all arrays of a shape, optionally with given counts of each filter, or a list of arrays."""
+    """Candidate arrays: either all arrays of a shape, optionally with a given count of each filter, or a list of arrays."""
 
-    shape: tuple[Side, Side] | None = None  # rows, cols
+    shape: tuple[Side, Side] | None = None  # rows and columns
     filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all
     counts: dict[str, Count] | None = None  # filter → number of its sites
-    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each a list of rows, names separated by spaces
+    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each array is a list of rows: names separated by spaces
 
 
 class LevelRecipe(Recipe):
-    """A light and an exposure: automatic by `share`, or fixed by `exposure_s` and a luminance or illuminance."""
+    """An illuminant and an exposure: automatic (`share`), or fixed (`exposure_s` with a luminance or illuminance)."""
 
     name: str | None = None
-    illuminant: str = "D65"  # one of the lights of the moments
+    illuminant: str = "D65"  # illuminant; the moments must contain it
     share: Positive | None = None  # fraction of full scale that white reaches in the brightest filter of each array
     luminance_cd_m2: Positive | None = None  # luminance of a perfect white
-    lux: Positive | None = None  # illuminance, instead of the luminance
+    lux: Positive | None = None  # illuminance, an alternative to luminance_cd_m2
     exposure_s: Positive | None = None
 
 
 class OptimiseRecipe(Recipe):
-    """An array whose Gaussian filters are tuned: centres, widths and, with `peaks`, heights."""
+    """An array whose Gaussian filters are optimised: their centres, their widths and, if `peaks` is set, their peaks."""
 
-    pattern: list[str]  # rows of names
+    pattern: list[str]  # rows of filter names
     peaks: bool = False
 
 
 class DesignRecipe(Recipe):
-    """The search for the best array of filters from a library, on a given pixel and under given lights."""
+    """A search for the best array of filters from a library, for a given pixel and given illuminants."""
 
     title: ClassVar[str] = "a design recipe"
 
@@ -111,14 +113,15 @@ class DesignRecipe(Recipe):
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # error of XYZ: "lab", about ΔE00; "scielab", chroma blurred as by the eye; "luminance" only; "linear", % of white
+    # error metric for XYZ: "lab" is about ΔE00; "scielab" blurs chroma as the eye does; "luminance" ignores chroma; "linear"
+    # is percent of white
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays, as rows of names, that --truth trains
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays that --truth trains, as rows of names
 
     @property
     def needed(self) -> int:
-        """Number of independent outputs that an array needs."""
+        """Number of independent outputs that an array must provide."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
@@ -148,7 +151,7 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
     if recipe.optimise is not None:
         arrays.append(("optimise.pattern", ("optimise", "pattern"), recipe.optimise.pattern))
         if not recipe.tuned:
-            yield fault("optimise.pattern has no filter with centre_nm, and only Gaussians are tuned", "optimise.pattern")
+            yield fault("optimise.pattern needs a Gaussian filter; give one of its filters centre_nm", "optimise.pattern")
     for where, key, rows in arrays:
         yield from inside(_array_faults(where, rows, recipe.filters), *key)
 
@@ -159,18 +162,18 @@ WHOLE: KeyPath = ()  # the table itself
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     kinds = [each for each in ("centre_nm", "file", "stack", "channel") if getattr(one, each) is not None]
     if name.split() != [name] or "/" in name:
-        yield fault(f'filter "{name}": a name has neither blanks nor /', WHOLE)
+        yield fault(f'filter "{name}": the name contains a blank or a slash; rename the filter', WHOLE)
     if len(kinds) > 1:
         yield fault(f"filter {name}: give one of centre_nm, file, stack and channel", kinds[1])
     if (one.centre_nm is None) != (one.sigma_nm is None):
-        yield fault(f"filter {name}: centre_nm and sigma_nm go together", WHOLE)
+        yield fault(f"filter {name}: give both centre_nm and sigma_nm, or neither", WHOLE)
     if one.floor > one.peak:
-        yield fault(f"filter {name}: floor is {one.floor:g}, above peak", "floor")
+        yield fault(f"filter {name}: floor is {one.floor:g}; it must not be above peak", "floor")
     for other in one.stack or ():
         if other not in known:
             yield fault(f'filter {name}: stack names "{other}"; {suggestion(other, known)}', "stack")
         elif known[other].stack is not None or known[other].channel is not None:
-            yield fault(f"filter {name}: {other} is not a single filter; stack Gaussians or files", "stack")
+            yield fault(f"filter {name}: {other} cannot be stacked; stack only filters from Gaussians or files", "stack")
 
 
 def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
@@ -180,17 +183,17 @@ def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, Filt
     for name in sorted({*pattern.filters, *counts} - {*known}):
         yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
     if counts and pattern.filters:
-        yield fault(f"{where}: counts name the filters; leave filters out", "filters")
+        yield fault(f"{where}: counts already names the filters; leave filters out", "filters")
     if pattern.shape is not None:
         (rows, cols), total = pattern.shape, sum(counts.values())
         if counts and total != rows * cols:
-            yield fault(f"{where}: counts add up to {total}, and the shape has {rows * cols} sites", "counts", WHOLE)
+            yield fault(f"{where}: counts add up to {total}, but the shape has {rows * cols} sites", "counts", WHOLE)
 
 
 def _array_faults(where: str, rows: list[str], known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     lengths = {len(row.split()) for row in rows}
     if len(lengths) != 1 or 0 in lengths:
-        yield fault(f"{where}: rows must name equally many filters, separated by spaces", WHOLE)
+        yield fault(f"{where}: all rows must have the same number of filter names, separated by spaces", WHOLE)
     elif max(len(rows), *lengths) > MOST_SIDE:
         yield fault(f"{where} is larger than {MOST_SIDE}×{MOST_SIDE}", WHOLE)
     for name in sorted({name for row in rows for name in row.split()} - {*known}):
@@ -234,9 +237,9 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
     recipe : DesignRecipe
         Filters and pixel.
     camera : CameraModel
-        The pixel's camera, for filters that are channels of it.
+        The pixel's camera, for filters that are one of its channels.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
     folder : Path
         Folder to which file names are relative.
 
@@ -258,7 +261,7 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
             curves.append(np.prod([bare, *parts], axis=0))
         if (peak := curves[-1].max()) < LEAST_EFFICIENCY:
             span = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
-            raise RecipeError(f"filter {name} passes nothing: its quantum efficiency is {peak:.2g} at most in {span}")
+            raise RecipeError(f"filter {name} is opaque: its highest quantum efficiency in {span} is {peak:.2g}")
     return np.array(curves)
 
 
@@ -270,7 +273,7 @@ def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curv
     else:
         curve = np.full(wavelength.size, bare)
     if not 0 < curve.max() <= 1 or curve.min() < 0:
-        raise RecipeError(f"pixel.bare is {curve.max():g} at its peak; a quantum efficiency lies in 0…1")
+        raise RecipeError(f"pixel.bare has a peak of {curve.max():g}; a quantum efficiency lies between 0 and 1")
     return curve
 
 
@@ -300,7 +303,7 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
     Returns
     -------
     CameraModel
-        Only its lens and pixel matter.
+        A camera with this lens and pixel. For a design recipe, its CFA and filters have no meaning.
     list of Path
         The files that were read.
     """
@@ -311,17 +314,17 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the camera file that a pixel is based on: relative to the recipe, or one that is included in l3."""
+    """Return the camera file on which a pixel is based, relative to the recipe or among those that come with l3."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 
 
 def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return a camera with the pixel of a recipe. Its array and filters have no meaning."""
+    """Return a camera with the pixel of a recipe. Its CFA and filters have no meaning."""
     base = load_camera(base_camera(pixel, folder))
     if not base.absolute:
         raise RecipeError(
-            f"pixel.camera: {base.name} has only a relative responsivity; give one of known quantum efficiency"
+            f"pixel.camera: {base.name} has only a relative responsivity; give a camera with known quantum efficiency"
         )
     noise, optics, gain = base.noise, base.optics, base.gain
     if pixel.read_noise_e is not None:
@@ -335,12 +338,12 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Return the text of a camera recipe and of its file of curves, by file name.
+    """Return the texts of a camera recipe and of its file of curves, by file name.
 
     Parameters
     ----------
     camera : CameraModel
-        A camera whose channels are read out alike.
+        A camera whose channels all have the same exposure and gain.
     origin : str
         Comment on the first line.
     """

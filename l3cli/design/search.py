@@ -1,6 +1,6 @@
-"""Search for arrays: enumerate all distinct arrays, or anneal if there are too many.
+"""Searches for the best array by enumerating all distinct arrays, or by simulated annealing if there are too many.
 
-Arrays are distinct if they do not differ merely by a shift, rotation or reflection.
+Two arrays count as the same if they differ only by a shift, rotation or reflection.
 """
 
 import functools
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from l3cli.artifacts.design import overall
 from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
-MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # largest numbers of enumerated and of distinct, evaluated arrays
-INDEPENDENT = 1e-3  # smallest singular value, relative to the largest, that counts as an independent output
+MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # largest number of enumerated arrays, and of distinct arrays among them
+INDEPENDENT = 1e-3  # a singular value above this fraction of the largest counts as an independent output
 HOT, COLD = 0.03, 0.0005  # first and last temperature of annealing, relative to the error
-Arrays = NDArray[np.integer]  # (array, site) filters
-Allowed = Callable[[Sequence[int]], bool]  # whether an array may consist of these filters
+Arrays = NDArray[np.integer]  # (array, site) index of the filter
+Allowed = Callable[[Sequence[int]], bool]  # returns whether an array may consist of the given filters
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Lights, exposures and noise for which arrays of a library of filters are evaluated."""
+    """The illuminants, exposures and noise for which arrays of filters are evaluated."""
 
-    seen: tuple[Seen, ...]  # one per light
+    seen: tuple[Seen, ...]  # moments under each illuminant
     levels: tuple[Level, ...]
     noise: Noise
 
@@ -36,7 +36,7 @@ class Problem:
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Fraction (level, group) of the patches."""
+        """Fraction of the patches (level, group) in each group."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
@@ -50,9 +50,9 @@ class Problem:
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return the site orders (symmetry, site) that leave an array of a given period equivalent.
+    """Return all permutations of sites (symmetry, site) that turn an array into an equivalent one.
 
-    They are the shifts, rotations and reflections that keep its shape.
+    They are the shifts, rotations and reflections that preserve the shape of the array.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]
@@ -61,15 +61,13 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return a key that is equal for arrays that differ only by `symmetries`, and different for all other arrays of the
-    shape.
-    """
+    """Return a key of an array. Arrays of one shape have the same key if they differ only by `symmetries`."""
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return one of each set of arrays (array, site) that differ only by symmetries, in order."""
+    """Return `arrays` (array, site) without arrays that differ from an earlier one only by symmetries."""
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)
@@ -77,7 +75,7 @@ def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
 
 
 def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
-    """Yield every arrangement of a multiset with `counts` of each element."""
+    """Yield every distinct arrangement of a multiset in which element i occurs `counts[i]` times."""
     if len(counts) == 1:
         yield [0] * counts[0]
         return
@@ -102,7 +100,7 @@ def every_array(
     counts : sequence of int, optional
         Number of sites of each filter.
     allowed : callable
-        Whether an array may consist of a set of filters.
+        Returns whether an array may consist of a given set of filters.
     """
     sites, base = math.prod(shape), len(filters)
     size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
@@ -116,7 +114,7 @@ def every_array(
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return the number of independent outputs of filters, from their responses (filter, term) to principal spectra."""
+    """Return the number of independent outputs that filters provide, given their responses (filter, term) to spectra."""
     scaled = responses / np.maximum(np.linalg.norm(responses, axis=1, keepdims=True), 1e-30)
     strength = np.linalg.svd(scaled, compute_uv=False)
     return int((strength > INDEPENDENT * strength[0]).sum())
@@ -131,10 +129,10 @@ def anneal(
     rng: np.random.Generator,
     steps: int,
 ) -> Cfa:
-    """Return the best array that simulated annealing finds.
+    """Search for the best array with simulated annealing.
 
-    Each step changes a site or swaps two sites. If `swapped`, steps only swap, which keeps the count of each filter. Filters
-    that are not `allowed` together have an infinite error.
+    Each step changes the filter of one site or swaps two sites. If `swapped` is true, steps only swap, which preserves the
+    count of each filter. Arrays that are not `allowed` have an infinite error.
     """
     known: dict[bytes, float] = {}
 

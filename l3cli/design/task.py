@@ -1,6 +1,7 @@
-"""A design recipe with everything that it refers to, and the ranking of its arrays for the report.
+"""Carries out a design recipe and ranks its arrays for the report.
 
-`Task` loads lights, levels, filters and arrays, evaluates arrays and tunes filters. `designed` collects the results.
+`Task` loads the illuminants, levels, filters and arrays, evaluates arrays and optimises filters. `designed` collects the
+results.
 """
 
 import dataclasses
@@ -32,34 +33,34 @@ from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.toml import load_recipe
 
-ANNEALING = 1000  # steps of simulated annealing
-MOST_REPEATED = 8  # with at most this many filters, annealing starts from the best 2×2 array, repeated
-SAME = 1e-6  # relative difference up to which numbers agree
-BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # centre (nm), sigma (nm) and peak of tuned filters
-STEPS = np.array([10.0, 10.0, 0.1])  # nm, nm, 1; the optimiser's variables are in these units
-SPREAD = np.array([25.0, 15.0, 0.0])  # nm, nm, 1; standard deviation of random starts around the given filters
+ANNEALING = 1000  # number of steps of simulated annealing
+MOST_REPEATED = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array
+SAME = 1e-6  # numbers agree if their relative difference is smaller
+BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
+STEPS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
+SPREAD = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
 DESCENT = {"maxiter": 60, "eps": 1e-4}  # options of the optimiser
 
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe with everything that it refers to.
+    """A design recipe, together with the scene moments and files that it needs.
 
-    A task is pickled as two paths, so that each worker process reads the files itself, once.
+    Only the two paths are pickled, so that each worker process reads the files itself, once.
 
     Parameters
     ----------
     recipe : Path
         The design recipe.
     moments : Path
-        Scene moments, from `l3 design moments`.
+        Scene moments, written by `l3 design moments`.
     """
 
     recipe: Path
     moments: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _task, (self.recipe, self.moments)  # each process reads the files once
+        return _task, (self.recipe, self.moments)  # _task is cached, so that each process reads the files once
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -69,7 +70,7 @@ class Task:
 
     @property
     def names(self) -> list[str]:
-        """Names of the filters, by number."""
+        """Names of the filters, in the order of their indices."""
         return list(self.wanted.filters)
 
     @functools.cached_property
@@ -87,7 +88,7 @@ class Task:
 
     @functools.cached_property
     def lights(self) -> list[LightMoments]:
-        """Moments under each light of the levels. Raises RecipeError if moments under a light are missing."""
+        """Moments under each illuminant of the levels. Raises RecipeError if an illuminant is missing from the moments."""
         known = {light.illuminant: light for light in self.scenes.light}
         for level in self.wanted.level:
             if level.illuminant not in known:
@@ -106,7 +107,7 @@ class Task:
 
     @functools.cached_property
     def spectra(self) -> list[Seen]:
-        """Moments of the outputs that count under each light, in terms of principal spectra."""
+        """Moments of principal spectra and outputs under each illuminant."""
         return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
@@ -114,30 +115,30 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem with other filters (filter, wavelength)."""
+        """Return the problem for filters with other quantum efficiencies (filter, wavelength)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 
     # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
-        """Whether an array of these filters has enough independent outputs."""
+        """Whether an array of these filters provides enough independent outputs."""
         responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
-        """Convert an array of filter names to filter numbers."""
+        """Convert an array of filter names to filter indices."""
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the filters that a pattern may contain, and the number of each if the recipe states it."""
+        """Return the filters that a pattern may contain and, if the recipe states it, the number of sites of each."""
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
         """Return the arrays of a pattern to evaluate, or None if there are too many and annealing is needed.
 
-        Raises RecipeError if a listed array, or every possible array, has too few independent outputs.
+        Raises RecipeError if a listed array, or every array of a shape, provides too few independent outputs.
         """
         shortage = f"fewer than {self.wanted.needed} independent outputs; add a filter"
         where = f"{self.recipe}: pattern {number + 1}"
@@ -149,13 +150,13 @@ class Task:
         filters, counts = self.choice(pattern)
         every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []
         if every == []:
-            raise RecipeError(f"{where}: every array of that shape has {shortage} or make it larger")
+            raise RecipeError(f"{where}: every array of this shape has {shortage}, or make the shape larger")
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
         """Return the Bayer arrays of any three of the filters.
 
-        The filter with the middle centre wavelength is on a diagonal, the other two are beside it.
+        The filter with the middle wavelength takes the place of green. The other two take the places of red and blue.
         """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
@@ -166,7 +167,7 @@ class Task:
         wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
         if not np.allclose(wanted, given, rtol=SAME, atol=0):
             theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
-            text = f"{self.moments} is for {theirs}, the design for {ours}"
+            text = f"{self.moments} is for {theirs}, but the design is for {ours}"
             raise InputFileError(f"{text}; gather moments with ‹camera› {self.recipe}")
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
@@ -174,15 +175,15 @@ class Task:
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
-        """Return the array that one annealing run finds.
+        """Search for an array with one run of simulated annealing.
 
         Parameters
         ----------
         seed : int
             Seed of the random numbers.
         which : tuple of int
-            Number of the pattern, and number of the run. Runs start from a random array, except that run 0 starts from the
-            best quarter of the array, repeated, if possible.
+            Number of the pattern, and number of the run. If possible, run 0 starts from repetitions of the best 2×2 array.
+            All other runs start from a random array.
         """
         (number, run), rng = which, np.random.default_rng([seed, *which])
         pattern = self.wanted.pattern[number]
@@ -198,7 +199,7 @@ class Task:
     # ------------------------------------------------------------------------------------------------- tuning
 
     def tuned_curves(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantum efficiencies (filter, wavelength) with tuned filters (tuned filter, 3)."""
+        """Return the quantum efficiencies (filter, wavelength) for the given parameters (optimised filter, 3)."""
         curves, wavelength = self.curves.copy(), self.scenes.wavelength
         bare = bare_efficiency(self.wanted.pixel.bare, wavelength, self.recipe.parent)
         for name, (centre, sigma, peak) in zip(self.wanted.tuned, parameters.tolist(), strict=True):
@@ -207,21 +208,21 @@ class Task:
         return curves
 
     def descended(self, seed: int, number: int) -> dict[str, NDArray]:
-        """Tune the filters by gradient descent from one start.
+        """Optimise the filters by gradient descent from one starting point.
 
-        The gradient is taken by finite differences, which cost as much as an analytic gradient.
+        The gradient is computed by finite differences, which take no longer than an analytic gradient.
 
         Parameters
         ----------
         seed : int
             Seed of the random numbers.
         number : int
-            Number of the start. Start 0 is the given filters, the others are random.
+            Number of the starting point. Number 0 is the filters of the recipe, the others are random.
 
         Returns
         -------
         dict
-            "score" is the log of the smallest error, "parameters" (tuned filter, 3) are centres, sigmas and peaks.
+            "score" is the logarithm of the smallest error. "parameters" (optimised filter, 3) are centres, sigmas and peaks.
         """
         from scipy import optimize
 
@@ -256,9 +257,9 @@ def _task(recipe: Path, moments: Path) -> Task:
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED = 100  # number of best arrays in the report, which also lists the best Bayer array and the best of each level
-SHIFT = 5.0  # nm, shift of a filter in the sensitivity analysis
-DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m², exposures in the map of error against light
+LISTED = 100  # number of best arrays in the report. It also lists the best Bayer array and the best array of each level.
+SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
+DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
 
 
 def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> Design:
@@ -271,7 +272,7 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
     arrays : sequence of ndarray, (row, col)
         Evaluated arrays.
     errors : ndarray, (array, level, group)
-        Their errors.
+        Errors of the arrays.
 
     Returns
     -------
@@ -317,8 +318,9 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
 
 def sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
-    """Return the relative change (filter) of an array's error if one filter is shifted by SHIFT nm, in the worse
-    direction.
+    """Return the relative change (filter) of the error of an array if one filter is shifted by SHIFT nm.
+
+    Each filter is shifted in the direction that increases the error more.
     """
     changes, given, grid = np.zeros(len(task.curves)), task.problem.score(cfa), task.scenes.wavelength
     for place in np.unique(cfa):

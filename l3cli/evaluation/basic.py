@@ -1,7 +1,7 @@
-"""The pipeline of a laboratory without training: white balance, demosaicking, colour matrix (docs/method.md#basic-pipeline).
+"""The basic pipeline, an untrained baseline: white balance, demosaicking, colour matrix (docs/method.md#basic-pipeline).
 
-Clipped channels remain as they are. Clipping all channels where the first one clips would keep highlights neutral, but
-costs 0.6 ΔE00 on faces at three light levels, and a baseline should be as strong as possible.
+Channels are clipped individually. Clipping all channels at the level of the first one would keep highlights neutral, but
+costs 0.6 ΔE00 on faces at three light levels. A baseline should be as strong as possible.
 """
 
 from collections.abc import Callable
@@ -17,23 +17,25 @@ from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
-# Combines balanced planes (channel, row, col) of several exposures, given the balance (channel), into one per filter
+# Function that merges white-balanced planes (channel, row, col) of several exposures into one plane per colour filter. The
+# last argument is the white balance (channel).
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
 CLIPPED = 0.985  # fraction of full scale from which a sample counts as clipped
-TOUCHED = 0.02  # fraction of clipped samples in an interpolation above which its result counts as clipped
-# Regularisation relative to the mean square of the channels' differences, which trades noise for colour (ΔE 1.7 on a chart)
+TOUCHED = 0.02  # an interpolated value counts as clipped if clipped samples contribute more than this fraction
+# Regularisation relative to the mean square of the channel differences. It reduces noise at the cost of colour accuracy
+# (ΔE 1.7 on a chart).
 RIDGE = 0.05
-BLIND = 1e-6  # a channel with a smaller response to white, relative to the brightest channel, does not see a light
+BLIND = 1e-6  # a channel whose response to white, relative to the brightest channel, is smaller counts as blind
 ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, range of the CIE observers
-UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates for a light of which only the white is known
+UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidate illuminants if only the white point is known
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Colour correction of a camera for one light, relative to a perfect white."""
+    """Colour correction of a camera for one illuminant, relative to a perfect white."""
 
-    balance: Array  # (channel) fraction of a white of 1 cd/m² per photo-electron per second; 0 if blind to the light
-    matrix: Array  # (output, channel), rows sum to 1
+    balance: Array  # (channel) fraction of a white of 1 cd/m² per photo-electron per second; 0 for a blind channel
+    matrix: Array  # (output, channel) whose rows sum to 1
 
 
 def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
@@ -44,14 +46,14 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     camera : CameraModel
         The camera.
     light : LightSpectrum
-        Light on the scene.
+        Illuminant of the scene.
     wanted : LightSpectrum, optional
-        Light of the target XYZ. [default: `light`]
+        Illuminant of the target XYZ. [default: `light`]
 
     Raises
     ------
     InputFileError
-        If the eye or the camera does not see a light.
+        If an illuminant is invisible to the eye or to the camera.
     """
     library, falling = lit_library(light)
     electrons = electrons_of(camera, light, library * falling)
@@ -62,36 +64,53 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
-    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # deep red has no Z at all
+    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # deep red light has Z = 0
     matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white)
     return Colour(balance, matrix)
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons per second (sample, channel) from `radiances` (sample, wavelength) on a light's grid."""
+    """Return the photo-electrons per second (sample, channel) for `radiances` (sample, wavelength).
+
+    The radiances are sampled at the wavelengths of `light`.
+    """
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """Return white and the measured reflectances (sample, wavelength), and the light (wavelength) at 1 cd/m² on white."""
+    """Return the reflectances (sample, wavelength) of white and of the measured surfaces, and the illuminant (wavelength).
+
+    The illuminant is scaled so that white has 1 cd/m².
+    """
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
-        raise InputFileError("a frame's light cannot be seen; simulate it again")
+        raise InputFileError("the light of a frame is invisible; simulate it again under another light")
     library = np.vstack([np.ones(light.wavelength.size), spectra.reflectance_library(light.wavelength)])
     return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
 
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
-    """Fit a matrix (output, channel) whose rows sum to 1, from white-balanced channels to outputs.
+    """Fit a matrix that maps white-balanced channels to outputs and preserves white.
 
-    Both arrays are (sample, channel) and (sample, output). The ridge regression is between the differences of outputs and
-    channels from the mean of the channels.
+    The mean of the channels is subtracted from channels and outputs, and ridge regression maps the differences.
+
+    Parameters
+    ----------
+    channels : ndarray, (sample, channel)
+        White-balanced channels.
+    outputs : ndarray, (sample, output)
+        Outputs relative to white.
+
+    Returns
+    -------
+    ndarray, (output, channel)
+        Matrix whose rows sum to 1.
     """
     mean = channels.mean(axis=1, keepdims=True)
     differences = channels - mean
     gram = differences.T @ differences
     ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    # lstsq instead of solve, because a single channel gives the equation 0 = 0
+    # lstsq instead of solve, because the equation of a single channel is 0 = 0
     matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
@@ -108,11 +127,11 @@ def develop(
     camera : CameraModel
         Its camera.
     colour : Colour
-        White balance and matrix.
+        White balance and colour matrix.
     demosaic : callable
         Demosaicking method.
     merge : callable, optional
-        Combines the exposures of a camera that has several.
+        Merges the exposures of a camera whose channels are exposed differently.
     """
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
@@ -125,11 +144,30 @@ def develop(
 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
-    """Convert a raw frame to the camera's bands (channel, row, col) in the target's unit.
+    """Convert a raw frame to the camera's bands (docs/method.md#baselines-for-bands).
 
-    The steps are black and dark subtraction, white balance, demosaicking, and the white balance of the target
-    (docs/method.md#baselines-for-bands). `relit` says that the target has another light than the frame. Raises
-    InputFileError if the camera does not see the light.
+    The steps are black and dark subtraction, white balance, demosaicking, and the white balance of the target.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        The frame.
+    camera : CameraModel
+        Its camera.
+    relit : bool
+        Whether the target has another illuminant than the frame.
+    demosaic : callable
+        Demosaicking method.
+
+    Returns
+    -------
+    ndarray, (channel, row, col)
+        Bands in the target's unit.
+
+    Raises
+    ------
+    InputFileError
+        If the illuminant is invisible to the camera.
     """
     share = camera.saturation_exposure / camera.full_scale  # target value of a band per electron per second
     white = white_electrons(frame, camera) if relit else frame.white / (share * camera.channel_gains)
@@ -137,16 +175,16 @@ def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosai
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons per second (channel) from a perfect white under the light of a frame."""
+    """Return the photo-electrons per second (channel) from a perfect white under the illuminant of a frame."""
     light = light_of(frame, camera)
     falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
     return electrons_of(camera, light, falling[None])[0]
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the fraction of a perfect white per photo-electron (channel), 0 for channels that do not see the light.
+    """Return the fraction of a perfect white per photo-electron (channel), or 0 for channels that are blind to the light.
 
-    `white` (channel) is the signal of white in electrons per second. Raises InputFileError if no channel sees the light.
+    `white` (channel) is the signal of white in electrons per second. Raises InputFileError if all channels are blind.
     """
     if not white.max() > 0:
         raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
@@ -174,10 +212,10 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the light of a frame.
+    """Return the spectrum of the illuminant of a frame.
 
-    If the frame does not contain it, it is the light with the frame's name, or the common light nearest to the frame's
-    white.
+    If the frame does not contain the spectrum, its illuminant is looked up by name. If the name is unknown, the result is
+    the common illuminant whose white point is nearest to the frame's white.
     """
 
     def distance(white: Array) -> float:
@@ -194,7 +232,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """Return a named light at 1 nm over the range of the observer and of the cameras."""
+    """Return a standard illuminant in steps of 1 nm over the range of the observer and of the cameras."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -205,8 +243,9 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the methods to merge the exposures of a camera, by name. "basic" is the best. The method is None if all are
-    alike.
+    """Return the methods that merge the exposures of a camera, by name.
+
+    "basic" is the best method. It is None if all channels have the same exposure.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
@@ -215,9 +254,9 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 
 
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Average the channels of each filter, weighted by inverse noise variance and without channels that clip around a pixel.
+    """Average the exposures of each colour filter, weighted by inverse noise variance.
 
-    Where all channels clip, the least sensitive one remains.
+    Exposures that clip around a pixel are left out. If all clip, the least sensitive exposure is used.
     """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED
@@ -234,12 +273,12 @@ def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Arr
 
 
 def most_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Use only the longest exposure or highest gain of each filter."""
+    """Use only the longest exposure or highest gain of each colour filter."""
     return _chosen(planes, camera, np.argmax)
 
 
 def least_sensitive(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
-    """Use only the shortest exposure or lowest gain of each filter."""
+    """Use only the shortest exposure or lowest gain of each colour filter."""
     return _chosen(planes, camera, np.argmin)
 
 
@@ -251,7 +290,7 @@ def _chosen(planes: Array, camera: CameraModel, which: Callable[[Array], np.intp
 
 
 def _groups(camera: CameraModel) -> list[NDArray[np.intp]]:
-    """Return the channels of each filter."""
+    """Return the channels of each colour filter."""
     assert camera.readout is not None
     first = camera.readout.same_filter
     return [np.flatnonzero(first == one) for one in np.unique(first)]

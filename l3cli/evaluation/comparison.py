@@ -1,4 +1,4 @@
-"""Compare cameras as a function of the light on the scene: above which luminance is which camera better?"""
+"""Compares cameras as a function of scene luminance: in which range is which camera better?"""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,12 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
-LARGEST = 1e12  # largest plausible value of a metric, or of a luminance in cd/m²
-CLIPPING = 0.05  # a camera clips if at least this fraction of its pixels is at full scale; highlights are fewer
+LARGEST = 1e12  # largest plausible value of a metric, and of a luminance in cd/m²
+CLIPPING = 0.05  # smallest fraction of pixels at full scale that counts as clipping; highlights alone stay below it
 OTHER_SCENES = (
-    "the evaluations show different scenes or lights, so there is no verdict; simulate all with one recipe and seed"
+    "the evaluations have different scenes or lights and cannot be compared; simulate all with the same recipe and seed"
 )
-UNKNOWN_SCENES = "frames without fingerprints: scenes and lights may differ between the evaluations; simulate them again"
+UNKNOWN_SCENES = "some frames have no fingerprints, so scenes and lights may differ; simulate the training sets again"
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,16 @@ class Curve:
     name: str
     luminance: tuple[float, ...]  # cd/m² of a perfect white, increasing
     value: tuple[float, ...]
-    clipped: tuple[float, ...] = ()  # fraction of pixels at full scale; empty if evaluated by an older version
-    exposure: tuple[float, ...] = ()  # s, longest exposure at each luminance
+    clipped: tuple[float, ...] = ()  # fraction of pixels at full scale at each luminance; empty if unknown
+    exposure: tuple[float, ...] = ()  # s, longest exposure time at each luminance
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """All metrics of every camera as functions of luminance, and the luminances at which another camera becomes the
-    better one.
-    """
+    """All metrics of every camera as functions of luminance, and the luminances at which the ranking changes."""
 
-    curves: dict[str, list[Curve]]  # by metric, in the order of the evaluations
-    alike: bool | None  # whether all cameras saw the same scenes; None if unknown
+    curves: dict[str, list[Curve]]  # metric → one curve per camera, in the order of the evaluations
+    alike: bool | None  # whether all cameras were evaluated on the same scenes; None if unknown
 
     @property
     def cameras(self) -> list[Curve]:
@@ -49,18 +47,18 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Say for each pair of cameras which is better, where, and by how much. Empty if the scenes differ."""
+        """Say for each pair of cameras which is better, at which luminances, and by how much. Empty if the scenes differ."""
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 
     @property
     def doubt(self) -> str | None:
-        """Why the cameras may not be comparable, or None."""
+        """A warning if the cameras may not be comparable, otherwise None."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property
     def clipping(self) -> list[str]:
-        """For each camera that clips, a sentence with the luminance at which clipping begins."""
+        """For each camera that clips, a sentence that states the luminance at which clipping begins."""
         return list(filter(None, map(clipping, self.cameras)))
 
     def document(self) -> dict[str, Any]:
@@ -94,14 +92,14 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
     Raises
     ------
     InputFileError
-        If the document has no metrics by luminance.
+        If the document contains no metrics by luminance.
     RecipeError
-        If it has no metric of that name.
+        If the document has no metric with this name.
     """
     try:
         known = {name for frame in document["frames"] for name in frame[OURS]}
         if known and figure not in known:
-            raise RecipeError(f'no figure "{figure}"; {suggestion(figure, sorted(known))}')
+            raise RecipeError(f'the metric "{figure}" is unknown; {suggestion(figure, sorted(known))}')
         by_luminance: dict[float, list[tuple[float, float, float]]] = {}
         for frame in document["frames"]:
             row = float(frame[OURS][figure]), float(frame.get("clipped", 0.0)), float(frame.get("exposure", 1.0))
@@ -114,14 +112,16 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
         name = str(document["camera"])
         measured = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputFileError(f'{file}: no figure {figure} by luminance; give what "l3 evaluate --json" prints') from error
+        raise InputFileError(
+            f'{file} does not contain {figure} by luminance; give a file that "l3 evaluate --json" printed'
+        ) from error
     value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
     exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
     return Curve(name, tuple(rising), value, *((clipped, exposure) if measured else ()))
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Add file names to the names of cameras that occur more than once."""
+    """Add the file name to the name of each camera that occurs more than once."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -130,7 +130,7 @@ def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
-    """Whether the frames of all documents show the same scenes and lights. None if a frame has no fingerprint.
+    """Whether the frames of all documents show the same scenes and illuminants. None if a frame has no fingerprint.
 
     Raises InputFileError if a document is not from `l3 evaluate`.
     """
@@ -143,11 +143,11 @@ def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
             for other in others
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputFileError('frames do not say what they show; give what "l3 evaluate --json" prints') from error
+        raise InputFileError('frames do not name their scenes; give files that "l3 evaluate --json" printed') from error
 
 
 def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
-    """Return the fingerprints of the frames by scene, light and luminance."""
+    """Return the fingerprint of each frame by scene, illuminant and luminance."""
     return {
         (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
         for frame in document["frames"]
@@ -159,7 +159,7 @@ def require_comparable(curves: list[Curve]) -> None:
     for other in curves[1:]:
         if other.luminance != curves[0].luminance:
             raise InputFileError(
-                f"{curves[0].name} and {other.name} were evaluated at other luminances; simulate both alike"
+                f"{curves[0].name} and {other.name} were evaluated at different luminances; simulate both with one recipe"
             )
 
 
@@ -168,7 +168,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
-        if lead[at] * lead[to] < 0:  # where they are equal between the two, the better one changes there
+        if lead[at] * lead[to] < 0:  # the curves cross between these two luminances
             to = min(to, at + 1) if lead[at + 1] == 0 else to
             share = lead[at] / (lead[at] - lead[to])
             low, high = np.log(one.luminance[at]), np.log(one.luminance[to])
@@ -177,7 +177,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Say which of two cameras is better in which range of luminance, and by how much at most."""
+    """Say which of two cameras is better in each range of luminance, and by how much at most."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -199,7 +199,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """Say from which luminance a camera clips, or return None if it does not clip or if that is unknown."""
+    """State the luminance at which a camera begins to clip, or return None if it does not clip or this is unknown."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some or not some[-1]:
         return None
@@ -207,7 +207,7 @@ def clipping(curve: Curve) -> str | None:
     times = set(curve.exposure[first:])
     at = f" at {_time(curve.exposure[first])}" if len(times) == 1 else ""
     share = f"{curve.clipped[-1]:.0%} of its pixels at {curve.luminance[-1]:g} cd/m²"
-    return f"{curve.name} clips{at} from {curve.luminance[first]:g} cd/m² on: {share}."
+    return f"{curve.name} clips{at} from {curve.luminance[first]:g} cd/m² upwards: {share}."
 
 
 def _time(seconds: float) -> str:

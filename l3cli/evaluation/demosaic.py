@@ -1,8 +1,8 @@
-"""Demosaicking methods that a table is compared with. None of them is trained.
+"""Untrained demosaicking methods, with which a table is compared.
 
-Methods take a mosaic (row, col) that begins at CFA phase (0, 0), and return channels (channel, row, col) at full
-resolution. For methods for bands, a perfect white is 1 in every band of the mosaic (docs/method.md#baselines-for-bands).
-Borders are mirrored in phase.
+A method takes a mosaic (row, col) that begins at CFA phase (0, 0), and returns channels (channel, row, col) at full
+resolution. Methods for bands expect a mosaic in which a perfect white is 1 in every band
+(docs/method.md#baselines-for-bands). Borders are mirrored without a break in the CFA pattern.
 """
 
 import functools
@@ -25,19 +25,19 @@ from l3cli.system.plugins import BASELINES, blamed, described, plugins
 Array = NDArray[np.floating]
 CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
-Direction = tuple[int, int]  # signs of a row and a column offset
+Direction = tuple[int, int]  # signs of a row offset and a column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-PERIODS = 4  # width of the margin in periods, beyond the reach of all methods for bands, which wrap around
-CODES = 255.0  # value of a perfect white, which sets the scale of the constant 1 in PPID's weights
-SIGMA = 0.55  # sigma of the Gaussian in sample distances of a channel, the best value for dead leaves (five-band)
-MARGIN = 8  # pixels, even, beyond the reach of the Bayer methods
+PERIODS = 4  # periods; width of the margin for methods for bands, which wrap around. Wider than their support.
+CODES = 255.0  # code of a perfect white, the scale of the constant 1 in PPID's weights
+SIGMA = 0.55  # sigma of the Gaussian in distances between samples of a channel; the best value for dead leaves (five-band)
+MARGIN = 8  # pixels; width of the margin for Bayer methods. Even, and wider than their support.
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate each channel on its own, for any CFA.
+    """Interpolate each channel independently, for any CFA.
 
-    The result (channel, row, col) is a Gaussian-weighted mean of the channel's samples around a pixel (normalised
-    convolution, Knutsson and Westin 1993). It is exact for uniform areas. Borders are mirrored.
+    The result (channel, row, col) is a Gaussian-weighted mean of the channel's samples around each pixel (normalised
+    convolution, Knutsson and Westin 1993). It is exact in uniform areas. Borders are mirrored.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -65,15 +65,15 @@ def menon(mosaic: Array, cfa: CFA) -> Array:
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return every installed method for pictures that fits a CFA, by name. "basic" is always included."""
+    """Return all installed methods for pictures that are suitable for a CFA, by name. "basic" is always included."""
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return every installed method for a camera's own bands, by name.
+    """Return all installed methods for a camera's own bands, by name.
 
-    CFAs in which every band occurs once per period have "bilinear", "sd" and "ppid". Bayer CFAs have "bilinear" and the
-    Bayer methods. Others have "basic".
+    If every band occurs once per period, these are "bilinear", "sd" and "ppid". For a Bayer CFA, they are "bilinear" and the
+    Bayer methods. For other CFAs, the only method is "basic".
     """
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
@@ -83,10 +83,10 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def best_of_bands(cfa: CFA) -> Demosaic:
-    """Return the best of l3's own methods for bands: PPID if every band occurs once per period, Menon for Bayer if
-    installed.
+    """Return the best of l3's own methods for bands.
 
-    For other CFAs it is normalised convolution.
+    This is PPID if every band occurs once per period, Menon for a Bayer CFA if installed, and otherwise normalised
+    convolution.
     """
     if occurs_once(cfa):
         return ppi_difference
@@ -94,7 +94,10 @@ def best_of_bands(cfa: CFA) -> Demosaic:
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Return the channels that play red, green and blue in a Bayer CFA, or None for other CFAs. Green is on a diagonal."""
+    """Return the channels that act as red, green and blue in a Bayer CFA, or None for other CFAs.
+
+    Green is the channel on a diagonal.
+    """
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:
         return None
     for one, other in (((0, 0), (1, 1)), ((0, 1), (1, 0))):
@@ -113,12 +116,12 @@ def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:
 def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
     """Add the methods of installed packages to `known` (docs/python.md#a-baseline).
 
-    Raises L3Error if a package fails, or if its method has the name of a known one.
+    Raises L3Error if a package fails, or if its method has the same name as another method.
     """
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
-            raise L3Error(f"{described(entry)} has the name of one of l3's own baselines; rename it")
+            raise L3Error(f"{described(entry)} has the same name as one of l3's baselines; rename it")
         with blamed(entry):
             method = entry.load()(cfa)
         if method is not None:
@@ -127,7 +130,7 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate a mosaic (row, col) with the method of a package. Raises L3Error if the result is invalid."""
+    """Interpolate a mosaic (row, col) with a method from a package. Raises L3Error if the result is invalid."""
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
@@ -145,7 +148,7 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        padded = pad_mosaic(mosaic, MARGIN, cfa.shape)  # the package's own padding breaks the mosaic's phase
+        padded = pad_mosaic(mosaic, MARGIN, cfa.shape)  # the package's own padding would break the CFA pattern
         planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), MARGIN)
     return planes[[roles.index(channel) for channel in range(3)]]
 
@@ -159,7 +162,7 @@ def occurs_once(cfa: CFA) -> bool:
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate every band on its own, with triangular weights for samples less than a period away.
+    """Interpolate every band independently, with triangular weights for samples less than a period away.
 
     The method is "weighted bilinear" (Brauers and Aach 2006). For a Bayer CFA it is bilinear interpolation.
     """
@@ -167,10 +170,10 @@ def bilinear(mosaic: Array, cfa: CFA) -> Array:
 
 
 def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate differences of bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
+    """Interpolate differences between bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
 
-    At a pixel of band l, the differences of all samples from the bilinear plane of l are interpolated, and l's sample is
-    added.
+    At a pixel of band l, the bilinear plane of l is subtracted from all samples. The differences are interpolated, and the
+    sample of band l is added.
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -187,9 +190,9 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
     """Demosaick with PPID for a CFA that `occurs_once`.
 
-    The differences of all samples from the pseudo-panchromatic image, the mean of all bands, are interpolated along edges
-    (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic image", IEEE Trans.
-    Computational Imaging 3, 2017, equations 21 to 34).
+    The pseudo-panchromatic image is the mean of all bands. It is subtracted from all samples, and the differences are
+    interpolated along edges (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic
+    image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -209,7 +212,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    It is the mean over a period, sharpened by the differences between samples and mean at the same band a period away.
+    It is the mean over a period. It is sharpened with the differences between samples and mean, taken from pixels of the
+    same band one period away.
     """
     from scipy.ndimage import correlate1d
 
@@ -226,9 +230,9 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 
 
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
-    """Return the weight (row, col) of the neighbours in each direction (equations 25 to 27).
+    """Return the weight (row, col) of the neighbour in each direction (equations 25 to 27).
 
-    Weights are small where samples of the same band, a period apart, differ. The weight of the pixel itself is 1.
+    A weight is small if samples of the same band that are one period apart differ. The pixel itself has weight 1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
@@ -248,10 +252,10 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 
 
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
-    """Return all bands (band, row, col) at the pixels of a CFA site, from samples of `plane` less than a period away.
+    """Interpolate all bands (band, row, col) at the pixels of a CFA site, from samples of `plane` less than a period away.
 
-    Samples have triangular weights in both directions, times the `weights` of their direction if given. The site's own band
-    is the sample itself.
+    Samples have triangular weights in both directions. If `weights` are given, they are multiplied by the weight of their
+    direction. In the site's own band, the result is the sample itself.
     """
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
@@ -268,7 +272,7 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """Apply a method, prepared with the padded mosaic, at the pixels of every site, and remove the margin."""
+    """Pad the mosaic, apply a method at the pixels of every CFA site, and remove the margin."""
     margin = PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
@@ -281,7 +285,7 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """Return the samples of a plane at `offset` from the pixels of a site. Beyond its ends, the plane wraps around."""
+    """Return the samples of a plane at `offset` from the pixels of a CFA site. The plane wraps around at its borders."""
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -290,7 +294,7 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """Return for every pixel the value at an offset from it."""
+    """Return the value at an offset from each pixel."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 

@@ -1,4 +1,4 @@
-"""Evaluate a table frame by frame against untrained pipelines, and collect all results in one document.
+"""Compares a table with untrained pipelines frame by frame, and collects all results in one document.
 
 The document includes mean errors by class, which show the worst classes.
 """
@@ -29,14 +29,14 @@ from l3cli.physics.figures import known_mean, sign
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 
 Array = NDArray[np.floating]
-LEAST_SHARE = 1e-3  # fraction of all pixels that a class needs to be listed among the worst
-LISTED = 10  # number of worst classes
+LEAST_SHARE = 1e-3  # a class with a smaller fraction of all pixels is not listed among the worst classes
+LISTED = 10  # number of worst classes in the document
 
 
 class ClassErrors:
     """Sums of pixel errors by class feature: level, contrast, other features and kind (chroma or saturation case).
 
-    All CFA sites are summed together.
+    All CFA sites are added up.
     """
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
@@ -61,7 +61,7 @@ class ClassErrors:
             self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error, named `figure`, of the classes that occur for each value of each feature."""
+        """Return the mean error for each value of each class feature. Its key in the result is `figure`."""
         table, rule = self._table, self._rule
         entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
@@ -80,7 +80,7 @@ class ClassErrors:
         return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the classes with the largest mean error of a pipeline, among classes with enough pixels."""
+        """Return the classes with the largest mean error of a pipeline. Classes with few pixels are left out."""
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
@@ -103,12 +103,12 @@ class ClassErrors:
 
 
 FORMAT = 3  # version of the document, increased when its keys change
-OURS = "ours"  # key of the table's results in documents
+OURS = "ours"  # pipeline name of the table in the document
 TAKEN = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
 }  # fmt: skip # names with another meaning in documents and pictures, which no pipeline may have
-LARGEST = 1e24  # cd/m², largest output of a table; sums of its square stay finite
+LARGEST = 1e24  # cd/m²; largest permitted output of a table, so that sums of squares stay finite
 
 
 class Evaluation:
@@ -119,22 +119,22 @@ class Evaluation:
     table : TransformTable
         The table.
     head : TrainingSet
-        Describes the frames.
+        Description of the frames.
     viewing : float
         Samples per degree for S-CIELAB.
     border : int, optional
-        Pixels left out at each edge of a frame. [default: pixels whose patch is not inside the frame]
+        Number of pixels left out at each edge of a frame. [default: all pixels whose patch extends beyond the frame]
     rivals : sequence of str
-        Names of other pipelines, whose pictures are passed to `planes`.
+        Names of other pipelines. Their pictures are passed to `planes`.
     drawn : callable, optional
-        Provides training frames for the estimates of reflectances and radiances. Without it there are no estimates.
+        Provides training frames for the spectral estimators. Without it there are no estimates.
 
     Raises
     ------
     InputFileError
         If table and frames have different CFAs or outputs.
     RecipeError
-        If rivals cannot be compared because outputs are not XYZ, or if a name is already in use.
+        If there are rivals but the outputs are not XYZ, or if a name is already in use.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Evaluation:
     ) -> None:
         camera = head.camera
         if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
-            raise InputFileError("the frames are of a camera with another CFA than the table; evaluate a matching pair")
+            raise InputFileError("the frames and the table are for cameras with different CFAs; evaluate a matching pair")
         if head.outputs != table.outputs:
             names = f"{', '.join(table.outputs)} of the table, {', '.join(head.outputs)} of the frames"
             raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
@@ -165,7 +165,7 @@ class Evaluation:
             self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
-                f"rivals are pictures, but the table's outputs are {', '.join(table.outputs)}; leave ‹rival› out"
+                f"rivals need a table with outputs X, Y, Z, and this one has {', '.join(table.outputs)}; leave ‹rival› out"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:
@@ -173,10 +173,10 @@ class Evaluation:
                 raise RecipeError(f'the name "{name}" is already in use; rename the pipeline')
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
         self._figure = "mean_delta_e" if self._pictures else single
-        self._colours: dict[bytes, Colour] = {}  # colour correction of each light
+        self._colours: dict[bytes, Colour] = {}  # colour correction for each illuminant
         self._frames: list[dict[str, Any]] = []
         self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []  # level, kinds, variances
-        self._bands: list[dict[str, list[dict[str, float]]]] = []  # metrics by frame, pipeline and output
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # metrics per frame, pipeline and output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
@@ -202,26 +202,27 @@ class Evaluation:
         Raises
         ------
         InputFileError
-            If no pixel has its whole neighbourhood inside the frame, if the light is dark, or if `outputs` are not finite.
+            If no pixel has its whole patch inside the frame, if the illuminant has no luminance, or if `outputs` are not
+            finite.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} of {size} pixels has none inside a border of {border}; give larger frames"
+                f"frame {frame.scene} of {size} pixels is too small for a border of {border}; give larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return `planes` of the table and the baselines, without rivals and estimates, for a frame of any size."""
+        """Return the planes of the table and of the baselines only, for a frame of any size."""
         if self._pictures and not frame.white[1] > 0:
-            raise InputFileError(f"frame {frame.scene} has a white without luminance; simulate it again")
+            raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the frame again")
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= LARGEST:
-            raise InputFileError(f"the table renders frame {frame.scene} to impossibly large values; train it again")
+            raise InputFileError(f"the table gives impossibly large values in frame {frame.scene}; train the table again")
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
             if self._pictures:
@@ -231,20 +232,30 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return a frame with the target that the table's pictures are compared with.
+        """Return a frame with the target with which pictures are compared.
 
-        A camera of one channel cannot distinguish colours. Its pictures are compared with the grey of the same luminance.
+        A camera with one channel cannot distinguish colours. Its target is the grey with the luminance of the original.
         """
         return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
 
     def _as_shown(self, planes: Array, frame: TrainingPair) -> Array:
-        """Replace X, Y, Z planes (3, row, col) by the grey of their luminance if the table's pictures are grey."""
+        """Replace XYZ planes (3, row, col) by a grey of the same luminance if the table's pictures are grey."""
         if not (self._pictures and self._table.shows_grey and frame.white[1] > 0):
             return planes
         return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Add a frame from `wanted`, with the `planes` of every pipeline and the table's classes `labels` (row, col)."""
+        """Add the metrics of a frame.
+
+        Parameters
+        ----------
+        frame : TrainingPair
+            Result of `wanted`.
+        planes : dict of str to ndarray, (output, row, col)
+            Pipeline → result of `planes`.
+        labels : ndarray of int, (row, col)
+            Class of each pixel in the table.
+        """
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
         level = float(frame.raw.mean() - black_level) / (self._camera.white_level - self._camera.black_level)
@@ -283,27 +294,30 @@ class Evaluation:
             * format: 3, increased when keys change
             * camera, outputs, viewing (samples per degree of S-CIELAB), border (pixels left out at each edge)
             * pipelines: "ours" first, rivals last
-            * frames: scene, illuminant, luminance (cd/m²), level (mean signal above the dark relative to full scale),
-              exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of scene and light; null if
-              unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances), SingleQuality
+            * frames: scene, illuminant, luminance (cd/m²), level (mean signal above dark, relative to full scale),
+              exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of scene and illuminant; null
+              if unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances), SingleQuality
               (one output) or BandQuality (other outputs)
             * mean: per pipeline, the mean of every metric over the frames
             * better: per other pipeline and metric, the number of frames in which the table is better
-            * by_level: from, to (a range of a factor of two of the frames' level), frames, then per pipeline the mean
+            * by_level: from, to (a range of frame levels that spans a factor of two), frames, then per pipeline the mean
               metrics
             * by_illuminant: illuminant, frames, then as in by_level
-            * by_gain: for tables with several analog gains, gain relative to the camera's, then as in by_illuminant, for a
-              few frames exposed again at each gain
-            * by_patch: uniform patches of one kind in frames of one level: from, to, kind, patches, per pipeline the mottle
-            * by_band: for outputs other than XYZ, band, then per pipeline the mean psnr, output_psnr and ssim over the
+            * by_gain: for tables with several analog gains, the gain relative to the camera's, then as in by_illuminant,
+              for a few frames that were simulated at each gain
+            * by_patch: for uniform patches of one kind in frames of similar level: from, to, kind, patches, and per
+              pipeline the mottle
+            * by_band: for outputs other than XYZ: band, then per pipeline the mean psnr, output_psnr and ssim over the
               frames
-            * by_class: lists for level, contrast, chroma and saturation, with the class's feature values, pixels, and per
-              pipeline the mean error; pixels without a spectral angle are left out
-            * standards: edge (by direction, frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each
-              pipeline), grey (SNR of a grey at each lux in closed form, from raw frames and from pipelines, and where it is
-              10; null without absolute curves), chart (per pipeline, the mean ΔE00 over drawn cameras; null if the curves
-              have no band), figures (per pipeline, mtf50_rows, mtf50_columns, snr10, camera_delta_e)
-            * worst_classes: level, from, to, contrast, chroma (null if saturated), case, pixels, per pipeline the mean error
+            * by_class: lists for level, contrast, chroma and saturation, each with the value of the feature, pixels, and
+              per pipeline the mean error; pixels without a spectral angle are left out
+            * standards: edge (by direction: frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each
+              pipeline), grey (the SNR of a grey at each lux, in closed form, from raw frames and for each pipeline, and the
+              lux at which it is 10; null without absolute curves), chart (per pipeline, the mean ΔE00 over random
+              cameras; null if the curves have no uncertainty band), figures (per pipeline: mtf50_rows, mtf50_columns,
+              snr10, camera_delta_e)
+            * worst_classes: level, from, to, contrast, chroma (null if saturated), case, pixels, and per pipeline the mean
+              error
         """
         first = self._frames[0]
         return {
@@ -340,7 +354,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return the mottle of uniform patches of each kind, by the level of their frames."""
+        """Return the mottle of uniform patches for each kind of patch and each range of frame levels."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), KINDS):
             members = [
@@ -364,7 +378,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Count the frames in which the table is better than `baseline`, for every metric that all frames have."""
+        """Count the frames in which the table is better than `baseline`, for each metric that exists in all frames."""
         values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
         whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
         return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
@@ -378,28 +392,28 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return the pixels (row, col) of a frame for which its scene has data, or None for all.
+    """Return the mask (row, col) of the pixels for which the scene has data, or None if it has data everywhere.
 
-    Raises InputFileError if there are none within the border.
+    Raises InputFileError if there are no such pixels within the border.
     """
     if not isinstance(frame, TrainingFrame) or frame.ignored is None:
         return None
     counted = frame.ignored.mask == 0
     if not cropped(counted, border).any():
-        raise InputFileError(f"frame {frame.scene} has no pixel with data within a border of {border}; leave the scene out")
+        raise InputFileError(f"frame {frame.scene} has no pixels with data inside a border of {border}; leave the scene out")
     return np.asarray(counted)
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the range, a factor of two around a power of two, that contains a level. Levels below 2^-12 share a range."""
+    """Return the range of a factor of two that contains a level. All levels below 2^-12 share one range."""
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Return frame number `index` of a training set as the camera's raw frame.
+    """Convert frame number `index` of a training set to a raw frame of the camera.
 
-    Raises InputFileError if a camera cannot have produced it.
+    Raises InputFileError if no camera can have produced it.
     """
     try:
         return RawFrame(
@@ -410,7 +424,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the light of a frame, or of its target if the light is unknown."""
+    """Return XYZ (3) of the illuminant of a frame, or of the white of its target if the illuminant is unknown."""
     if frame.light is None:
         return frame.white[:3]
     return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

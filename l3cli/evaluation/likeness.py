@@ -1,10 +1,10 @@
-"""Compare the camera that took frames with the camera of a table, by their signals and not by names or digests.
+"""Checks whether frames come from the camera of a table, by comparing signals rather than names or digests.
 
-A table maps fractions of full scale to colours. Cameras are therefore compared by their responses to surfaces: the ratios
-of channels (colour), the exposure that saturates (sensitivity), and the noise. The limits allow for two calibrations of one
-camera. Of 28 published cameras, those with the same sensor (Nikon D3 and D700, D40 and D50, Canon 600D and 60D, 500D and
-50D) differ by 0.9 to 1.5 ΔE00, nearly all others by 2.2 to 40. An error of 1 nm causes 0.5 ΔE00, an error of 3 % in the
-gain of a channel 1.2 ΔE00.
+A table maps fractions of full scale to colours. Two cameras are therefore compared by the ratios of their channels for
+measured surfaces (colour), the exposure that saturates a pixel (sensitivity), and their noise. The limits are wide enough
+for two calibrations of the same camera. Among 28 published cameras, pairs with the same sensor (Nikon D3 and D700, D40 and
+D50, Canon 600D and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00, and nearly all other pairs by 2.2 to 40. An error of 1 nm
+causes 0.5 ΔE00, and an error of 3 % in the gain of a channel 1.2 ΔE00.
 """
 
 from dataclasses import replace
@@ -23,34 +23,34 @@ from l3cli.physics.display import delta_e_2000, lab
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
 MOST_COLOUR = 2.0  # largest mean ΔE00 over measured surfaces
-MOST_SENSITIVITY = 1.1  # largest factor; lamps and photodiodes of two laboratories agree within 5 %
-MOST_NOISE = 1.25  # largest factor between standard deviations
+MOST_SENSITIVITY = 1.1  # largest ratio of sensitivities; lamps and photodiodes of two laboratories agree within 5 %
+MOST_NOISE = 1.25  # largest ratio of noise standard deviations
 NOISE_SHARES = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Describe how a camera differs from the camera of a table, or from another camera with the same channels.
+    """Describe how a camera differs from the camera of a table or from another camera with the same channels.
 
     Parameters
     ----------
     known : TransformTable or CameraModel
-        The reference. A table without its camera, as from older versions, only gives the sensitivity.
+        The reference. If it is a table without a camera model, only the sensitivity is compared.
     camera : CameraModel
         The camera that took the frames.
 
     Returns
     -------
     str
-        The differences beyond the limits. Empty if there are none.
+        The differences that exceed the limits, or "".
     """
     learned = known.camera if isinstance(known, TransformTable) else known
-    # In older tables, all channels are read out alike.
+    # Without a camera model, all channels are assumed to have the same exposure and gain.
     exposure = known.output_unit if learned is None else learned.saturation_exposure
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []
     if learned is not None and not (colour := colour_difference(learned, camera)) <= MOST_COLOUR:
-        differences.append(f"colours by ΔE00 {colour:.1f}")
+        differences.append(f"colours by {colour:.1f} ΔE00")
     sensitivity = exposure / camera.saturation_exposure
     if _factor(sensitivity) > MOST_SENSITIVITY:
         differences.append(f"sensitivity by a factor of {sensitivity:.3g}")
@@ -60,10 +60,10 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 between measured reflectances seen by two cameras with the same channels.
+    """Return the mean CIEDE2000 between the colours that two cameras with the same channels give to measured reflectances.
 
-    Both use the white balance and colour matrix of `one`. A common factor in sensitivity does not count. The result is the
-    larger of the values under D65 and A.
+    Both cameras use the white balance and colour matrix of `one`. A common factor in sensitivity is ignored. The result is
+    the larger of the values under D65 and A.
     """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
@@ -83,8 +83,9 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the noise of `other` relative to the noise of `one`, both as fractions of full scale, where they differ
-    most.
+    """Return the ratio of the noise of `other` to the noise of `one`, at the signal where they differ most.
+
+    Noise and signal are fractions of full scale.
     """
     spreads = []
     for camera in (one, other):
@@ -95,5 +96,5 @@ def noise_ratio(one: CameraModel, other: CameraModel) -> float:
 
 
 def _factor(ratio: float) -> float:
-    """Return a ratio or its inverse, whichever is above 1."""
+    """Return a ratio or its inverse, whichever is larger than 1."""
     return max(ratio, 1.0 / ratio)

@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame: every pipeline, the ideal, an error map, and the patches of a chart in it."""
+"""Pictures of an evaluated frame: the result of every pipeline, the ideal, an error map, and the colours of a chart."""
 
 from dataclasses import dataclass
 
@@ -12,11 +12,11 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # central fraction of a patch's side that is evaluated; pixels near its edges mix with the surroundings
+INNER = 0.5  # fraction of a patch's side that is evaluated; pixels near the edges mix with the surroundings
 EVEN = 0.01  # largest standard deviation of the target within a patch, relative to white
-ALIKE = 0.02  # largest difference between the mean of a patch and the chart, relative to white
-ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
-RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, at steps of 2.5 ΔE00
+ALIKE = 0.02  # largest difference between the mean of a patch and its value on the chart, relative to white
+ERROR_WHITE = 10.0  # ΔE00 shown as white in an error map; 0 is black
+RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, in steps of 2.5 ΔE00
 
 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
@@ -32,7 +32,7 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
     Returns
     -------
     dict of str to ndarray, (row, col, 3)
-        8-bit sRGB of each pipeline, of "ideal", and of "error", the `error_map` of the table's ΔE00.
+        8-bit sRGB picture of each pipeline, and of the target ("ideal"), and the `error_map` of the table ("error").
     """
     scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
@@ -45,8 +45,8 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
     """Convert another pipeline's picture of a frame to XYZ planes (3, row, col) in the target's unit.
 
-    The picture (row, col, 3) is linear sRGB of any brightness. It is scaled to the target by least squares of the luminance
-    where it does not clip.
+    The picture (row, col, 3) is linear sRGB of any brightness. Its luminance is scaled to that of the target by least
+    squares over the pixels that do not clip.
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))
@@ -55,7 +55,10 @@ def planes_of(picture: Array, frame: TrainingPair) -> Array:
 
 
 def error_map(difference: Array) -> Picture:
-    """Convert ΔE00 (row, col) to colours (row, col, 3): 0 black, 2.5 purple, 5 red, 7.5 orange, 10 and more white."""
+    """Convert ΔE00 (row, col) to colours (row, col, 3).
+
+    0 is black, 2.5 purple, 5 red, 7.5 orange, and 10 or more is white.
+    """
     place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
     stops = np.arange(len(RAMP))
     return np.stack([np.interp(place, stops, RAMP[:, part]) for part in range(3)], axis=-1).round().astype(np.uint8)
@@ -66,7 +69,7 @@ def error_map(difference: Array) -> Picture:
 
 @dataclass(frozen=True)
 class PatchColours:
-    """Displayed colours of patches: linear sRGB (patch, 3) of the ideal and of each pipeline, and their ΔE00 (patch)."""
+    """Displayed colours of chart patches in the ideal and in each pipeline, as linear sRGB (patch, 3), and ΔE00 (patch)."""
 
     ideal: Array
     shown: dict[str, Array]
@@ -81,7 +84,7 @@ def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[
     frame : TrainingPair
         Frame with its target.
     light : LightSpectrum or None
-        Light of the target.
+        Illuminant of the target.
     regions : list of (slice, slice)
         Rows and columns of the patches.
     """

@@ -1,7 +1,7 @@
 """Metrics for the difference between a rendered frame and its target (docs/method.md#quality-figures).
 
-There are metrics of pictures for CIE XYZ, metrics of spectra for other outputs, and metrics of noise in uniform patches,
-which averages over all pixels would hide.
+Outputs in CIE XYZ have metrics of pictures, and other outputs metrics of spectra. Noise is measured separately in uniform
+patches, because averages over all pixels would hide it.
 """
 
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from l3cli.errors import RecipeError
 from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
 
 Array = NDArray[np.floating]
-BLUR = 4.0  # pixels, σ of the Gaussian that removes grain and keeps blotches
-CUT = 6  # pixels, margin around a patch that is left out because edges affect it
+BLUR = 4.0  # pixels; σ of the Gaussian that removes grain and keeps blotches
+CUT = 6  # pixels; margin of a patch that is left out because edges affect it
 EVEN = 1.0  # largest range of L*, a* and b* of the target within a uniform window
-LEAST = 24 * 24  # pixels, smallest patch
-MOST = 64  # the largest patches of a frame are evaluated, at most this many
+LEAST = 24 * 24  # pixels; area of the smallest patch
+MOST = 64  # largest number of evaluated patches per frame; the largest patches are taken first
 DARK, WHITE, GREY = 30.0, 85.0, 10.0  # L* below or above which a patch is dark or white; C*ab below which it is grey
 HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which a hue begins
-VISUAL = np.array([1.0, 0.852, 0.323])  # weights of σ of L*, a*, b*, from ISO 15739:2013, which has them for L*u*v*
+VISUAL = np.array([1.0, 0.852, 0.323])  # weights of the σ of L*, a* and b*; ISO 15739:2013 defines them for L*u*v*
 KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
 
@@ -33,7 +33,7 @@ class PlainPatches:
     target : ndarray, (row, col, 3)
         CIELAB as displayed.
     counted : ndarray of bool, (row, col), optional
-        Pixels that count. [default: all]
+        Pixels to evaluate. [default: all]
     """
 
     def __init__(self, target: Array, counted: NDArray[np.bool_] | None = None) -> None:
@@ -60,7 +60,7 @@ class PlainPatches:
         return [kind_of(self._target[place][inside].mean(axis=0)) for place, inside in self._patches]
 
     def variances(self, shown: Array) -> Array:
-        """Return the variance of a* and b*, summed, in each patch (patch) after blurring.
+        """Return the sum of the variances of a* and b* in each patch (patch), after a blur.
 
         The picture `shown` is displayed CIELAB (row, col, 3). The target is subtracted before the blur, so that its own
         variation does not count. Variances are about the mean of each patch.
@@ -76,21 +76,22 @@ class PlainPatches:
         return np.array(found)
 
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
-        """Return the visual noise: weighted standard deviations of CIELAB, averaged over the patches. None without patches.
+        """Return the visual noise: a weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted` are picture and target (row, col, 3) after the eye's blur.
+        `seen` and `wanted` are CIELAB of picture and target (row, col, 3) after the eye's blur. The result is None if there
+        are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
         return float(np.mean([VISUAL @ each.std(axis=0) for each in errors])) if errors else None
 
 
 def mottle(variances: Array) -> float | None:
-    """Return the root mean square of C*ab about the mean, over all patches. None without patches."""
+    """Return the RMS deviation of colour (a*, b*) from the mean of its patch, over all patches. None without patches."""
     return float(np.sqrt(variances.mean())) if len(variances) else None
 
 
 def kind_of(lab: Array) -> str:
-    """Return the kind of a patch from its mean CIELAB (3)."""
+    """Return the kind of a patch (dark, white, grey or a hue) from its mean CIELAB (3)."""
     chroma, hue = float(np.hypot(lab[1], lab[2])), float(np.degrees(np.arctan2(lab[2], lab[1])))
     if lab[0] < DARK:
         return "dark"
@@ -99,17 +100,17 @@ def kind_of(lab: Array) -> str:
     return [name for start, name in HUES if start <= (hue - HUES[0][0]) % 360 + HUES[0][0]][-1]
 
 
-CODES = 255  # code of white for the PSNR of codes
-LEAST_ERROR = 1e-12  # smallest mean square error, which gives 120 dB for equal pictures
-WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels, σ and half width of the 11 × 11 Gaussian window of SSIM
-FAINTEST = float(np.finfo(np.float32).eps)  # spectra shorter than this, relative to the longest, are rounding errors
+CODES = 255  # code of white for the PSNR of 8-bit codes
+LEAST_ERROR = 1e-12  # smallest mean square error, so that equal pictures have 120 dB
+WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
+FAINTEST = float(np.finfo(np.float32).eps)  # spectra with a smaller norm, relative to the largest, are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
-VIEWING = 50.0  # samples per degree: a monitor of 110 dots per inch at 66 cm
-VIEWED = 2, 1000  # samples per degree, valid range of the filters
+VIEWING = 50.0  # samples per degree, for a monitor of 110 dots per inch at 66 cm
+VIEWED = 2, 1000  # samples per degree; valid range of the filters
 OPPONENT_FROM_XYZ = np.array(
     [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
 )
-FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for light–dark, red–green and blue–yellow
+FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for the luminance, red–green and blue–yellow planes
     ((0.05, 1.00327), (0.225, 0.114416), (7.0, -0.117686)),
     ((0.0685, 0.616725), (0.826, 0.383275)),
     ((0.0920, 0.567885), (0.6451, 0.432115)),
@@ -118,32 +119,33 @@ FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for lig
 
 @dataclass(frozen=True)
 class Quality:
-    """Metrics of one XYZ frame. Both pictures are displayed at the exposure of the whole target and clipped to the sRGB
-    gamut.
+    """Metrics of one XYZ frame.
+
+    Picture and target are displayed at the exposure of the whole target and clipped to the sRGB gamut.
     """
 
     mean_delta_e: float  # CIEDE2000
     median_delta_e: float
     p95_delta_e: float
     scielab: float  # mean CIEDE2000 after the eye's blur
-    mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no such patches
+    mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no uniform patches
     visual_noise: float | None  # weighted σ of L*, a* and b* in uniform patches after the eye's blur; None as for mottle
-    psnr: float  # dB, for non-linear sRGB in 0…1
-    output_psnr: float  # dB, for XYZ before clipping; 1 is the luminance of display white, with white's ratios of X, Y, Z
-    ssim: float  # for the luma of non-linear sRGB
+    psnr: float  # dB, of non-linear sRGB in 0…1
+    output_psnr: float  # dB, of XYZ before clipping; the peak of each output is its value for display white
+    ssim: float  # of the luma of non-linear sRGB
 
 
 @dataclass(frozen=True)
 class BandQuality:
     """Metrics of one frame of bands, or of several outputs other than XYZ."""
 
-    mean_angle: float  # degrees, over the spectral angles of all pixels whose target has one
+    mean_angle: float  # degrees, mean spectral angle of all pixels whose target has a spectrum
     median_angle: float
     p95_angle: float
     gfc: float  # goodness-of-fit coefficient: mean absolute cosine of these angles
     rmse: float  # root mean square error over all outputs, relative to a perfect white
-    psnr: float  # dB over all outputs, for linear 8-bit codes with the frame's white at 255, clipped above
-    output_psnr: float  # dB; 1 is the 99th percentile of the target's mean output, with white's ratios of the outputs
+    psnr: float  # dB over all outputs, of linear 8-bit codes that are clipped at 255, the white of the frame
+    output_psnr: float  # dB; the peak of each output is proportional to white and the 99th percentile of the target's mean
     ssim: float  # mean over the outputs, scaled as for psnr but not rounded
 
 
@@ -152,27 +154,27 @@ class SingleQuality:
     """Metrics of one frame of a single output, such as luminance, which has no spectral angle."""
 
     mean_error: float  # mean absolute error, relative to a perfect white
-    rmse: float  # these as in BandQuality
+    rmse: float  # this and the following metrics are defined as in BandQuality
     psnr: float
     output_psnr: float
     ssim: float
 
 
 class Target:
-    """The displayed target of a frame, with which pictures are compared.
+    """The target of a frame as displayed, prepared for comparisons with pictures.
 
     Parameters
     ----------
     target : ndarray, (3, row, col)
         XYZ planes.
     white : ndarray, (3)
-        XYZ of the light.
+        XYZ of the illuminant.
     border : int
-        Margin in pixels that is left out.
+        Width of the margin that is left out, in pixels.
     viewing : float
         Samples per degree for S-CIELAB.
     counted : ndarray of bool, (row, col), optional
-        Pixels whose errors count. [default: all]
+        Pixels to evaluate. [default: all]
     """
 
     def __init__(
@@ -186,7 +188,7 @@ class Target:
         self._white, self._border, self._viewing = white, border, viewing
         self._scale = white_luminance(of_counted(target[1], counted))
         self._counted = None if counted is None else cropped(counted, border)
-        # Z is zero under a deep red light.
+        # Z is zero under deep red light.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
@@ -211,9 +213,9 @@ class Target:
         Quality
             Metrics.
         difference : ndarray, (row, col)
-            ΔE00 as displayed, within the border. NaN where pixels do not count.
+            ΔE00 as displayed, inside the border. NaN for pixels that are not evaluated.
         variances : ndarray, (patch)
-            Variance of colour in each uniform patch.
+            Colour variance in each uniform patch.
         """
         rendered = cropped(rendered, self._border)
         linear = displayed(rendered, self._white, self._scale)
@@ -241,7 +243,7 @@ class Target:
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Compare XYZ planes (3, row, col) with a target. Further parameters are those of `Target`."""
+    """Compare XYZ planes (3, row, col) with a target. The other parameters are the same as for `Target`."""
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
@@ -257,16 +259,16 @@ def judge_bands(
     white : ndarray, (output)
         Values of a perfect white.
     border : int
-        Margin in pixels that is left out.
+        Width of the margin that is left out, in pixels.
     counted : ndarray of bool, (row, col), optional
-        Pixels whose errors count. [default: all]
+        Pixels to evaluate. [default: all]
 
     Returns
     -------
     BandQuality
         Metrics.
     angles : ndarray, (row, col)
-        Spectral angle in degrees within the border. NaN where the target has none, and where pixels do not count.
+        Spectral angle in degrees, inside the border. NaN where the target is black, and for pixels that are not evaluated.
     """
     angles = spectral_angle(cropped(rendered, border), cropped(target, border))
     whole, counted = counted, None if counted is None else cropped(counted, border)
@@ -289,14 +291,14 @@ def judge_bands(
 def judge_single(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[SingleQuality, Array]:
-    """Compare planes of one output (1, row, col) with a target.
+    """Compare planes of one output (1, row, col) with a target. The parameters are the same as for `judge_bands`.
 
     Returns
     -------
     SingleQuality
-        The metrics. Parameters are those of `judge_bands`.
-    ndarray, (row, col)
-        Absolute error within the border, relative to a perfect white. NaN where a pixel does not count.
+        Metrics.
+    errors : ndarray, (row, col)
+        Absolute error inside the border, relative to a perfect white. NaN for pixels that are not evaluated.
     """
     whole, counted = counted, None if counted is None else cropped(counted, border)
     linear, shares = _linear_and_shares(rendered, target, white, border, whole)
@@ -312,14 +314,17 @@ def judge_single(
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
-    """Compare planes of any outputs (output, row, col) with a target. Parameters are those of `judge_bands`."""
+    """Compare planes of any outputs (output, row, col) with a target. The parameters are the same as for `judge_bands`."""
     return judge_bands(rendered, target, white, border)[0]
 
 
 def band_figures(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim of each output, as in BandQuality. Parameters are those of `judge_bands`."""
+    """Return psnr, output_psnr and ssim of each output, as defined in BandQuality.
+
+    The parameters are the same as for `judge_bands`.
+    """
     linear, shares = _linear_and_shares(rendered, target, white, border, counted)
     counted = None if counted is None else cropped(counted, border)
     return [
@@ -335,9 +340,10 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Scale both pictures for the linear metrics.
+    """Scale picture and target for the linear metrics.
 
-    Returns them divided by the PSNR's peak value, not clipped, and as fractions of white, clipped to 0…1.
+    Both are returned twice: divided by the peak value of the PSNR without clipping, and as fractions of white clipped to
+    0…1.
     """
     positive = _positive(white)
     peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())
@@ -360,7 +366,7 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels that count: (…, pixel) of planes (…, row, col). Without `counted`, return the planes unchanged."""
+    """Select the pixels to evaluate (…, pixel) from planes (…, row, col). If `counted` is None, return the planes as is."""
     return planes if counted is None else planes[..., counted]
 
 
@@ -375,8 +381,8 @@ def psnr(one: Array, other: Array) -> float:
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
     """Return the mean structural similarity of two pictures (row, col) in 0…1.
 
-    It uses an 11 × 11 Gaussian window with σ 1.5 (Wang et al. 2004). Only complete windows count, unless the picture is
-    smaller than a window. `counted` (row, col) are the pixels that count, None for all.
+    The window is a Gaussian of 11 × 11 pixels with σ = 1.5 (Wang et al. 2004). Only complete windows are used, unless the
+    picture is smaller than a window. `counted` (row, col) is the mask of pixels to evaluate.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -398,13 +404,13 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
 def spectral_angle(rendered: Array, target: Array) -> Array:
     """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
 
-    It is NaN where the target is zero, or shorter than float32 can resolve next to the longest spectrum of the picture. It
-    is 90 where only the rendered spectrum is zero (docs/method.md#quality-figures).
+    It is NaN where the target is zero, or so small that it is below the float32 resolution of the largest spectrum. It is 90
+    where only the rendered spectrum is zero (docs/method.md#quality-figures).
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
     units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
-    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2), exact for small angles, unlike arccos
+    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2), more precise at small angles than arccos
     angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
     return np.where(lengths[1] > FAINTEST * lengths[1].max(), angle, np.nan)
 
@@ -413,11 +419,10 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
 
 
 def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
-    """Return the S-CIELAB colour difference (row, col) between two pictures (Zhang and Wandell 1996), as ISETCam computes
-    it.
+    """Return the S-CIELAB colour difference (row, col) between two pictures (Zhang and Wandell 1996).
 
-    Each picture is converted to opponent colours (Poirson and Wandell), every opponent plane is blurred by a sum of
-    Gaussians, and CIEDE2000 is computed from the result.
+    Each picture is converted to opponent colours (Poirson and Wandell). Each opponent plane is blurred with a sum of
+    Gaussians. CIEDE2000 is computed from the result.
 
     Parameters
     ----------
@@ -435,9 +440,9 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
 
     Notes
     -----
-    The constants are ISETCam's defaults: the transform of the 10° observer and the "distribution" widths of Johnson and
-    Fairchild. ISETCam wraps pictures around, drops a row and a column if filters would be even, and returns maps that are
-    displaced by a pixel. Here, pictures are mirrored at their edges and stay in place.
+    The constants are the defaults of ISETCam: the transform of the 10° observer and the "distribution" widths of Johnson and
+    Fairchild. In ISETCam, pictures wrap around, a row and a column are dropped if a filter would have an even size, and
+    the maps are displaced by a pixel. Here, pictures are mirrored at their edges, and maps are not displaced.
     """
     return delta_e_2000(*(_blurred_lab(picture, white, viewing) for picture in (one, other)))
 
@@ -449,7 +454,7 @@ def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """Blur XYZ (row, col, 3) with the eye's three opponent filters, each one degree wide in total."""
+    """Blur XYZ (row, col, 3) with the eye's three opponent filters. Each filter is one degree wide."""
     from scipy.ndimage import correlate1d
 
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
@@ -465,5 +470,8 @@ def blurred(xyz: Array, viewing: float) -> Array:
 
 
 def half_size(viewing: float) -> int:
-    """Return the half width of a filter in samples: one degree in total, rounded down to an odd number as in ISETCam."""
+    """Return the half width of a filter in samples.
+
+    The full width is one degree, rounded down to an odd number as in ISETCam.
+    """
     return (int(np.ceil(viewing)) - 1) // 2

@@ -1,7 +1,6 @@
-"""Quality of reflectances estimated from bands, as spectra and as colours under several lights
-(docs/measurement.md#reflectances).
+"""Quality of estimated reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
 
-Two linear estimates, "wiener" and "pinv", are the baselines of tables of reflectances.
+Two linear estimators, "wiener" and "pinv", are the baselines for tables whose outputs are spectra.
 """
 
 import functools
@@ -20,17 +19,17 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
-# Simulates training frames with the light and exposure of a given frame
+# Function that simulates training frames with the illuminant and exposure of a given frame.
 Drawn = Callable[[TrainingPair, LightSpectrum], Iterable[TrainingFrame]]
-LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # metric → light
-ESTIMATES = ("wiener", "pinv")  # names of the estimates
+LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # metric → illuminant
+ESTIMATES = ("wiener", "pinv")  # names of the estimators
 
 
 @dataclass(frozen=True)
 class ReflectanceQuality(BandQuality):
     """Metrics of one frame of reflectances."""
 
-    delta_e_a: float  # mean CIEDE2000 of the colours under A, relative to the white of A
+    delta_e_a: float  # mean CIEDE2000 of the colours under illuminant A, whose white is the reference white
     delta_e_d65: float
     delta_e_f11: float
 
@@ -38,8 +37,9 @@ class ReflectanceQuality(BandQuality):
 def judge_reflectances(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[ReflectanceQuality, Array]:
-    """Return the metrics of planes of spectra.REFLECTANCES, and their spectral angle. Parameters are those of
-    `judge_bands`.
+    """Return the metrics and the spectral angle (row, col) of reflectance planes at the wavelengths of spectra.REFLECTANCES.
+
+    The parameters are the same as for `judge_bands`.
     """
     figures, angles = judge_bands(rendered, target, white, border, counted)
     inside = None if counted is None else cropped(counted, border)
@@ -52,25 +52,29 @@ def judge_reflectances(
 
 
 def _lab(reflectance: Array, light: str) -> Array:
-    """Return L*a*b* (row, col, 3) of reflectances (output, row, col) under a light, relative to its white."""
+    """Return L*a*b* (row, col, 3) of reflectances (output, row, col) under an illuminant, relative to its white."""
     weights = _xyz_weights(light)
     return lab(np.maximum(np.einsum("xo,ork->rkx", weights, reflectance), 0.0), weights.sum(axis=1))
 
 
 @functools.cache
 def _xyz_weights(light: str) -> Array:
-    """Return weights (3, output) for XYZ, with Y = 1 for white, of reflectances at spectra.SAMPLED under a light."""
+    """Return the weights (3, output) that convert reflectances at spectra.SAMPLED to XYZ under an illuminant.
+
+    White has Y = 1.
+    """
     grid = np.arange(380.0, 781.0)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
 
 
 class Estimates:
-    """Linear estimates of spectra from the demosaicked bands of each pixel.
+    """Linear estimators of spectra from the demosaicked bands of each pixel.
 
-    Bands are demosaicked with `best_of_bands`. The statistics come from simulated training frames (`drawn`), once for each
-    light and exposure. Let Y be the outputs and P the bands of all pixels, without noise and mosaic. "pinv" is Y P⁺, with
-    the pseudo-inverse. "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise causes in the demosaicked bands.
+    Bands are demosaicked with `best_of_bands`. The estimators are fitted to simulated training frames (`drawn`), once for
+    each combination of illuminant and exposure. Let Y be the outputs and P the bands of all pixels, without noise and
+    mosaic. "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise
+    causes in the demosaicked bands.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -78,9 +82,9 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Return planes (output, row, col) in the target's unit for each estimate.
+        """Return the estimated planes (output, row, col) of each estimator, in the target's unit.
 
-        Raises InputFileError if the camera does not see the light of the frame.
+        Raises InputFileError if the illuminant of the frame is invisible to the camera.
         """
         white = white_electrons(frame, self._camera)
         key = white.tobytes(), frame.exposure
@@ -91,7 +95,7 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Fit the matrix (output, channel) of each estimate; outputs and bands are relative to white."""
+        """Fit the matrix (output, channel) of each estimator. Outputs and bands are relative to white."""
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]
         squares, noises = np.zeros((2, white.size, white.size))

@@ -1,7 +1,7 @@
 """Metrics of rendered sequences: flicker, and differences from the ideal sequence (docs/method.md#quality-of-sequences).
 
-If the motion between two clean frames is not known, it is estimated by matching windows from coarse to fine. Pictures are
-linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, 0 to 100.
+If the motion between two ideal frames is unknown, it is estimated by matching windows from coarse to fine. Pictures are
+linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
 """
 
 import itertools
@@ -18,26 +18,28 @@ from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
-LEVELS = 3  # levels of the pyramid; the coarsest has a quarter of the size
-REACH = 5  # pixels, search range at the coarsest level
-WINDOW = 15  # pixels, side of the windows that are matched
-BLOCK = 4  # pixels, distance between medians of the motion
+LEVELS = 3  # number of pyramid levels; the coarsest has a quarter of the width and height
+REACH = 5  # pixels; search range at the coarsest level
+WINDOW = 15  # pixels; side of the windows that are matched
+BLOCK = 4  # pixels; distance between the positions at which the median of the motion is computed
 PENALTY = 0.1  # L*² per pixel of displacement, so that uniform areas move with their surroundings
-MISMATCH = 3.0  # L*, mean difference from which two windows show different things
-MISMATCH_WINDOW = 5  # pixels, side of these windows
-STEPS = 4  # iterations of the subpixel refinement
-TINY = 1e-6  # pixels, tolerance for rounding
-FLAT = 0.1  # L*² per pixel², mean square slope below which a window says little about subpixel motion
+MISMATCH = 3.0  # L*; windows whose mean difference is larger are assumed to show different objects
+MISMATCH_WINDOW = 5  # pixels; side of the windows for MISMATCH
+STEPS = 4  # number of iterations of the subpixel refinement
+TINY = 1e-6  # pixels; tolerance for rounding
+FLAT = 0.1  # L*² per pixel²; windows with a smaller mean square gradient are not refined to subpixels
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
-    """Estimate the motion between two frames of L* (row, col), down to fractions of a pixel.
+    """Estimate the motion between two frames of L* (row, col) to fractions of a pixel.
+
+    Motion of up to REACH · 2^(LEVELS − 1) pixels is found.
 
     Returns
     -------
     ndarray, (3, row, col)
-        Pixels down and right since the last frame, and 1 where both frames show the same. Motion up to
-        REACH · 2^(LEVELS − 1) pixels is found.
+        Downward and rightward motion since the previous frame, in pixels, and validity: 1 where both frames show the same
+        object, otherwise 0.
     """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
@@ -52,7 +54,7 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 
 def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """Search the best displacement within `reach` of a displacement field (2, row, col)."""
+    """Find the best displacement of each pixel within `reach` pixels of a displacement field (2, row, col)."""
     from scipy.ndimage import median_filter
 
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
@@ -67,8 +69,9 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Return the mean square difference (row, col) between windows and the windows displaced back by `vector` (2, row,
-    col).
+    """Return the mean square difference (row, col) between a window around each pixel and the matching window in `before`.
+
+    `vector` (2, row, col) is the displacement between the two windows.
     """
     from scipy.ndimage import uniform_filter
 
@@ -100,7 +103,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Return medians (row, col) over a window, at every BLOCK-th pixel, smoothed between blocks."""
+    """Return the median (row, col) of a plane over a window, computed at every BLOCK-th pixel and interpolated between."""
     from scipy.ndimage import median_filter, uniform_filter
 
     side = -(-WINDOW // BLOCK) | 1
@@ -109,7 +112,7 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return the mask (row, col) of pixels that look the same in the last frame, after motion."""
+    """Return a mask (row, col) that is true where the previous frame, displaced by the motion, looks the same."""
     from scipy.ndimage import map_coordinates, uniform_filter
 
     source = np.indices(light.shape) - motion
@@ -126,31 +129,33 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Scale a displacement field (2, row, col) to twice the size, repeating the last row and column for odd sizes."""
+    """Enlarge a displacement field (2, row, col) by a factor of two. For odd sizes, repeat the last row and column."""
     whole = 2 * vector.repeat(2, axis=1).repeat(2, axis=2)
     return np.pad(
         whole, [(0, 0), *((0, length - have) for length, have in zip(shape, whole.shape[1:], strict=True))], mode="edge"
     )
 
 
-GIVE = 'give what "l3 evaluate --sequence … --json" prints'
-CELL = 8  # pixels, side of a patch
-STILL = 0.5  # L*, largest range of a still pixel in the ideal sequence, about one 8-bit code
-DRIFT = 1.0  # L*, largest change of a still patch between the halves of a sequence without ideal
-UNCERTAIN = 3.0  # standard deviations of noise that do not count as drift
-QUIETEST, RESTLESS = 0.1, 3.0  # fraction of patches that show noise only; multiple of their change that is more than noise
-ROUNDING = 0.1  # L*, change of pixels that rounding may cause
+GIVE = 'give a file that "l3 evaluate --sequence … --json" printed'
+CELL = 8  # pixels; side of a patch
+STILL = 0.5  # L*; largest range of a still pixel over the ideal sequence, about one 8-bit code
+DRIFT = 1.0  # L*; largest change of a still patch between the halves of a sequence, if there is no ideal
+UNCERTAIN = 3.0  # standard deviations; changes within this multiple of the noise are not drift
+# Without an ideal, this fraction of the patches, which change least, is assumed to show only noise. A patch is not still if
+# its change exceeds this multiple of their change.
+QUIETEST, RESTLESS = 0.1, 3.0
+ROUNDING = 0.1  # L*; change of a pixel that rounding can cause
 
 
 class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
-    """Metrics of one frame. A metric is None if the data for it are missing."""
+    """Metrics of one frame. A metric is None if the data it needs are missing."""
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*, change of the mean since the previous frame, minus the change of the ideal
-    step_sigma: float | None  # L*, standard deviation of the change on still patches, divided by √2
-    warped_error: float | None  # L*, root mean square change of the error along the motion
-    psnr: float | None  # dB, for non-linear sRGB
+    jump: float | None  # L*; change of the mean lightness since the previous frame, minus the same change in the ideal
+    step_sigma: float | None  # L*; standard deviation of the change of still patches, divided by √2
+    warped_error: float | None  # L*; RMS change of the error along the motion
+    psnr: float | None  # dB, of non-linear sRGB
     mean_delta_e: float | None  # CIEDE2000
 
 
@@ -159,14 +164,14 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
     rendered: str
     ideal: str | None
-    motion: Literal["known", "estimated"] | None  # source of the motion along which errors are followed
+    motion: Literal["known", "estimated"] | None  # whether the motion for `warped_error` was known or estimated
     frames: list[FrameFigures]
     still_share: float  # fraction of patches that do not change
-    temporal_sigma: float | None  # L*, standard deviation of a pixel over time, RMS over still patches
-    patch_sigma: float | None  # L*, standard deviation of the mean of a still patch over time, RMS
+    temporal_sigma: float | None  # L*; standard deviation of a pixel over time, RMS over still patches
+    patch_sigma: float | None  # L*; standard deviation over time of the mean of a patch, RMS over still patches
     largest_jump: float | None  # L*
     largest_jump_frame: int | None
-    warped_error: float | None  # L*, root mean square over the frames
+    warped_error: float | None  # L*; RMS over the frames
     psnr: float | None  # mean over the frames
     mean_delta_e: float | None  # mean over the frames
 
@@ -176,28 +181,28 @@ class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kin
 
 
 class SequenceEvaluation:
-    """Evaluates a sequence frame by frame. Memory grows by only a few values per patch and frame.
+    """Evaluates a sequence frame by frame. Each frame adds only a few values per patch to the memory.
 
     Parameters
     ----------
     rendered, ideal : str
         Names of the sequences. `ideal` may be None.
     border : int
-        Margin in pixels that is left out.
+        Width of the margin that is left out, in pixels.
     """
 
     def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
-        self._cells: list[Array] = []  # per frame, the mean L* of every patch
-        self._steps: list[Array] = []  # per frame except the first, the mean square change of every patch
+        self._cells: list[Array] = []  # for each frame, the mean L* of every patch
+        self._steps: list[Array] = []  # for each frame except the first, the mean square change of every patch
         self._motion: Literal["known", "estimated"] | None = None
-        self._last: Array | None = None  # L* of the last frame
-        self._ideal: tuple[Array, Array] | None = None  # L* of the last ideal frame, and the error of the last frame
-        self._offset = 0.0  # mean L* of the last frame minus that of the ideal, or minus 0
+        self._last: Array | None = None  # L* of the previous frame
+        self._ideal: tuple[Array, Array] | None = None  # L* of the previous ideal frame, and error of the previous frame
+        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of its ideal if there is one
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0
-        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of the ideal
+        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel of the ideal
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
         """Add the next frame.
@@ -209,8 +214,8 @@ class SequenceEvaluation:
         ideal : ndarray, (row, col, 3), optional
             The ideal picture.
         motion : ndarray, (3, row, col), optional
-            Pixels down and right since the last frame, and where the motion is known. Without it, the motion is estimated
-            from the ideal pictures.
+            Downward and rightward motion since the previous frame, in pixels, and validity (1 or 0). If None, the motion is
+            estimated from the ideal pictures.
         """
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
@@ -238,7 +243,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Return the metrics of the newest frame that are known before the end of the sequence."""
+        """Return those metrics of the latest frame that can be computed before the end of the sequence."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -255,7 +260,7 @@ class SequenceEvaluation:
         """Return the metrics of all frames. Raises ValueError if there are fewer than two."""
         count = len(self._frames)
         if count < 2:
-            raise ValueError("a sequence has two frames or more")
+            raise ValueError("a sequence needs at least two frames")
         still = self._still()
         for frame, steps in zip(self._frames[1:], self._steps, strict=True):
             frame.step_sigma = float(np.sqrt(steps[still].mean() / 2)) if still.any() else None
@@ -283,10 +288,10 @@ class SequenceEvaluation:
         return float(np.sqrt(_cell_means(variance)[still].mean()))
 
     def _still(self) -> NDArray[np.bool_]:
-        """Return the patches (row, col) that do not change.
+        """Return the mask (row, col) of patches that do not change.
 
-        With an ideal sequence, it decides. Otherwise a patch is still if noise explains its changes, where the patches that
-        change least define the noise.
+        If there is an ideal sequence, its patches decide. Otherwise a patch is still if noise explains its changes. Then the
+        noise is estimated from the patches that change least.
         """
         if self._range is not None:
             low, high = self._range
@@ -301,9 +306,9 @@ class SequenceEvaluation:
 
 
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
-    """Return the root mean square change of the error (row, col) along the motion, or None if nothing is seen twice.
+    """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    Warping errors instead of pictures is equivalent, because warping is linear. Interpolation artefacts at edges are in both
+    Warping is linear, so the errors can be warped instead of the pictures. Interpolation artefacts at edges occur in both
     pictures and cancel.
     """
     from scipy.ndimage import map_coordinates
@@ -317,7 +322,7 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
 
 
 def _cells(plane: Array) -> Array:
-    """Reshape a plane (row, col) to (row of patches, row, column of patches, col). Incomplete patches are cut off."""
+    """Reshape a plane (row, col) to (patch row, row, patch column, column). Incomplete patches are cut off."""
     rows, cols = (length // CELL for length in plane.shape)
     return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
 
@@ -327,7 +332,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Return the RMS of the standard deviations of series (time, …)."""
+    """Return the RMS of the standard deviations over time of many series (time, …)."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 
@@ -344,7 +349,7 @@ def read_sequence_figures(path: Path) -> SequenceFigures:
     """Read the JSON that `l3 evaluate --sequence` printed. Raises InputFileError if the file contains something else."""
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
-        printed.pop("run", None)  # how the command ran
+        printed.pop("run", None)  # information about the run of the command, not about the sequence
         figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise InputFileError(f"{path} is not an evaluation of a sequence; {GIVE}") from error

@@ -1,6 +1,6 @@
-"""Metrics from standards: sharpness of slanted edges, and signal-to-noise ratio of a grey against lux (docs/measurement.md).
+"""Metrics from standards: sharpness of slanted edges, and SNR of a grey as a function of illuminance (docs/measurement.md).
 
-Measurements on pictures are accompanied by the values that lens, pixel and camera noise imply in closed form.
+Each measurement on pictures is compared with the value that follows in closed form from lens, pixel and camera noise.
 """
 
 import dataclasses
@@ -18,12 +18,12 @@ from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.lens import diffraction_transfer
 
 Array = NDArray[np.floating]
-BINS = 4  # bins of the edge profile per pixel
-REACH = 48.0  # pixels, half length of the profile; a lens spreads light this far
-TAPER = 8.0  # pixels at either end over which the profile's slope is tapered
-SEARCHED = 6.0  # pixels on either side of the first line within which each row's edge is searched
-TOP = 1.0  # cycles/pixel, end of the curves
-HALF = 0.5  # transfer that defines MTF50
+BINS = 4  # number of bins per pixel in the edge profile
+REACH = 48.0  # pixels; half length of the edge profile, as far as a lens spreads light
+TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered
+SEARCHED = 6.0  # pixels; the edge of each row is searched within this distance of the first estimate
+TOP = 1.0  # cycles/pixel; highest frequency of the curves
+HALF = 0.5  # value of the MTF that defines MTF50
 SIZE = int(2 * REACH * BINS)  # number of bins
 FREQUENCIES = np.fft.rfftfreq(2 * SIZE, 1 / BINS)
 FREQUENCIES = FREQUENCIES[FREQUENCIES <= TOP]  # (sample) cycles/pixel of every curve
@@ -37,13 +37,13 @@ class EdgeError(ValueError):
 class Sharpness:
     """Modulation transfer function across an edge."""
 
-    frequency: Array  # (sample) cycles/pixel across the edge, from 0
-    transfer: Array  # (sample), 1 at frequency 0
+    frequency: Array  # (sample) cycles/pixel across the edge, starting at 0
+    transfer: Array  # (sample) MTF, 1 at frequency 0
     angle: float  # degrees between the edge and the columns of the plane
 
     @property
     def mtf50(self) -> float | None:
-        """Lowest frequency in cycles/pixel at which the transfer is one half. None if it stays above."""
+        """Lowest frequency, in cycles/pixel, at which the MTF is 0.5. None if it is higher at all frequencies."""
         below = np.flatnonzero(self.transfer < HALF)
         if not below.size:
             return None
@@ -52,12 +52,12 @@ class Sharpness:
 
 
 def edge_sharpness(plane: Array) -> Sharpness:
-    """Measure the sharpness of a straight edge, 2° to 15° from the vertical.
+    """Measure the sharpness of a straight edge that is 2° to 15° from the vertical.
 
     Parameters
     ----------
     plane : ndarray, (row, col)
-        Values linear in light.
+        Linear values.
 
     Raises
     ------
@@ -66,9 +66,9 @@ def edge_sharpness(plane: Array) -> Sharpness:
 
     Notes
     -----
-    The edge is the line through the centroids of the slope of each row. Pixels are averaged in bins of a quarter pixel by
-    their distance from the line. The transfer is the spectrum of the slope of this profile, corrected for the bins and the
-    finite differences.
+    The edge is the straight line through the centroids of the slopes of all rows. Pixels are averaged in bins of a quarter
+    pixel, according to their distance from this line. The MTF is the spectrum of the slope of the resulting profile,
+    corrected for the width of the bins and the finite differences.
     """
     plane = np.asarray(plane, np.float64)
     slope = np.abs(np.diff(plane, axis=1))
@@ -86,14 +86,14 @@ def edge_sharpness(plane: Array) -> Sharpness:
     angle = np.arctan(line[0])
     if not 2.0 <= abs(np.degrees(angle)) <= 15.0:
         raise EdgeError(f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical, not 2° to 15°")
-    turns = int(len(rows) * abs(line[0]))  # number of times that the edge moves by a whole column
-    rows = rows[: round(turns / abs(line[0]))]  # a whole number of turns contains all phases equally often
+    turns = int(len(rows) * abs(line[0]))  # number of whole columns by which the edge moves
+    rows = rows[: round(turns / abs(line[0]))]  # over whole columns, all subpixel phases occur equally often
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
     inside = np.abs(distance) < REACH
     number = np.floor((distance[inside] + REACH) * BINS).astype(int)
     count = np.bincount(number, minlength=SIZE)
     if not count.min():
-        raise EdgeError(f"the plane does not reach {REACH:g} pixels beyond the edge on both sides in every phase")
+        raise EdgeError(f"the plane does not extend {REACH:g} pixels beyond the edge on both sides in every phase")
     profile = np.bincount(number, plane[: len(rows)][inside], SIZE) / count
     ends = np.minimum(np.arange(1, SIZE), np.arange(1, SIZE)[::-1]) / (TAPER * BINS)
     spread = np.diff(profile) * np.sin(np.pi / 2 * np.minimum(ends, 1.0)) ** 2
@@ -101,26 +101,27 @@ def edge_sharpness(plane: Array) -> Sharpness:
     return Sharpness(FREQUENCIES, spectrum / spectrum[0] / np.sinc(FREQUENCIES / BINS) ** 2, float(np.degrees(angle)))
 
 
-DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on both sides of an edge, 4:1 as in ISO 12233
-ANGLE, SIDE = 5.0, 192  # degrees, slant of the edge; pixels, side of a frame
-EXPOSED = 0.8  # fraction of full scale of a perfect white in the frames of edges
-GREY, EXPOSURE = 0.18, 1 / 15  # reflectance and exposure time (s) of the grey
+DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, 4:1 as in ISO 12233
+ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees; side of a frame in pixels
+EXPOSED = 0.8  # signal of a perfect white in the frames with edges, as a fraction of full scale
+GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey, and its exposure time in s
 LIGHT = "D65"
 SNR = 10.0  # signal-to-noise ratio that defines SNR10
-OCTAVES = np.arange(-6.0, 3.0)  # octaves of lux, relative to the camera's SNR10, at which greys are taken
-RAW_SIDE, GREY_SIDE = 400, 160  # pixels, sides of the raw frames of greys and of the part that is rendered
-KNOWN = "lens and pixel"  # name of the curve of an ideal lens and pixel
-DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96  # number of cameras; correlation length, nm; half width of a 95 % band in σ
-PATCHES = 4, 6  # rows and columns of the chart for drawn cameras
-MARGIN = 24  # pixels left out at each edge of a frame
+OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey, in octaves relative to the camera's SNR10
+RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of a raw frame of the grey, and side of the rendered part
+KNOWN = "lens and pixel"  # name of the MTF curve of an ideal lens and pixel
+# Number of random cameras, correlation length of their errors in nm, and half width of a 95 % band in standard deviations.
+DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96
+PATCHES = 4, 6  # rows and columns of the chart for random cameras
+MARGIN = 24  # pixels; width of the margin that is left out at each edge of a frame
 
 
 @dataclass(frozen=True)
 class GreyNoise:
     """Signal-to-noise ratio of a grey in each channel of a camera, in closed form.
 
-    `per_lux` (channel) is the signal in DN per lux. The noise variance of a signal S is constant (DN²) + linear (DN) · S +
-    quadratic · S².
+    `per_lux` (channel) is the signal in DN per lux. At signal S, the noise variance is constant + linear · S + quadratic ·
+    S², with `constant` in DN² and `linear` in DN.
     """
 
     per_lux: Array
@@ -131,7 +132,7 @@ class GreyNoise:
 
     @classmethod
     def of(cls, camera: CameraModel, frame: TrainingFrame) -> "GreyNoise":
-        """Return the noise for a grey of reflectance GREY, in the light and exposure time of a frame.
+        """Return the noise for a grey of reflectance GREY, at the illuminant and exposure time of a frame.
 
         Raises ValueError if dark current alone saturates a pixel.
         """
@@ -151,9 +152,10 @@ class GreyNoise:
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
     def lux(self) -> list[float | None]:
-        """Return the lux (channel) at which each channel reaches the signal-to-noise ratio s = SNR.
+        """Return the illuminance in lux (channel) at which each channel reaches the signal-to-noise ratio SNR.
 
-        It is the root of S² = s² (c + l S + q S²). None if PRNU prevents it, or if pixels saturate first.
+        With s = SNR and the constant, linear and quadratic terms c, l and q, it follows from S² = s² (c + l S + q S²). It is
+        None if PRNU makes this ratio impossible or if pixels saturate first.
         """
         found: list[float | None] = []
         for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
@@ -165,14 +167,14 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the mean over the standard deviation of a plane of an even grey, or 0 if the mean is not positive."""
+    """Return the mean divided by the standard deviation of a plane that shows a uniform grey. It is at least 0."""
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 
 def crossing(lux: Array, snr: Array) -> float | None:
-    """Return the lux from which a measured ratio stays at SNR or above, by logarithmic interpolation.
+    """Return the illuminance in lux above which a measured signal-to-noise ratio stays at SNR or higher.
 
-    Returns None if the measured range does not contain it.
+    It is interpolated logarithmically. The result is None if it lies outside the measured range.
     """
     below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
@@ -182,9 +184,9 @@ def crossing(lux: Array, snr: Array) -> float | None:
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
-    """Return the transfer function of diffraction and pixels across an edge at ANGLE.
+    """Return the MTF of diffraction and pixel aperture across an edge with the slant ANGLE.
 
-    `weights` are the weights of each `wavelength` (nm).
+    `weights` are the weights of the wavelengths, which are in nm.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -192,7 +194,7 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 
 
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
-    """Return the luminance (row, col) of a picture without the margin, or the mean of its outputs if there is no Y."""
+    """Return the luminance (row, col) of a picture without its margin, or the mean of its outputs if Y is not an output."""
     plane = planes[outputs.index("Y")] if "Y" in outputs else planes.mean(axis=0)
     return np.asarray(plane[MARGIN:-MARGIN, MARGIN:-MARGIN], np.float64)
 
@@ -203,7 +205,7 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     Parameters
     ----------
     planes : dict of str to ndarray, (row, col)
-        Pipeline → brightness of an edge.
+        Pipeline → brightness of a picture of an edge.
     known : tuple
         Arguments of `known_sharpness`.
     across : str
@@ -212,7 +214,7 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     Returns
     -------
     dict
-        Curves are None where a pipeline shows no edge.
+        Frequencies, and MTF and MTF50 of each pipeline. MTF and MTF50 are None if the picture of the pipeline has no edge.
     """
     curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
     for name, plane in planes.items():
@@ -228,7 +230,7 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
 
 
 def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
-    """Return the signal-to-noise ratio of a grey at each lux, and the lux at which it reaches SNR.
+    """Return the signal-to-noise ratio of a grey at each illuminance, and the illuminance at which it reaches SNR.
 
     Parameters
     ----------
@@ -237,11 +239,11 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
     noise : GreyNoise
         Its noise in closed form.
     lux : ndarray, (lux)
-        Illuminances.
+        Illuminances in lux.
     raw : ndarray, (lux, channel)
-        Ratios measured in raw frames.
+        Signal-to-noise ratios measured in raw frames.
     snr : dict of str to ndarray, (lux)
-        Pipeline → ratio of the brightness.
+        Pipeline → signal-to-noise ratio of the brightness.
     """
     closed, names = noise.snr(lux), camera.channels
     return {
@@ -259,9 +261,10 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw DRAWN cameras with curves that scatter around those of `camera` according to their 95 % band.
+    """Draw DRAWN random cameras whose curves vary around the curves of `camera` within their uncertainty (95 % band).
 
-    Errors of different channels are independent. Errors at wavelengths CORRELATED nm apart have the correlation exp(-1/2).
+    Errors of different channels are independent. Errors at wavelengths that are CORRELATED nm apart have a correlation of
+    exp(-1/2).
     """
     distance = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
@@ -272,7 +275,7 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Return the means (output, patch) of the centres of a chart of PATCHES that fills a frame (output, row, col)."""
+    """Return the mean (output, patch) over the centre of each patch of a chart that fills a frame (output, row, col)."""
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
@@ -280,15 +283,15 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return ΔE00 (patch) between XYZ (3, patch) from two cameras, exposed to the same mean luminance."""
+    """Return ΔE00 (patch) between XYZ (3, patch) from two cameras, after scaling to the same mean luminance."""
     same = xyz * (of_camera[1].sum() / xyz[1].sum())
     return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))
 
 
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Return the metrics of each pipeline: MTF50 along rows and columns, SNR10 and ΔE00 from the camera's uncertainty.
+    """Return the metrics of each pipeline: MTF50 along rows and columns, SNR10, and ΔE00 from the uncertainty of the curves.
 
-    SNR10 needs absolute curves, the ΔE00 needs curves with a band. Otherwise they are None.
+    SNR10 is None without absolute curves. ΔE00 is None if the curves have no uncertainty band.
     """
     edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {

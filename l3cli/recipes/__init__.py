@@ -1,1 +1,1 @@
-"""Recipes: TOML to typed values, what is wrong with it, its JSON schema, and those that come with l3."""
+"""Recipes: TOML files read as typed values, their faults and JSON schemas, and the recipes that come with l3."""

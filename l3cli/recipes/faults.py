@@ -1,7 +1,7 @@
-"""All faults of a recipe at once: what its declared types refuse, each with the key that it is about.
+"""Collects all faults of a recipe at once, each with the key that it concerns.
 
-Checks of a recipe's meaning are also generators of faults. A stage raises the first one (`refuse_first`); `l3 check` lists
-all of them.
+Faults come from the declared types, which this module checks, and from generators elsewhere that check the meaning of a
+recipe. A stage raises the first fault (`refuse_first`), and `l3 check` lists all of them.
 """
 
 import functools
@@ -21,9 +21,7 @@ UNIONS = (Union, types.UnionType)
 
 
 class Fault(NamedTuple):
-    """A fault and the keys that it depends on, the first of which is where it is reported. Without a message it is only
-    counted.
-    """
+    """A fault and the keys that it depends on. It is reported at the first key. Without a message it is only counted."""
 
     message: str
     keys: tuple[KeyPath, ...]
@@ -50,7 +48,7 @@ def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield the faults that depend on no key that is already known to be faulty, or that an earlier fault is about."""
+    """Yield the faults whose keys are not already known to be faulty and do not occur in an earlier fault."""
     broken: set[KeyPath] = set()
     above: set[KeyPath] = set()  # tables and lists that contain broken keys
 
@@ -74,7 +72,7 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
     Returns
     -------
     Recipe or None
-        The recipe, with some valid value in the place of each wrong one. None if that is impossible.
+        The recipe, in which each invalid value is replaced by a valid example. None if that is impossible.
     list of Fault
         All faults.
     """
@@ -95,7 +93,7 @@ class _Judge:
         self._faulty = {key for fault in faults for key in fault.keys}
 
     def table(self, kind: type[Recipe], given: dict[str, Any], path: KeyPath) -> dict[str, Any]:
-        """Return a table, with valid values in the place of wrong ones."""
+        """Return a table in which each invalid value is replaced by a valid example."""
         fields = {field.encode_name: field for field in _fields(kind)}
         tag = kind.__struct_config__.tag_field
         repaired: dict[str, Any] = {tag: kind.__struct_config__.tag} if tag else {}
@@ -111,7 +109,7 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Return a value, or some valid value of its type if it is wrong."""
+        """Return `value`, or a valid example of its type if it is invalid."""
         if path in self._faulty:
             return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)
@@ -156,7 +154,7 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the structure of a table, chosen by its tag if there are several, or None if it is unclear."""
+    """Return the structure of a table. If there are several, its tag decides. None if it does not."""
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
         return None
@@ -165,8 +163,9 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 
 
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
-    """Return the type of each entry of a list, or of a table with free keys. None for other values or a wrong number of
-    entries.
+    """Return the type of each entry of a list, or of a table with free keys.
+
+    The result is None for other values and for lists of the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
@@ -180,7 +179,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return some valid value of a declared type."""
+    """Return an arbitrary valid value of a declared type."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

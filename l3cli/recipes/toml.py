@@ -1,6 +1,6 @@
-"""TOML recipes as typed structures, and the line of each key, which tomllib does not report.
+"""Reads TOML recipes into typed structures, and finds the line of each key, which tomllib does not report.
 
-Every key is declared, its unit is part of its name, and unknown keys are refused.
+Every key is declared and has its unit in its name. Unknown keys are refused.
 """
 
 import copy
@@ -17,16 +17,16 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, sug
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE, counted
 
-LARGEST = 1e24  # of any number in a recipe: more photons than any lamp gives, and far from overflow
-DEEPEST = 100  # nested tables and lists
+LARGEST = 1e24  # largest number in a recipe: above any photon flux, and far below overflow
+DEEPEST = 100  # largest depth of nested tables and lists
 STRING = (
     r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may stand before the three that end it
     r"|'''[^']*(?:'{1,2}(?!')[^']*)*'{3,5}"
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
 )
-TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # of TOML; words include surrounding blanks
-PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # key or number in a place that msgspec writes as `$.scene[1].size`
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # TOML token; words include adjacent blanks
+PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # one key or index of a path in a message of msgspec, such as `$.scene[1].size`
 MOST = 1_000_000  # largest count in a recipe
 Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
@@ -34,12 +34,12 @@ Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-KeyPath = tuple[str | int, ...]  # keys, and numbers of entries from 0: ("scene", 1, "size")
+KeyPath = tuple[str | int, ...]  # keys, and indices of list entries from 0, such as ("scene", 1, "size")
 BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
-    """Base of all recipe structures; a field without a default is a required key."""
+    """Base class of all recipe structures. A field without a default is a required key."""
 
     title: ClassVar[str] = "a recipe"  # name of this kind of file in messages
 
@@ -75,12 +75,12 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:
-    """Read a TOML file as `recipe`. RecipeError names the file, the key and the fault."""
+    """Read a TOML file as a structure of type `recipe`. Raises RecipeError with the file, the key and the fault."""
     return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
-    """Return `text` as `recipe`. Error messages begin with `name`."""
+    """Convert TOML text to a structure of type `recipe`. Error messages begin with `name`."""
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
     if given and recipe.title in KIND_KEYS and recipe.title not in given:
@@ -96,7 +96,7 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Parse TOML. Raise RecipeError, which begins with `name`, if the text is not TOML."""
+    """Parse TOML. Raises RecipeError, whose message begins with `name`, if the text is not valid TOML."""
     if any(line.count(".") > DEEPEST for line in text.splitlines()):
         _refuse_deep_keys(text, name)
     try:
@@ -108,7 +108,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def _refuse_deep_keys(text: str, name: str) -> None:
-    """Raise RecipeError for a key of more than DEEPEST parts. Parsing such keys takes quadratic time."""
+    """Raise RecipeError for keys with more than DEEPEST parts, which take quadratic time to parse."""
     parts = 0
     for token in TOKEN.finditer(text):
         found = token.group()
@@ -133,13 +133,13 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 
 class _Scanner:
-    """Finds the lines of keys in one pass. Each method starts at a token and stops behind the element it is named after."""
+    """Finds the lines of keys in one pass over the tokens. Each method reads the element that its name says."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)
         self.token, self.start, self.line = "", 0, 1
         self.lines: dict[KeyPath, int] = {}
-        self.entries: dict[KeyPath, int] = {}  # number of the last table in each list of tables
+        self.entries: dict[KeyPath, int] = {}  # index of the latest table in each list of tables
         self._next()
 
     def _next(self) -> str:
@@ -171,7 +171,7 @@ class _Scanner:
         for name in outer if several else (*outer, last):
             table = (*table, name)
             self.lines.setdefault(table, line)
-            if table in self.entries:  # the last table of a list of tables
+            if table in self.entries:  # a list of tables: the key belongs to its latest table
                 table = (*table, self.entries[table])
         if several:
             table = (*table, last)
@@ -198,7 +198,7 @@ class _Scanner:
         for name in self._key():
             table = (*table, name)
             self.lines.setdefault(table, line)
-        self._next()  # =
+        self._next()  # the equals sign
         self._value(table)
 
     def _value(self, path: KeyPath) -> None:
@@ -223,7 +223,7 @@ class _Scanner:
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, text, list or table as TOML. Undecodable bytes of file names become "?"."""
+    """Return a number, string, list or table as TOML. Bytes of file names that are not UTF-8 become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -237,9 +237,12 @@ def toml_key(name: str) -> str:
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the keys and faults of non-finite or huge numbers, texts with null characters, and values nested too deeply."""
+    """Yield the faults of values that no recipe may contain, with their keys.
+
+    These are numbers that are huge or not finite, strings with null characters, and values that are nested too deeply.
+    """
     if len(key) > DEEPEST:
-        yield key, f"tables and lists are more than {DEEPEST} deep; recipes are not"
+        yield key, f"tables and lists are nested more than {DEEPEST} deep; remove some levels"
     elif isinstance(value, dict):
         for inner, item in value.items():
             yield from refusals(item, (*key, inner))
@@ -254,7 +257,7 @@ def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
     elif isinstance(value, float) and not abs(value) <= LARGEST:
         yield key, f"{_named(key)} is {value:g}; give a number within ±{LARGEST:g}"
     elif isinstance(value, str) and "\0" in value:
-        yield key, f"{_named(key)} holds a null character; leave it out"
+        yield key, f"{_named(key)} contains a null character; remove it"
 
 
 def _named(key: KeyPath) -> str:
@@ -262,7 +265,7 @@ def _named(key: KeyPath) -> str:
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Rewrite msgspec's message in the terms of TOML, with keys and tables, and suggest what was meant."""
+    """Rewrite a message of msgspec in TOML terms, with keys and tables, and add a suggestion."""
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
         value = _value_at(content, where)
@@ -277,7 +280,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     if wrong is None:
         return f"{what} {where}"
     name, path = shortened(wrong[3]), place(message)
-    # An entry of a list of words has the number of the entry at the end of its path.
+    # The path of an entry in a list of words ends with the index of the entry.
     *outer, key = path if isinstance(path[-1], str) else path[:-1]
     tables = _tables(recipe, content, tuple(outer))
     known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, str(key))
@@ -288,27 +291,27 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the place that msgspec's message names, including an unknown key. For a missing key it is the table."""
+    """Return the key to which a message of msgspec refers, even if it is unknown. For a missing key, return its table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Return a place of msgspec's with list entries counted from 1."""
+    """Return a path from a message of msgspec with list indices that start at 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at a place that msgspec names. None for a key that contains a point."""
+    """Return the value at a path from a message of msgspec, or None if a key contains a period."""
     for key, number in re.findall(PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _with_free_keys(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Replace each "[...]" in msgspec's message, which stands for any free key of a table, by the key that is wrong."""
+    """Replace each "[...]", which is msgspec's placeholder for a free key of a table, by the key with the invalid value."""
     while "[...]" in message:
         content = copy.deepcopy(content)
         before = message.partition(" - at ")[2].partition("[...]")[0]
@@ -334,7 +337,7 @@ def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return the words that key `name` may have in a table of one of these structures."""
+    """Return the words that are permitted for the key `name` in a table of one of these structures."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -346,10 +349,10 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 
 
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
-    """Return the structures that the table at `path` of a recipe may be.
+    """Return the possible structures of the table at `path` of a recipe.
 
-    Where a tag such as `source` chooses among several structures, it is the one that the table names. If the table names
-    none of them, all are returned.
+    If a tag such as `source` selects one of several structures, only this one is returned. If the tag is missing or unknown,
+    all are returned.
     """
     tables = [recipe]
     for part in path:
@@ -367,7 +370,7 @@ def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Reci
 
 
 def tables_in(kind: Any) -> list[type[Recipe]]:
-    """Return the structures that a value of a type is, or is made of."""
+    """Return all recipe structures that occur in a type."""
     return [each for each in _member_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
 
 

@@ -270,7 +270,7 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
 
 TWIN = bayer_camera()
 OTHERS = {  # what is changed in the recipe, and what is said of it
-    "colour": ("centre_nm = 600", "centre_nm = 640", "colours by ΔE00"),
+    "colour": ("centre_nm = 600", "centre_nm = 640", "ΔE00"),
     "sensitivity": ("f_number = 2.8", "f_number = 4.0", "sensitivity by a factor of 0.49"),
     "noise": ("read_noise_e = 4.0", "read_noise_e = 12.0", "noise by a factor of 2."),
 }

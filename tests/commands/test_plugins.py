@@ -104,7 +104,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
     for name, words in {
-        "basic": "the name of one of l3's own baselines",
+        "basic": "the same name as one of l3's baselines",
         "ideal": '"ideal" is already in use',
         "a/b": "may have only letters",
     }.items():
