@@ -141,7 +141,7 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """Say where values come from that were not measured. A model from photos sets dark-frame values to 0."""
+    """State the origin of values that were not measured. In a model from photos, dark-frame values are 0."""
     return "not measured, taken as 0" if "dark current" in camera.declared else "taken from the data sheet"
 
 
@@ -172,7 +172,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Plot the half widths of the bands on their own. Bands of a good calibration are thinner than the curves."""
+    """Plot the half widths of the bands. In a good calibration, the bands are too narrow to see beside the curves."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)
@@ -216,7 +216,7 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
 
 
 def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the photon transfer: temporal variance over mean signal, with lines whose slope is the system gain K."""
+    """Plot the photon transfer: temporal variance against mean signal, with lines whose slope is the system gain K."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
@@ -282,7 +282,7 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """List the quantities of EMVA 1288 with a column per channel."""
+    """List the quantities of EMVA 1288 in a table with one column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -340,7 +340,7 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
 
 
 def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the mean signal over the exposure time, with the fitted line."""
+    """Plot the mean signal against the exposure time, with the fitted line."""
     every = [_lit(camera, noise, channel) for channel in range(len(camera.channels))]
     plot = Plot(
         spanning("exposure time (s)", noise.exposure, zero=True),
@@ -355,7 +355,7 @@ def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the relative deviation of the signal from the fitted line, over the signal."""
+    """Plot the relative deviation of the signal from the fitted line against the signal."""
     keys, drawn = colours.channel_keys(camera), []
     for channel in range(len(keys)):
         _, signal, line = _lit(camera, noise, channel)
@@ -381,10 +381,10 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
 
 
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the signal-to-noise ratio over the signal in electrons.
+    """Plot the signal-to-noise ratio against the signal in electrons.
 
-    Points are measured. Lines follow from the read noise and gain of each channel. The dotted line is an ideal sensor, which
-    is limited by photon noise.
+    Points are measured. Lines are computed from the read noise and gain of each channel. The dotted line is an ideal sensor
+    with photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)

@@ -16,9 +16,9 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-LINE_LUMINANCE = 0.18  # relative to white; gives a contrast above 4 against both the white and the dark page
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark of a line → mark of the same channel's points
-CONFUSABLE_DIFFERENCE = 170  # two colours whose sRGB codes differ by less, summed over r, g and b, are easily confused
+LINE_LUMINANCE = 0.18  # luminance of lines relative to white; the contrast to a white and to a dark page is above 4
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # line style of a channel → mark of its points
+CONFUSABLE_DIFFERENCE = 170  # sRGB codes, summed over r, g and b; two colours that differ by less are easily confused
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
@@ -32,7 +32,7 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
     Returns
     -------
     ndarray, (channel, 3)
-        Linear sRGB, scaled so that the largest of the three values is 1. A channel that responds to nothing visible is grey
+        Linear sRGB, scaled so that the largest of the three values is 1. A channel without response to visible light is grey
         (0.5).
     """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
@@ -66,7 +66,7 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return a legend entry per channel for points instead of lines."""
+    """Return one legend entry per channel, for points instead of lines."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
@@ -90,7 +90,7 @@ def hex_colour(linear: Array) -> str:
 
 
 def ink_on(linear: Array) -> str:
-    """Choose black or white text, whichever is easier to read on a linear sRGB background (3)."""
+    """Return black or white as text colour, whichever is easier to read on a linear sRGB background (3)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 

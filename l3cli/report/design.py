@@ -1,6 +1,6 @@
-"""A design in a report: the verdict, the best arrays and their filters, and the predicted errors.
+"""The section of a design in a report: the verdict, the best arrays and their filters, and the predicted errors.
 
-The errors are shown over the light level and by group of patches. If some arrays were trained, their measured errors and
+The errors are shown against the exposure and by group of patches. If some arrays were trained, their measured errors and
 crops of their pictures follow.
 """
 
@@ -62,7 +62,7 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """List how much the error of the best array changes if a filter is shifted by 5 nm."""
+    """Make a table of the change in the best array's error if one filter is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
@@ -70,7 +70,7 @@ def _sensitivity(design: Design) -> Table:
 
 
 def _over_light(design: Design) -> Figure:
-    """Plot the predicted error of arrays over the product of luminance and exposure time."""
+    """Plot the predicted error of arrays against the product of luminance and exposure time."""
     plot = Plot(
         spanning("luminance of white × time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
@@ -81,7 +81,7 @@ def _over_light(design: Design) -> Figure:
 
 
 def _groups(design: Design) -> Table:
-    """List the errors of the best array and of the Bayer array in the groups of patches of each kind."""
+    """Make a table of the errors of the best array and of the Bayer array for each kind of patch."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -99,7 +99,7 @@ def _two_levels(truth: Truth) -> list[int]:
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show enlarged crops at a light level: the ideal, the arrays with the lowest measured error, and the Bayer array."""
+    """Show enlarged crops at one light level: the ideal, the arrays with the lowest measured error, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

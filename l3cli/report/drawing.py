@@ -1,8 +1,8 @@
 """Plots as inline SVG.
 
-We draw plots here instead of with a plotting library for two reasons. The drawings use the colours and the font of the
-page, so the same drawing suits a light page, a dark page and print. And the same numbers always give the same bytes.
-Coordinates are pixels; a drawing is 440 px wide.
+There are two reasons not to use a plotting library. The drawings take the colours and the font of the page, so the same
+drawing suits a light page, a dark page and print. And the same numbers always give the same bytes. Coordinates are in
+pixels. A drawing is 440 px wide.
 """
 
 import itertools
@@ -17,19 +17,19 @@ from l3cli.report.parts import Data, Figure, Key
 from l3cli.system.text import superscript
 
 Array = NDArray[np.floating]
-WIDTH, HEIGHT = 440, 300  # px, size of a plot
-LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px, margins around the axes
+WIDTH, HEIGHT = 440, 300  # px; size of a plot
+LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px; margins around the axes
 # SVG path of each mark, relative to its point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
 SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours for series without a colour of their own
-CHARACTER_WIDTH = 6.8  # px, mean width of a character at 12 px
-WIDE_CHARACTER_WIDTH = 7.7  # px, mean width of a digit or unit in a wide font
-ASCENT, DESCENT = 10.0, 3.5  # px, height of a text line above and below its baseline
-LABEL_CLEARANCE = 2.5  # px, minimum distance between a label and anything drawn
-SAMPLE_SPACING = 1.5  # px, spacing of the samples along curves with which overlaps are found
-LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px, distances of a label from its point, tried in this order
-# directions of a label from its point, right and down, in the order tried
+CHARACTER_WIDTH = 6.8  # px; mean width of a character at a font size of 12 px
+WIDE_CHARACTER_WIDTH = 7.7  # px; mean width of a digit or unit in a wide font
+ASCENT, DESCENT = 10.0, 3.5  # px; height of a text line above and below its baseline
+LABEL_CLEARANCE = 2.5  # px; minimum distance between a label and anything drawn
+SAMPLE_SPACING = 1.5  # px; curves are sampled at this spacing to find labels that overlap them
+LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px; distances of a label from its point, tried in this order
+# Directions (right, down) of a label from its point, tried in this order.
 LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
 ANCHORS = {0: "middle", 1: "start", -1: "end"}  # horizontal direction → text-anchor in SVG
 Place = tuple[float, float, str]  # x, y of the baseline, text-anchor
@@ -45,7 +45,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Convert values to positions along the axis, from 0 at its lower end to 1 at its upper end."""
+        """Convert values to positions along the axis, where 0 is the lower end and 1 the upper end."""
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
             return (values - self.low) / (self.high - self.low)
@@ -81,7 +81,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
     Returns
     -------
     Axis
-        The axis; 0 to 1 (0.1 to 1 if logarithmic) if there are no values.
+        The axis. Without values, its range is 0 to 1, or 0.1 to 1 if logarithmic.
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]
@@ -95,7 +95,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
 
 
 def _round_steps(low: float, high: float) -> list[float]:
-    """Return about five multiples of 1, 2 or 5 times a power of ten between two bounds."""
+    """Return about five round numbers between two bounds, spaced by 1, 2 or 5 times a power of ten."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -104,7 +104,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number at a tick. Numbers below 0.001 or from 100 000 are written as powers of ten."""
+    """Format the number at a tick. Numbers below 0.001 and from 100 000 upwards are written as powers of ten."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -115,8 +115,8 @@ def tick_text(value: float) -> str:
 class Plot:
     """A pair of axes and the drawing between them, as SVG.
 
-    Anything outside the axes is cut off. If a method gets a `series` name, its values are added to the data of the figure
-    under that name, which the reader can save as CSV.
+    Anything outside the axes is cut off. If a method is called with the name of a `series`, its values become part of the
+    figure's data, which the reader can save as CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
@@ -142,7 +142,7 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """Draw the outline of a histogram, heights (bin) between edges (bin + 1). Its data list the lower edges."""
+        """Draw the outline of a histogram with `heights` (bin) between `edges` (bin + 1). Its data list the lower edges."""
         self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
@@ -158,7 +158,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
-        """Draw points. `mark` is a key of MARKS; `size` is the diameter of dots in pixels."""
+        """Draw points. `mark` is a key of MARKS, and `size` is the diameter of dots in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
@@ -173,7 +173,7 @@ class Plot:
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
         """Draw boxes of the same size.
 
-        `x` and `y` are the lower left corners; `width` and `height` are in units of the axes.
+        `x` and `y` are the lower left corners. `width` and `height` are in units of the axes.
         """
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
@@ -206,14 +206,14 @@ class Plot:
         marks : sequence of str
             Line styles, used in turn.
         size : float
-            Diameter of the dots at the points in pixels; 0 draws none.
+            Diameter of the dots at the points in pixels. 0 means no dots.
         width : float
             Width of the lines in pixels.
 
         Returns
         -------
         tuple of Key
-            Legend entries of the series drawn.
+            Legend entries of the series that were drawn.
         """
         keys = []
         styles = zip(itertools.cycle(SERIES), itertools.cycle(marks), series.items(), strict=False)
@@ -257,7 +257,7 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
-        """Convert values to pixel coordinates inside the axes; values far outside are clipped."""
+        """Convert values to pixel coordinates inside the axes. Values far outside are clipped."""
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
@@ -302,7 +302,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
     finding : str
         Text for screen readers.
     fixed_size : bool
-        Show the drawing at its size in pixels. Otherwise it is scaled to the width of its column on the page.
+        Show the drawing at its size in pixels instead of scaling it to the width of its column on the page.
 
     Returns
     -------
@@ -378,7 +378,7 @@ class Places:
         self._taken: list[Array] = []  # points (point, 2)
 
     def take(self, points: list[tuple[float, float]], joined: bool) -> None:
-        """Mark points as covered; if `joined`, also the straight lines between consecutive points."""
+        """Mark points as covered and, if `joined` is true, also the straight lines between consecutive points."""
         array = np.asarray(points, np.float64).reshape(-1, 2)
         if joined and len(array) > 1:
             array = np.concatenate([_between(start, end) for start, end in itertools.pairwise(array)])
@@ -397,7 +397,7 @@ class Places:
         Returns
         -------
         tuple or None
-            x and y of the text's baseline and its text-anchor; None if there is no free place near the point.
+            x and y of the text's baseline, and its text-anchor. None if there is no free place near the point.
         """
         for reach in LABEL_DISTANCES:
             for across, down in LABEL_DIRECTIONS:

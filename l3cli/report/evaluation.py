@@ -1,7 +1,7 @@
-"""An evaluation in a report: the section at the top of the page, and the section with all metrics.
+"""The sections of an evaluation in a report: one at the top of the page, and one with all metrics.
 
-The top section shows pictures of a few frames, the verdict and the main metrics. The other section lists the metrics over
-illuminants, levels, gains and classes. In both, "ours" is the table that is evaluated.
+The top section shows pictures of a few frames, the verdict and the main metrics. The other section lists the metrics for
+each illuminant, level, gain and class. In both, "ours" is the table that is evaluated.
 """
 
 from typing import Any
@@ -137,14 +137,14 @@ BAND_MEANINGS = (
     "themselves, where 1 is the 99th percentile of the target's mean output. SSIM is the mean over the outputs."
 )
 SINGLE_MEANINGS = (
-    "ours is the table. The mean error is the mean absolute difference from the target. It and RMSE count a perfect white "
-    "as 1. PSNR is of 8-bit codes of which the frame's white is 255, linear PSNR of the output as it is, with the 99th "
-    "percentile of the target as 1. SSIM is of values that end at white."
+    "ours is the table. The mean error is the mean absolute difference from the target. It and RMSE are relative to a "
+    "perfect white. PSNR is computed from 8-bit codes in which the frame's white is 255. Linear PSNR is computed from the "
+    "output itself, where 1 is the 99th percentile of the target. SSIM is computed from values that are clipped at white."
 )
-MEANINGS_OF = {"mean_delta_e": MEANINGS, "mean_angle": BAND_MEANINGS, "mean_error": SINGLE_MEANINGS}  # by main figure
+MEANINGS_OF = {"mean_delta_e": MEANINGS, "mean_angle": BAND_MEANINGS, "mean_error": SINGLE_MEANINGS}  # main metric → text
 GAIN_MEANING = (
-    "The noise of the table's camera is known at these gains. A few frames under each illuminant are exposed again at each "
-    "gain, with that gain's noise. The exposure time is shortened in proportion to the gain."
+    "The noise of the table's camera is known at these gains. A few frames under each illuminant are simulated again at "
+    "each gain, with the noise of the camera at this gain. The exposure time is shortened in proportion to the gain."
 )
 
 ERROR_KEY = (  # colour scale of the error maps that l3cli.evaluation draws
@@ -190,14 +190,14 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
 def luminance_section(
     curves: dict[str, list[tuple[str, tuple[float, ...], tuple[float, ...]]]], sentences: dict[str, list[str]]
 ) -> Section:
-    """Build a section that compares cameras over the luminance of the scene.
+    """Build a section that compares cameras as a function of the luminance of the scene.
 
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
         For each metric, the luminances in cd/m² and the values of every camera.
     sentences : dict of str to list of str
-        For each metric, sentences that say at which luminances the better camera changes.
+        For each metric, sentences that say which camera is better at which luminances.
 
     Returns
     -------
@@ -224,7 +224,7 @@ def luminance_section(
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the key of the main metric: ΔE00 for pictures, the first metric otherwise."""
+    """Return the key of the main metric, which is ΔE00 for pictures and otherwise the first metric."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
@@ -311,9 +311,9 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
-    """Plot the error over analog gain.
+    """Plot the error against analog gain.
 
-    With several illuminants, there is one curve of ours per illuminant. With one illuminant, there is one curve per
+    With several illuminants, each curve shows the table under one illuminant. With one illuminant, each curve shows one
     pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
@@ -347,7 +347,7 @@ def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot the main metric of every pipeline over a level."""
+    """Plot the main metric of every pipeline against a level."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
@@ -381,29 +381,29 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Whether a frame's luminance (cd/m²) matches `at` within SAME_LUMINANCE. Always true if `at` is None."""
+    """Whether a frame's luminance (cd/m²) equals `at` within SAME_LUMINANCE. Always true if `at` is None."""
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Describe a frame's luminance for its caption, with a leading comma. Empty if the luminance is unknown."""
+    """Describe a frame's luminance for a caption, with a leading comma. Empty if the luminance is unknown."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
 
 
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
-    """Choose the frames of an evaluation to show.
+    """Choose the frames of an evaluation that a report shows.
 
-    The first is the frame with the median of the main metric of ours. If there are at most FRAMES_SHOWN frames, the others
-    follow; otherwise the worst and the best follow.
+    The first is the frame in which the table has the median of its main metric. If there are at most FRAMES_SHOWN frames,
+    all others follow, otherwise the worst and the best.
 
     Parameters
     ----------
     document : dict
         The document that `l3 evaluate --json` prints.
     at : float, optional
-        Choose only from frames of this luminance in cd/m².
+        Choose only among frames with this luminance, in cd/m².
 
     Returns
     -------
@@ -436,9 +436,9 @@ def front_section(
     jpeg : callable
         JPEG encoder.
     below : tuple of Subsection
-        Subsections to put after the first comparison.
+        Subsections that follow the first comparison.
     at : float, optional
-        Luminance in cd/m² by which the frames were chosen.
+        Luminance, in cd/m², of the frames that were chosen.
 
     Returns
     -------
@@ -463,7 +463,7 @@ def front_section(
         title_of_others = "The worst and the best frame" if among > FRAMES_SHOWN else "Other frames"
         parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
     of = f"{count} frames" if at is None else f"{counted(among, 'frame')} at {tidy(at)} cd/m² ({tidy(np.pi * at)} lux)"
-    which = "" if count == 1 else f"The first is, of {of}, the one of median {FIGURES[figure].heading}."
+    which = "" if count == 1 else f"The first is the frame with the median {FIGURES[figure].heading} among {of}."
     return Section(title, which, tuple(parts))
 
 
@@ -478,7 +478,7 @@ def verdict(document: dict[str, Any]) -> str:
         lost = [FIGURES[name].heading for name, won in wins.items() if 2 * won <= count]
         if all(won == count for won in wins.values()):
             often = ", in every frame" if count > 1 else ""
-            sentences.append(f"Ours is nearer to the ideal than {baseline} by every figure{often}.")
+            sentences.append(f"Ours is nearer to the ideal than {baseline} in every metric{often}.")
         elif 2 * wins[figure] > count:
             but = f", not by {', '.join(lost)}" if lost else ""
             by = _in_frames(figure, wins[figure], count)

@@ -1,4 +1,4 @@
-"""The artifacts that a report is made from, and which tables are evaluated on which frames."""
+"""The artifacts in a report, and the choice of frames on which each table is evaluated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ A = TypeVar("A", bound=Artifact)
 
 @dataclass(frozen=True)
 class Entry:
-    """A file of a report, with its name on the page and its contents. For a training set, these are only its metadata."""
+    """A file in a report, with its name on the page and its contents. For a training set, only its metadata are loaded."""
 
     name: str
     path: Path
@@ -34,7 +34,7 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and a training set of the same array that the table was not trained on. Each pair is evaluated."""
+    """A table and a training set with the same CFA that was not used to train the table. Each pair is evaluated."""
 
     table: Entry
     transforms: TransformTable
@@ -44,7 +44,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """The artifacts of a report in the order given, and the evaluations of sequences."""
+    """The artifacts of a report, in the order of the command line, and the evaluations of sequences."""
 
     entries: list[Entry]
     sequences: dict[str, dict[str, Any]]  # file name → document printed by `l3 evaluate --sequence --json`
@@ -56,7 +56,7 @@ class Given:
 
     @property
     def pairs(self) -> list[Pair]:
-        """Every table with every training set of the same array that it was not trained on."""
+        """Each table with each training set that has the same CFA and was not used to train the table."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -66,7 +66,7 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """The artifacts split by colour filter array, without the sequences."""
+        """The artifacts grouped by colour filter array, without the sequences."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
@@ -77,7 +77,7 @@ def trained_on(table: TransformTable, frames: Entry) -> bool:
 
 
 def role_of(given: Given, frames: Entry) -> str:
-    """Say in words which tables were trained and which were evaluated on a training set."""
+    """Say in words which tables were trained on a training set and which were evaluated on it."""
     roles = []
     for text, wanted in (("Trained on it", True), ("Evaluated on it", False)):
         names = [entry.name for entry, table in given.of(TransformTable) if trained_on(table, frames) is wanted]
@@ -95,7 +95,7 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Write the lead of a report in which no table could be evaluated, and say what to add."""
+    """Return the lead of a report in which no table could be evaluated. It says which file to add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):

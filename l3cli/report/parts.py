@@ -1,7 +1,7 @@
 """The parts of a report as plain data, and the page made from them.
 
-A report is a list of sections. A section contains tables, figures and pictures; pictures are data URIs that fit a byte
-limit. The template page.html turns the sections into one self-contained HTML page. A script (downloads.js) lets the reader
+A report is a list of sections. A section contains tables, figures and pictures. Pictures are data URIs whose size is
+limited. The template page.html turns the sections into one self-contained HTML page. A script (downloads.js) lets the reader
 save a drawing as an SVG file.
 """
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# A cell with a number or a range of numbers. Columns with only such cells are aligned to the right.
+# Matches a cell with a number or a range of numbers. Columns that contain only such cells are aligned to the right.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
@@ -63,22 +63,22 @@ class Data:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its title, its legend and a sentence about what it shows.
+    """A drawing with its title, its legend and its main result.
 
-    `finding` is that sentence. It quotes numbers, and screen readers read it in place of the drawing.
+    The main result is the sentence `finding`. It quotes numbers, and screen readers read it in place of the drawing.
     """
 
     title: str
     svg: Markup
     finding: str
     legend: tuple[Key, ...] = ()
-    narrow: bool = False  # a small drawing that should not be blown up
-    data: Data | None = None  # the page offers these numbers as a CSV file
+    narrow: bool = False  # the drawing is small and should not be enlarged
+    data: Data | None = None  # numbers that the reader can save as a CSV file
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures side by side, as many per line as the width of the page allows."""
+    """Figures side by side, as many as fit the width of the page."""
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
@@ -108,8 +108,8 @@ class Gallery:
 class Comparison:
     """Pictures of one frame that can be compared with a slider.
 
-    The first picture is usually the table's rendering; a selector names the picture it is compared with. Without scripts the
-    pictures are shown side by side.
+    The first picture is usually the table's rendering. The reader selects the picture with which it is compared. If scripts
+    are disabled, the pictures are shown side by side.
     """
 
     kind: ClassVar[str] = "comparison"
@@ -121,7 +121,7 @@ class Comparison:
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen, in pixels. A small frame enlarged further would only look blurred."""
+        """Maximum width on the screen, in pixels. It is limited because strongly enlarged frames look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
@@ -198,7 +198,7 @@ JPEG_ATTEMPTS = (
     (8, 80),
     (16, 75),
 )  # (reduction, JPEG quality), best first
-THUMBNAIL = 160  # px, maximum length of the longer side
+THUMBNAIL = 160  # px; maximum length of the longer side
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
@@ -272,9 +272,9 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
     return "data:image/jpeg;base64," + coded.decode(), (small.shape[0], small.shape[1])
 
 
-LIMIT = 10_000_000  # bytes, approximate maximum size of a page
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet takes a cell that begins with one of these for a formula
-MAX_FILE_NAME = 60  # characters, maximum length of a file name
+LIMIT = 10_000_000  # bytes; approximate maximum size of a page
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet treats a cell that begins with one of these as a formula
+MAX_FILE_NAME = 60  # characters; maximum length of a file name
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
@@ -360,6 +360,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """Name a role and the first four files that had it, each by the first 12 digits of its SHA-256."""
+    """Return a role and the first 12 digits of the SHA-256 of up to four files with this role."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

@@ -1,10 +1,10 @@
 """A crop of a frame whose classes and transforms the reader can inspect pixel by pixel.
 
-The data are embedded in the page, where pixels.js shows them and classes.js lists the other classes of the table.
+The data are embedded in the page. The script pixels.js shows them, and classes.js lists the other classes of the table.
 
 The data are compressed with deflate and encoded as base64. Uncompressed, they begin with the length of the header in bytes
-(uint32). Then comes the header as JSON, padded with spaces to a multiple of four bytes. For each layer there follow three
-arrays, each padded to a multiple of four bytes:
+(uint32), followed by the header as JSON, padded with spaces to a multiple of four bytes. Then there are three arrays for
+each layer, each padded to a multiple of four bytes:
 
 1. The largest absolute weight of each class and output (float32).
 2. The class of each pixel, as an index into the classes of the header (uint16).
@@ -38,9 +38,9 @@ CROP_SIZES = (
     (72, 96),
     (48, 64),
     (24, 32),
-)  # rows and columns of crops, tried in this order
+)  # rows and columns of the crop, tried in this order
 JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
-CROP_STEPS = 8  # steps along each side of a frame at which crops are tried
+CROP_STEPS = 8  # number of crop positions that are tried along each side of a frame
 WEIGHT_SCALE = 127  # integer that encodes the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
@@ -48,15 +48,15 @@ COMPONENTS = ("first component", "mean", "second component")  # input planes of 
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a table at the pixels of a crop. Its classes begin with those that occur in the crop."""
+    """A layer of a table at the pixels of a crop. The classes that occur in the crop come first."""
 
-    side: int  # pixels, side of the window
-    planes: tuple[str, ...]  # names of the input planes in the order of the taps; only "mosaic" in the first layer
-    labels: NDArray[np.integer]  # (row, col), index into the classes below
-    words: tuple[dict[str, str], ...]  # (class), description of each class by feature
-    patches: Array  # (class), number of training patches; 0 if the class was filled from a neighbour
-    pixels: NDArray[np.integer]  # (class), number of pixels in the whole frame
-    weights: Array  # (class, output, tap), only for the first classes
+    side: int  # pixels; side of the window
+    planes: tuple[str, ...]  # names of the input planes, in the order of the taps; ("mosaic",) in the first layer
+    labels: NDArray[np.integer]  # (row, col) index into the following lists of classes
+    words: tuple[dict[str, str], ...]  # (class) description of each feature of the class
+    patches: Array  # (class) number of training patches; 0 if the class was filled from a neighbour
+    pixels: NDArray[np.integer]  # (class) number of pixels in the whole frame
+    weights: Array  # (class, output, tap) for the first classes only
 
     @property
     def cropped(self) -> int:
@@ -77,9 +77,9 @@ class Crop:
 class Sites:
     """The colour filter array of the frame."""
 
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col), channel of each site
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     channels: tuple[str, ...]
-    colours: tuple[str, ...]  # (channel), CSS colours
+    colours: tuple[str, ...]  # (channel) CSS colour
 
 
 def crop_of(
@@ -88,8 +88,8 @@ def crop_of(
     """Choose the crop of a frame with the most classes, and encode it for the page.
 
     The crop has the largest of CROP_SIZES whose encoding fits `limit`, or the smallest if none fits. Then classes that do
-    not occur in the crop are added, the most frequent in the frame first. If `more` allows it, these are all classes of the
-    table; otherwise only classes that occur in the frame. The remaining space is used for their weights.
+    not occur in the crop are added, starting with the most frequent in the frame. If `more` allows it, all classes of the
+    table are added, otherwise only classes that occur in the frame. The remaining space is used for their weights.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ def _crop(
 ) -> Crop:
     """Cut out a part of a frame and add classes that do not occur in it.
 
-    `others` says which classes to add: "none", those of the "frame", or "all". They are ordered by their frequency in the
-    frame. Their weights are included as far as `letters` characters per layer allow.
+    `others` selects the additional classes: "none", "frame" (classes that occur in the frame) or "all". They are sorted by
+    their frequency in the frame. Weights are included for as many of them as `letters` characters per layer allow.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
@@ -150,7 +150,7 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        # Base64 makes 4 letters from 3 bytes. Weights hardly compress.
+        # Base64 needs 4 characters for 3 bytes. Weights are hardly compressible.
         room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
         classes = np.concatenate([seen, order])
         layers.append(
@@ -200,7 +200,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
     Returns
     -------
     tuple of int
-        First row and column. If several crops have the same number of classes, it is the first of them.
+        First row and column of the crop. If several crops have the same number of classes, the first is returned.
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
@@ -253,7 +253,7 @@ def _numbers(layer: Layer) -> bytes:
 
 
 def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
-    """Build the block of the page in which a pixel can be picked.
+    """Build the part of the page in which the reader picks a pixel.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
     Returns
     -------
     PixelPicker
-        The block.
+        The part of the page.
     """
     (top, left), (rows, cols) = crop.corner, crop.layers[0].labels.shape
     where = f"{cols} × {rows} pixels from row {top}, column {left}"

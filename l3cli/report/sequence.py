@@ -1,4 +1,4 @@
-"""Rendered sequences in a report: noise, flicker and errors over their frames."""
+"""The section of rendered sequences in a report: noise, flicker and errors of each frame."""
 
 from typing import Any
 
@@ -42,12 +42,12 @@ def sequence_section(documents: Documents) -> Section:
     Parameters
     ----------
     documents : dict of str to dict
-        File name and document of `l3 evaluate --sequence --json` for each sequence.
+        File name → document of `l3 evaluate --sequence --json`.
 
     Returns
     -------
     Section
-        A table of the metrics of whole sequences, and plots over the frames with one line per sequence.
+        A table with the metrics of whole sequences, and plots against the frame number with one line per sequence.
     """
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in SEQUENCE_METRICS))
@@ -61,7 +61,7 @@ def sequence_section(documents: Documents) -> Section:
 
 
 def summary(documents: Documents) -> str:
-    """State the temporal noise and the largest jump of every sequence in a sentence each."""
+    """State the temporal noise and the largest jump of each sequence, with one sentence per sequence."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 
@@ -85,7 +85,7 @@ def _known(documents: Documents, figure: str) -> bool:
 
 
 def _curves(documents: Documents, figure: str) -> Figure:
-    """Plot a metric over the frames of every sequence that has it."""
+    """Plot a metric against the frame number for every sequence that has it."""
     title, label, zero = FRAME_METRICS[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
@@ -101,7 +101,7 @@ def _curves(documents: Documents, figure: str) -> Figure:
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the frames that have a metric, and its values."""
+    """Return the numbers of the frames that have a metric, and the values of the metric."""
     known = [(frame["frame"], frame[figure]) for frame in document["frames"] if frame[figure] is not None]
     at, values = np.array(known, np.float64).reshape(-1, 2).T
     return at, values

@@ -1,6 +1,6 @@
-"""Several tables compared side by side in a report, for one or several colour filter arrays.
+"""The section of a report that compares several tables, for one or several colour filter arrays.
 
-The section shows the same frame rendered with each table, the metrics, and the error over the level.
+The section shows the same frame rendered with each table, the metrics, and the error as a function of the level.
 """
 
 from dataclasses import dataclass, replace
@@ -32,12 +32,12 @@ from l3cli.report.parts import (
 )
 from l3cli.system.text import counted
 
-CAVEAT = "Scenes and lights are the same; each camera uses the exposure times of its own training set."
+CAVEAT = "Scenes and lights are the same. Each camera uses the exposure times of its own training set."
 UNKNOWN_SCENES = (
-    "Scenes and lights have the same names, but real frames and frames from older versions do not say what they show."
+    "Scenes and lights have the same names, but frames without fingerprints, such as real frames, may show different scenes."
 )
-DIFFERENT_SCENES = "frames of one name show other scenes or lights; simulate all with one recipe and seed"
-Place = tuple[str, str, str]  # scene, illuminant and luminance, by which frames of several sets are matched
+DIFFERENT_SCENES = "frames with the same name show different scenes or lights; simulate all with one recipe and seed"
+Place = tuple[str, str, str]  # scene, illuminant and luminance; frames of different sets are matched by these
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Side:
 
     @property
     def places(self) -> dict[Place, int]:
-        """Map each scene, illuminant and luminance to the index of the first frame that has them."""
+        """Map each combination of scene, illuminant and luminance to the index of the first frame that has it."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
@@ -59,9 +59,9 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Return the scenes, illuminants and luminances for which every side has a frame.
+    """Return the combinations of scene, illuminant and luminance for which every side has a frame.
 
-    Frames with the same names are left out if their fingerprints show different scenes.
+    A combination is left out if the fingerprints of its frames differ.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def shared_places(sides: list[Side]) -> list[Place]:
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the scenes, illuminants and luminances that frames of all sides name, in the order of the first side."""
+    """Return the combinations of scene, illuminant and luminance that occur in all sides, in the order of the first side."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return each side's fingerprint of the scene of a frame; None where the frame has no fingerprint."""
+    """Return the fingerprint of a frame in each side, or None where it has no fingerprint."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
@@ -96,14 +96,14 @@ def _one_scene(shown: list[Any]) -> bool:
 def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     """Choose the frame to show side by side.
 
-    Among the frames that all sides have, this is the one with the median ΔE00 in the first side.
+    It is the frame with the median ΔE00 in the first side, among the frames that all sides have.
 
     Parameters
     ----------
     sides : list of Side
         The evaluated tables.
     at : float, optional
-        Choose only from frames of this luminance in cd/m².
+        Choose only among frames with this luminance, in cd/m².
 
     Returns
     -------
@@ -133,7 +133,7 @@ def side_by_side_section(
     index : list of int
         Index of the common frame in each side, from `shared_frame`.
     pictures : list of dict
-        Pictures of that frame for each side; empty if there is no common frame.
+        Pictures of this frame for each side. Empty if there is no common frame.
     limit : int
         Maximum size of all pictures together, in bytes.
     jpeg : callable
@@ -142,7 +142,7 @@ def side_by_side_section(
     Returns
     -------
     Section
-        The common frame, the metrics, and the cameras if they differ. Its lead is the ranking of the tables.
+        The common frame, the metrics, and the cameras if they differ. The lead of the section ranks the tables.
     """
     parts = []
     if pictures:
@@ -161,18 +161,18 @@ def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Average a metric over frames; None if no frame has it."""
+    """Return the mean of a metric over frames, or None if no frame has it."""
     return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
     """Rank the tables in words, or say why they cannot be compared."""
     if len({main_of(side.document) for side in sides}) > 1:
-        return "The tables have different outputs: their figures are not comparable."
+        return "The tables have different outputs, so their metrics cannot be compared."
     others = len(_alike(sides)) - len(shared)
     if not shared:
         cause = f" ({DIFFERENT_SCENES})" if others else ""
-        return f"The tables were evaluated on different frames{cause}: their figures are not comparable."
+        return f"The tables were evaluated on different frames{cause}, so their metrics cannot be compared."
     figure = main_of(sides[0].document)
     ranked = sorted(sides, key=lambda side: _mean(side, shared, OURS, figure) or 0.0)
     values = ", ".join(f"{_title(side, sides)} {figure_text(figure, _mean(side, shared, OURS, figure))}" for side in ranked)
@@ -233,7 +233,7 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Plot the error of ours over the level of the class, one line per side; None if there are too few levels."""
+    """Plot the error against the level of the class, with one line per table. None if there are too few levels."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None

@@ -1,4 +1,4 @@
-"""A training set in a report: its scenes, illuminants, levels and colours."""
+"""The section of a training set in a report: its scenes, illuminants, levels and colours."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -33,9 +33,9 @@ Array = NDArray[np.floating]
 MAX_PICTURES = 24  # maximum number of frames shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
 SATURATED = 0.985  # fraction of full scale, as in docs/method.md#saturation-cases
-CELL_SIZE = 0.01  # side of a cell of the chromaticity diagram, in x and y
+CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram
 CELLS = 100  # number of cells along x and along y
-MIN_RELATIVE_LUMINANCE = 1e-4  # darker pixels, relative to the luminance of white, have no reliable chromaticity
+MIN_RELATIVE_LUMINANCE = 1e-4  # luminance relative to white; darker pixels have no reliable chromaticity
 
 
 @dataclass
@@ -59,7 +59,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     Parameters
     ----------
     reader : TrainingSetReader
-        The open training set; its frames are read one by one.
+        The open training set. Its frames are read one by one.
     name : str
         Name of the file.
     role : str
@@ -85,7 +85,7 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Collect the statistics of all frames. Frames are read one by one, so that only one is in memory."""
+    """Collect the statistics of all frames. They are read one by one, so that only one is in memory."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(MAX_PICTURES, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -161,7 +161,7 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the minimum and maximum of values, as one number if they are equal."""
+    """Format the range of values, as a single number if all are equal."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
@@ -191,7 +191,7 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Plot the chromaticities of the targets in the CIE 1931 diagram.
 
-    Opacity increases with the fraction of pixels in a cell, one step per factor of ten.
+    The opacity of a cell increases with its fraction of the pixels, in steps of a factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()

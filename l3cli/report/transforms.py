@@ -1,4 +1,4 @@
-"""A transform table in a report: how its classes are filled, some of its transforms, and how they amplify noise."""
+"""The section of a table in a report: training patches per class, selected transforms, and their noise gain."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,8 +15,8 @@ from l3cli.report.parts import Block, Data, Figure, Figures, Key, Section, Subse
 from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
-DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99… patches
-MAX_NAME_CHARACTERS = 22  # characters; longer names do not fit beside a drawing and are replaced by numbers
+DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
+MAX_NAME_CHARACTERS = 22  # longer names do not fit beside a drawing and are replaced by numbers
 MAX_MAPS = 3  # maximum number of outputs for which the weights of a transform are drawn
 
 
@@ -34,14 +34,14 @@ def transform_section(
     insight : dict
         The document that `l3 info --json` prints for the table.
     class_name : callable
-        Returns a description of a class, given its index.
+        Function that takes the index of a class and returns its description.
     name : str
         Name of the file.
 
     Returns
     -------
     Section
-        Class population, selected transforms, noise gains and, if there are any, refinement layers.
+        Training patches per class, selected transforms, noise gains and, if there are any, refinement layers.
     """
     classes = insight["classes"]
     lead = (
@@ -62,7 +62,7 @@ def transform_section(
 
 
 def _refinement_table(insight: dict[str, Any]) -> Table:
-    """Make a table with a row per refinement layer."""
+    """Make a table with one row per refinement layer."""
     gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
     rows = tuple(
         (
@@ -97,7 +97,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
-    """Draw how many training patches each class has, by level, contrast, kind and site."""
+    """Draw the number of training patches by level, contrast, kind and site."""
     samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -121,7 +121,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds. If some are too long for a drawing, each is preceded by its number."""
+    """Return the names of the kinds. If some are too long for a drawing, each name gets a number in front."""
     names = [kind["name"] for kind in insight["kinds"]]
     return (
         [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > MAX_NAME_CHARACTERS else names
@@ -136,7 +136,7 @@ def _contrast(table: TransformTable, contrast: int) -> str:
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw the number of patches per row and level as cells whose opacity increases with each factor of ten."""
+    """Draw the number of patches per row and level. The opacity of a cell increases in steps of a factor of ten."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
@@ -159,7 +159,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make a table of the patches per value of each class feature beyond the basic ones."""
+    """Make one table per additional class feature, with the number of patches for each value of the feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("features", {}).items()
@@ -185,9 +185,9 @@ def _transform_blocks(table: TransformTable, light: Array | None, class_name: Ca
 def chosen_classes(table: TransformTable) -> list[int]:
     """Choose the classes whose transforms are drawn.
 
-    For the first site of the most frequent channel, these are dark and bright levels with the lowest and highest contrast.
-    For up to seven other channels, it is a medium level with the highest contrast. Among the unsaturated kinds of each, the
-    one with the most training patches is taken. Classes without patches are omitted.
+    The first site of the most frequent channel is shown at dark and bright levels, with the lowest and highest contrast. Up
+    to seven other channels are shown at a medium level with the highest contrast. In each case, the unsaturated kind with
+    the most training patches is chosen. Classes without patches are omitted.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Draw the filters of a patch and, for the first outputs, the weights: blue if negative, orange if positive."""
+    """Draw the colour filters of a patch and the weights for the first outputs: blue if negative, orange if positive."""
     patch, outputs = table.first.rule.patch, min(MAX_MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -282,7 +282,7 @@ def taps(table: TransformTable, index: int) -> Integers:
 
 
 def _noise_figures(table: TransformTable) -> Figures:
-    """Plot the noise gain over the level, as the median over trained unsaturated classes."""
+    """Plot the median noise gain of trained unsaturated classes against the level."""
     rule, gains = table.first.rule, np.sqrt((table.first.weights.astype(np.float64) ** 2).sum(axis=2))
     gain = rule.by_feature(gains)[..., rule.kinds_of(0), :]
     trained = rule.by_feature(table.first.samples)[..., rule.kinds_of(0)] > 0
@@ -325,7 +325,7 @@ def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
-    """List noise gains, gains for flat areas, and the classes with the highest noise gain."""
+    """Make tables of noise gains, of the gain in flat areas, and of the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )

@@ -1,7 +1,7 @@
-"""How well a camera model predicts the charts it was fitted to, and drawings of chart patches.
+"""The validation of a camera model in a report: how well it predicts the charts to which it was fitted.
 
-For lab measurements, this includes the choice of the smoothing. For photos, it includes how reliable the curves and colours
-are. A chart is drawn patch by patch: the ideal colour, the actual colour, and the difference.
+For lab measurements, this includes the choice of the smoothing. For photos, it includes the uncertainty of curves and
+colours. A chart is drawn patch by patch: the ideal colour, the actual colour, and the difference.
 """
 
 from typing import Any
@@ -21,9 +21,9 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Key, Subse
 from l3cli.system.text import counted, tidy, unit
 
 Array = NDArray[np.floating]
-PATCHES_PER_ROW = 6  # patches per row
+PATCHES_PER_ROW = 6
 MAX_CHARTS = 4  # maximum number of charts drawn for a calibration
-PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px, between patches, and height of the ΔE00 below each patch
+PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px; gap between patches, and height of the text below each patch
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
@@ -38,8 +38,8 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     pair : tuple of ndarray, (patch, 3)
         Linear sRGB of the left and the right halves.
     errors : dict of str to ndarray, (patch,)
-        ΔE00 per patch from the left half. The entry `names[1]` is written below the patches; other entries, such as other
-        pipelines, appear in the finding and the data.
+        ΔE00 between the left half of each patch and this picture. The values of `names[1]` are written below the patches.
+        Other entries, such as other pipelines, appear in the finding and the data.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """List the ΔE00 of every pipeline for each patch. `errors` is as for `patches_figure`."""
+    """Make a table of the ΔE00 of every pipeline for each patch. `errors` is the same as for `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
@@ -121,8 +121,8 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
     """Fit the matrix (channel, 3) from channels to XYZ.
 
-    The residuals between measurement and prediction act as noise in the least squares. They keep the matrix from amplifying
-    the difference of two similar channels.
+    The residuals between measurement and prediction act as noise in the least squares fit. They prevent the matrix from
+    amplifying the difference between two similar channels.
     """
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
@@ -204,7 +204,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error over the smoothing δ. Empty if fewer than two values were tried."""
+    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -241,7 +241,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
     Returns
     -------
     tuple of Subsection
-        The photos, how reliable curves and colours are, and the patches of each photo.
+        The photos, the uncertainty of curves and colours, and the patches of each photo.
     """
     keys = point_keys(camera)
     return (
@@ -278,7 +278,7 @@ def _photos(figures: dict[str, Any]) -> Table:
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """Say for each photo whether the illuminant that was given fits its patches."""
+    """Say for each photo whether the given illuminant fits its patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
@@ -309,7 +309,7 @@ def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
 
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
-    """Explain how to read the bands, and which further photo would help most."""
+    """Explain how to read the bands, and which additional photo would help most."""
     further = figures["next light"]
     source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (

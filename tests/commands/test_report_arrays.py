@@ -112,7 +112,7 @@ def test_tables_of_two_arrays_stand_side_by_side(both: Path) -> None:
     first = side_by_side(text)
     assert re.search(r"(<i>bayer|quad)\.h5 is nearest to the ideal, in [12] of 2 frames\.", first)
     assert "over 2 frames that all have" in first
-    assert "each camera uses the exposure times of its own training set" in first
+    assert "Each camera uses the exposure times of its own training set" in first
     captions = re.findall("<figcaption>(.*?): (?:mean|the)", first)
     assert captions == ["<i>bayer.h5", "quad.h5", "ideal"]
     assert "2 × 2, 3 channels" in first
@@ -164,7 +164,7 @@ def test_without_common_frames_nothing_is_compared(
 ) -> None:
     text, _ = page(*one, *write(tmp_path, "other", quad, (8,)))
     first = side_by_side(text)
-    assert "evaluated on different frames: their figures are not comparable" in first
+    assert "evaluated on different frames, so their metrics cannot be compared" in first
     assert "nearest" not in first
     assert "<img" not in first
 
@@ -175,13 +175,13 @@ def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
     other = dataclasses.replace(bayer, cfa=bayer.cfa[::-1])
     first = side_by_side(page(*one, *write(tmp_path, "other", other, (2,), light="other"))[0])
     assert (
-        "on different frames (frames of one name show other scenes or lights; simulate all with one recipe and seed)"
-        in first
+        "on different frames (frames with the same name show different scenes or lights; simulate all with one recipe "
+        "and seed)" in first
     )
     assert "nearest" not in first
     assert "Scenes and lights are the same" not in first
     text = page(*one, *write(tmp_path, "older", other, (2,), light=None))[0]
-    assert "real frames and frames from older versions do not say what they show" in side_by_side(text)
+    assert "frames without fingerprints, such as real frames, may show different scenes" in side_by_side(text)
     assert "Scenes and lights are the same" not in text
     assert "Colour filter array: small Bayer (older.h5)" in side_by_side(text)
     assert {"Camera: small Bayer (<i>bayer unseen.h5)", "Camera: small Bayer (older unseen.h5)"} <= {*sections(text)}

@@ -90,7 +90,7 @@ def test_the_picture_comes_first_with_figures_and_verdict_next_to_it(page: Path)
     assert re.search(r'class="score"><strong>\d+\.\d\d</strong> mean ΔE00 of ours, mean over 4 frames', aside)
     assert re.search("<p>Ours is (not )?nearer to the ideal than basic by", aside)
     assert aside.count('<th scope="row">') == 9
-    assert "The first is, of 4 frames, the one of median mean ΔE00" in first
+    assert "The first is the frame with the median mean ΔE00 among 4 frames" in first
     assert "The worst and the best frame" in first
 
 

@@ -278,7 +278,10 @@ def test_the_verdict_states_which_is_better_where_and_by_how_much() -> None:
         "one is better than other at every luminance, by up to 26 dB."
     )
     assert clipping(one) == "one clips at 1/30 s from 10 cd/m² upwards: 50% of its pixels at 100 cd/m²."
-    assert clipping(replace(one, exposure=(0.1, 0.1, 0.01))) == "one clips from 10 cd/m² upwards: 50% of its pixels at 100 cd/m²."
+    assert (
+        clipping(replace(one, exposure=(0.1, 0.1, 0.01)))
+        == "one clips from 10 cd/m² upwards: 50% of its pixels at 100 cd/m²."
+    )
     assert clipping(other) is None  # its automatic exposure follows the light
     assert clipping(Curve("older", (1.0,), (2.0,))) is None
 
@@ -297,7 +300,7 @@ def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path
     assert (json.loads(out)["same_scenes"], json.loads(out)["verdicts"]) == (False, [])
     assert "have different scenes or lights" in err
     code, _, err = l3("compare", evaluations / "bayer.json", tmp_path / "odd.json")
-    assert (code, "frames do not say what they show" in err) == (3, True)
+    assert (code, "frames do not name their scenes" in err) == (3, True)
     code, out, err = l3("compare", evaluations / "bayer.json", tmp_path / "older.json")
     assert "have no fingerprints" in err
     assert "Bayer (bayer) and Bayer (older) are equal" in out  # told apart by their files
