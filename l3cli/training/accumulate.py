@@ -74,7 +74,7 @@ def _batches(
             while rest:
                 count = min(rest, BATCH)
                 rest -= count
-                how = pass_.recipe.symmetry, pass_.recipe.achromatic, colourless
+                how = pass_.recipe.orientations, pass_.recipe.achromatic, colourless
                 waiting[site].append(patches_of(frame, pass_.head, neighbours, site, count, rng, *how))
                 if rest:
                     yield site, waiting[site].pop()

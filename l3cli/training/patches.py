@@ -14,7 +14,7 @@ from l3cli.classes.windows import Neighbourhoods
 from l3cli.errors import InputFileError
 from l3cli.physics.display import XYZ
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.symmetry import orientations, site_maps
+from l3cli.training.symmetry import EVERY_ORIENTATION, Allowed, orientations, site_maps
 
 Floats = NDArray[np.float32]
 Y = 1  # index of Y among the outputs X, Y, Z
@@ -66,7 +66,7 @@ def patches_of(
     site: int,
     count: int,
     rng: np.random.Generator,
-    shared: bool = True,
+    allowed: Allowed = EVERY_ORIENTATION,
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
@@ -82,8 +82,9 @@ def patches_of(
     count : int
         Number of patches.
     rng : numpy.random.Generator
-    shared : bool
-        Whether symmetric sites are trained together, as in `site_maps`. Only real pairs depend on it.
+    allowed : tuple of int
+        Orientations in which a site may be trained as another one, as in `site_maps`. Only real pairs depend on it: patches
+        of simulated frames are taken from the scene in all orientations, and get their noise afterwards.
     achromatic : float
         Fraction of the patches to take from `colourless`.
     colourless : TrainingFrame, optional
@@ -110,7 +111,7 @@ def patches_of(
             return patches
         without = sample_patches(colourless, head, *how, grey, orientations(side), rng)
         return Patches.concatenated([patches, replace(without, colourless=np.ones(grey, bool))])
-    return sample_pair(frame, head.camera, neighbours, site, count, rng, shared)
+    return sample_pair(frame, head.camera, neighbours, site, count, rng, allowed)
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
@@ -141,7 +142,7 @@ def sample_pair(
     site: int,
     count: int,
     rng: np.random.Generator,
-    shared: bool = True,
+    allowed: Allowed = EVERY_ORIENTATION,
 ) -> Patches:
     """Take patches at random places of a real pair.
 
@@ -158,8 +159,8 @@ def sample_pair(
     count : int
         Number of patches.
     rng : numpy.random.Generator
-    shared : bool
-        Whether symmetric sites are trained together.
+    allowed : tuple of int
+        Orientations in which a site may be trained as another one, as in `site_maps`.
 
     Returns
     -------
@@ -173,7 +174,7 @@ def sample_pair(
     side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
     rows, cols = pair.raw.shape
-    every = enumerate(site_maps(neighbours.channel, side, shared))
+    every = enumerate(site_maps(neighbours.channel, side, allowed))
     maps = [(other, site_map) for other, site_map in every if site_map.canonical == site]
     reach = np.arange(side) - radius
     offset = (reach[:, None] * cols + reach[None]).ravel()

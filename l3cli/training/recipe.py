@@ -18,6 +18,7 @@ from l3cli.classes.rule import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share
+from l3cli.training.symmetry import EVERY_ORIENTATION, IDENTITY_ONLY, Allowed
 
 MOST_PATCHES = 1_000_000_000
 MOST_REFINEMENT = 3  # largest number of layers after the first
@@ -72,6 +73,11 @@ class LearningRecipe(Recipe):
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
     equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
+
+    @property
+    def orientations(self) -> Allowed:
+        """Orientations in which CFA sites may be trained as each other. All eight assume isotropic noise (`symmetry`)."""
+        return EVERY_ORIENTATION if self.symmetry else IDENTITY_ONLY
 
     @property
     def noises(self) -> tuple[NoiseScale, ...]:

@@ -1,6 +1,13 @@
 """Symmetry of a colour filter array.
 
-Sites whose neighbourhoods are rotations or reflections of each other are trained together.
+Sites whose neighbourhoods are rotations or reflections of each other are trained together. A rotation or reflection of a
+square is an *orientation*; the eight orientations are numbered as `orientations` lists them. Which of them a training may
+use is a set of these numbers, `Allowed`, that every function here receives.
+
+The set is an assumption about the camera: a patch that is read in an allowed orientation must be as likely as the patch
+itself, and have the same noise. All eight orientations assume that scenes, optics and noise are isotropic. Noise of whole
+rows or columns, or polarisers, allow fewer: rows must stay rows. The set must be a group, so that sites that match a third
+site also match each other.
 """
 
 import functools
@@ -16,6 +23,9 @@ from l3cli.classes import structure
 from l3cli.classes.features import features_of
 
 Indices = NDArray[np.int64]
+Allowed = tuple[int, ...]  # numbers of the orientations that training may use, increasing, with 0
+EVERY_ORIENTATION: Allowed = tuple(range(8))  # isotropic noise
+IDENTITY_ONLY: Allowed = (0,)  # every site is trained on its own
 
 
 @dataclass(frozen=True)
@@ -23,7 +33,8 @@ class SiteMap:
     """How a site is trained: patch_of_site[permutation] has the layout of the patches of the canonical site."""
 
     canonical: int  # site
-    permutation: Indices  # (tap)
+    orientation: int  # number of the orientation
+    permutation: Indices  # (tap) of that orientation
 
 
 @functools.cache
@@ -33,7 +44,7 @@ def orientations(patch: int) -> tuple[Indices, ...]:
     return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
 
-def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap]:
+def site_maps(channel: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[SiteMap]:
     """Return how each site is trained (docs/method.md#symmetry).
 
     Parameters
@@ -42,8 +53,8 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
         Channel of each tap in the window of each site.
     patch : int
         Side of the windows in pixels.
-    shared : bool
-        False: every site is trained on its own.
+    allowed : tuple of int
+        Orientations in which a site may be trained as another one.
 
     Returns
     -------
@@ -55,42 +66,41 @@ def site_maps(channel: Indices, patch: int, shared: bool = True) -> list[SiteMap
     for site, window in enumerate(channel):
         site_map = next(
             (
-                SiteMap(known, permutation)
-                for known in (canonical if shared else ())
-                for permutation in orientations(patch)
-                if (window[permutation] == channel[known]).all()
+                SiteMap(known, number, orientations(patch)[number])
+                for known in canonical
+                for number in allowed
+                if (window[orientations(patch)[number]] == channel[known]).all()
             ),
             None,
         )
         if site_map is None:
             canonical.append(site)
-            site_map = SiteMap(site, orientations(patch)[0])
+            site_map = SiteMap(site, 0, orientations(patch)[0])
         maps.append(site_map)
     return maps
 
 
-def stabilisers(window: Indices, patch: int) -> list[Indices]:
-    """Return the orientations that leave the layout of a window (tap) unchanged."""
-    return [permutation for permutation in orientations(patch) if (window[permutation] == window).all()]
+def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[int]:
+    """Return the numbers of the allowed orientations that leave the layout of a window (tap) unchanged."""
+    return [number for number in allowed if (window[orientations(patch)[number]] == window).all()]
 
 
-def turned_classes(rule: ClassRule, permutation: Indices) -> Indices:
-    """Return the class of each class's patches after an orientation permutes their taps.
+def turned_classes(rule: ClassRule, number: int) -> Indices:
+    """Return the class of each class's patches after they are read in orientation `number`.
 
     Only the values of the features beyond the basic ones can change, because sums over all taps of a patch stay the same.
 
     Parameters
     ----------
     rule : ClassRule
-    permutation : ndarray, (tap)
-        One of `orientations`.
+    number : int
+        Number of the orientation.
 
     Returns
     -------
     ndarray, (class)
         Classes within a site.
     """
-    number = next(n for n, each in enumerate(orientations(rule.patch)) if np.array_equal(each, permutation))
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
     values = zip(features_of(rule), rule.split_features(place.combination), strict=True)
@@ -107,13 +117,12 @@ class Turn(NamedTuple):
     classes: Indices  # (class) the class whose patches become patches of this class
 
 
-def turns_of(rule: ClassRule, window: Indices, shared: bool = True) -> list[Turn]:
-    """Return the orientations that leave a window (tap) unchanged, the identity first.
-
-    Only the identity is returned if sites are not trained together (`shared`).
-    """
-    every = stabilisers(window, rule.patch) if shared else [orientations(rule.patch)[0]]
-    return [Turn(turn, np.argsort(turned_classes(rule, turn))) for turn in every]
+def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
+    """Return the allowed orientations that leave a window (tap) unchanged, the identity first."""
+    return [
+        Turn(orientations(rule.patch)[number], np.argsort(turned_classes(rule, number)))
+        for number in stabilisers(window, rule.patch, allowed)
+    ]
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:

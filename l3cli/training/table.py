@@ -91,7 +91,7 @@ def take_pilot(
         dark = _dark_signal(frame, camera)
         for site in canonical:
             rng = np.random.default_rng([seed, 0, index, site])
-            pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.symmetry)
+            pilot = patches_of(frame, head, neighbours, site, count, rng, recipe.learning.orientations)
             patch_level = np.maximum(pilot.signal.mean(axis=1), 1e-3)
             scale = pilot.possible(levels_at(recipe.learning, rng.random(len(patch_level))) / patch_level)[:, None]
             carried = None if pilot.carried is None else (pilot.carried * scale**2).astype(np.float32)
@@ -171,7 +171,7 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
     """Return the sites that are trained. All other sites are rotated or mirrored copies of them."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
-    return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.symmetry)})
+    return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.orientations)})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
@@ -207,7 +207,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
     window = neighbourhoods(camera.cfa, rule.patch, len(camera.channels)).channel[site]
-    return solve(sums, rule, window, turns_of(rule, window, pass_.recipe.symmetry), pass_.recipe, pass_.goal)
+    return solve(sums, rule, window, turns_of(rule, window, pass_.recipe.orientations), pass_.recipe, pass_.goal)
 
 
 # Long: a table has many fields, and each is named.
@@ -215,7 +215,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     """Assemble the table for all sites from the solutions of the canonical sites."""
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
-    maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.symmetry)
+    maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.orientations)
     copies = [sum(site_map.canonical == site for site_map in maps) for site in solutions]
     equal = equal_responses(list(solutions.values()), copies, rule, pass_.recipe, pass_.goal)
     transforms = dict(zip(solutions, equal, strict=True))
@@ -224,7 +224,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         trained = transforms[site_map.canonical]
         turned = np.empty_like(trained.weights)
         turned[..., site_map.permutation] = trained.weights
-        classes = turned_classes(rule, site_map.permutation)
+        classes = turned_classes(rule, site_map.orientation)
         weights.append(turned[classes])
         intercept.append(trained.intercept[classes])
         samples.append(trained.samples[classes])

@@ -63,10 +63,10 @@ class TrainingPass:
         Each rotation or reflection that leaves the window of a site unchanged makes another patch from a patch, although not
         quite an independent one. Sites with more such symmetries therefore need fewer patches.
         """
-        camera, shared = self.head.camera, self.recipe.symmetry
+        camera, allowed = self.head.camera, self.recipe.orientations
         channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
-        sites = sorted({one.canonical for one in site_maps(channel, self.rule.patch, shared)})
-        turns = [len(stabilisers(channel[site], self.rule.patch)) if shared else 1 for site in sites]
+        sites = sorted({one.canonical for one in site_maps(channel, self.rule.patch, allowed)})
+        turns = [len(stabilisers(channel[site], self.rule.patch, allowed)) for site in sites]
         return {site: math.isqrt(count // min(turns)) for site, count in zip(sites, turns, strict=True)}
 
     @property

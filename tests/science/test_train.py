@@ -39,7 +39,7 @@ from l3cli.training.patches import (
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.solve import parent_of, parents_of
 from l3cli.training.sums import EXACT, STEP, grid_steps, moment_matrix
-from l3cli.training.symmetry import orientations, site_maps, stabilisers
+from l3cli.training.symmetry import EVERY_ORIENTATION, IDENTITY_ONLY, orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.training_pass import LAST, TrainingPass
 from tests.helpers.calls import L3, Refused
@@ -64,6 +64,22 @@ def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
                 assert len({site_map.canonical for site_map in maps}) == canonical
             for site, site_map in enumerate(maps):
                 assert (close.channel[site][site_map.permutation] == close.channel[site_map.canonical]).all()
+
+
+def test_sites_share_their_training_in_allowed_orientations_only() -> None:
+    """Where rows must stay rows, as with row noise, the two greens of a Bayer array are trained apart."""
+    close = neighbourhoods(np.array([[0, 1], [1, 2]]), 5, 3)
+    grid = np.arange(25).reshape(5, 5)
+    keep_rows = {tuple(each.ravel()) for each in (grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1])}
+    allowed = tuple(number for number, taps in enumerate(orientations(5)) if tuple(taps) in keep_rows)
+    assert len(allowed) == 4
+    for group, expected in ((EVERY_ORIENTATION, 3), (allowed, 4), (IDENTITY_ONLY, 4)):
+        assert len({site_map.canonical for site_map in site_maps(close.channel, 5, group)}) == expected
+    assert [len(stabilisers(close.channel[0], 5, group)) for group in (EVERY_ORIENTATION, allowed, IDENTITY_ONLY)] == [
+        8,
+        4,
+        1,
+    ]
 
 
 def test_orientations_are_the_eight_of_a_square() -> None:
@@ -102,7 +118,8 @@ def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraMod
     close = neighbourhoods(bayer.cfa, 5, 3)
 
     def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
-        return patches_of(frame, head, close, 1, 10, np.random.default_rng(3), True, share, colourless_frame(frame, head))
+        rng, without = np.random.default_rng(3), colourless_frame(frame, head)
+        return patches_of(frame, head, close, 1, 10, rng, achromatic=share, colourless=without)
 
     sample, window, white = patches(0.3), close.channel[1], white_signal(light, bayer)
     coloured = patches(0.0)

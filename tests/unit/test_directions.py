@@ -27,7 +27,7 @@ from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, pad_mosaic
 from l3cli.rendering.conditions import with_edges_for
 from l3cli.rendering.reference import ReferenceRenderer
-from l3cli.training.symmetry import orientations, stabilisers, turned_classes, turns_of
+from l3cli.training.symmetry import IDENTITY_ONLY, orientations, stabilisers, turned_classes, turns_of
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera, random_camera
 from tests.helpers.tables import XYZ, random_table, with_first
@@ -111,8 +111,8 @@ def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direc
         close = neighbourhoods(camera.cfa, patch, 1)
         patches = np.random.default_rng(1).integers(300, 4096, (500, patch**2)).astype(np.uint16)
         before = label_patches(patches, rule, close, 0)
-        for turn in orientations(patch):
-            wrong = label_patches(patches[:, turn], rule, close, 0) != turned_classes(rule, turn)[before]
+        for number, turn in enumerate(orientations(patch)):
+            wrong = label_patches(patches[:, turn], rule, close, 0) != turned_classes(rule, number)[before]
             assert wrong.mean() < 0.01  # ties, in which the first axis wins
 
 
@@ -121,7 +121,7 @@ def test_sums_are_averaged_over_all_turns_of_a_window_with_the_classes_they_turn
     close = neighbourhoods(bayer.cfa, rule.patch, 3)
     turns = turns_of(rule, close.channel[0])
     assert len(turns) == len(stabilisers(close.channel[0], rule.patch)) == 8
-    assert len(turns_of(rule, close.channel[0], shared=False)) == 1
+    assert len(turns_of(rule, close.channel[0], IDENTITY_ONLY)) == 1
     patches = np.random.default_rng(1).integers(300, 4096, (500, rule.patch**2)).astype(np.uint16)
     before = label_patches(patches, rule, close, 0)
     for turn in turns:

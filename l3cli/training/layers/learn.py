@@ -22,7 +22,7 @@ from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneSta
 from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.sums import add, moment_matrix, turned_places, width_of
-from l3cli.training.symmetry import orientations, site_maps, turned_structures
+from l3cli.training.symmetry import SiteMap, orientations, site_maps, stabilisers, turned_structures
 from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
 
@@ -276,8 +276,8 @@ class LayerPass:
 
     def reading(self, side: int) -> Reading:
         """Return how windows with `side` pixels are read at every site."""
-        maps, turns = self._turns()
-        order = np.array([orientations(side)[turn] for turn in turns])
+        maps = self._site_maps()
+        order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
         return Reading(np.array([one.canonical for one in maps]), order, ratios, self.made, self.outputs is not None)
 
@@ -293,13 +293,11 @@ class LayerPass:
     @property
     def turns(self) -> list[int]:
         """Number of the orientation in which each site is trained."""
-        return self._turns()[1]
+        return [one.orientation for one in self._site_maps()]
 
-    def _turns(self):  # type: ignore[no-untyped-def]
+    def _site_maps(self) -> list[SiteMap]:
         neighbours = neighbourhoods(self.camera.cfa, self.rule.patch, len(self.camera.channels))
-        maps = site_maps(neighbours.channel, self.rule.patch, self.learning.symmetry)
-        every = orientations(self.rule.patch)
-        return maps, [next(k for k, turn in enumerate(every) if (turn == one.permutation).all()) for one in maps]
+        return site_maps(neighbours.channel, self.rule.patch, self.learning.orientations)
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
@@ -416,10 +414,10 @@ def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) ->
     An orientation also permutes the structure classes. The leaves of a tree have no such permutation, so their sums are
     returned unchanged.
     """
-    if not (layer.learning.symmetry and isinstance(rule, StructureRule)):
+    if not isinstance(rule, StructureRule):
         return sums
     window = neighbourhoods(layer.camera.cfa, layer.rule.patch, len(layer.camera.channels)).channel[site]
-    alike = [number for number, turn in enumerate(orientations(layer.rule.patch)) if (window[turn] == window).all()]
+    alike = stabilisers(window, layer.rule.patch, layer.learning.orientations)
     moments, noise, count = (np.zeros_like(each) for each in (sums.moments, sums.noise, sums.count))
     for number in alike:
         turn = orientations(layer.recipe.side)[number]
