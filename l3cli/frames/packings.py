@@ -10,11 +10,14 @@ from typing import NamedTuple
 BAYER_ORDERS = ("GR", "RG", "GB", "BG")  # first two pixels of the first row
 SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
 FAMILIES = {
-    "words": "a pixel per byte, or per 16-bit word in its lower bits",
-    "mipi": "MIPI CSI-2: upper bytes of a group of pixels, then a byte of all their lower bits; rows end with a whole group",
+    "words": "one pixel per byte, or one pixel in the lower bits of each 16-bit word",
+    "mipi": (
+        "MIPI CSI-2: the upper bytes of a group of pixels, then one byte with the lower bits of all of them; each row has "
+        "whole groups"
+    ),
     "p": "PFNC: a stream of bits, lower bits first",
     "pmsb": "PFNC: a stream of bits, upper bits first",
-    "Packed": "GigE Vision: two pixels in three bytes, lower bits of both in the middle one",
+    "Packed": "GigE Vision: two pixels in three bytes; the middle byte contains the lower bits of both pixels",
 }
 
 

@@ -88,40 +88,44 @@ CAMERA_RAW = RawFormat(
         "." + name for name in ("3fr", "ari", "arw", "cr2", "cr3", "dcr", "erf", "fff", "iiq", "kdc", "mos", "mrw")
         + ("nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "srw", "x3f")
     ),
-    "libraw", "camera raws", "pixels without borders; array (2×2, X-Trans), orientation, levels, white",
+    "libraw", "camera raws", "pixels without masked borders, array (2×2 or X-Trans), orientation, levels and white",
 )  # fmt: skip
 HEADERLESS = (".raw", ".bin", ".raw10", ".raw12")
 FORMATS = (
     RawFormat(
-        (".tif", ".tiff"), "tiff", "TIFF", "one channel, as stored; pages of one kind are frames", stackable=True,
-        has_plain=True,
+        (".tif", ".tiff"), "tiff", "TIFF", "one channel, unchanged; pages of the same kind are the frames of a sequence",
+        stackable=True, has_plain=True,
     ),
-    RawFormat((".png",), "tiff", "PNG", "one channel, as stored"),
-    RawFormat((".pgm",), "pgm", "PGM (P5)", "as stored", isolated=False),
-    RawFormat((".npy",), "npy", "numpy", "(row, col) or (frame, row, col)", stackable=True, isolated=False),
+    RawFormat((".png",), "tiff", "PNG", "one channel, unchanged"),
+    RawFormat((".pgm",), "pgm", "PGM (P5)", "one channel, unchanged", isolated=False),
+    RawFormat((".npy",), "npy", "numpy", "an array (row, col) or (frame, row, col)", stackable=True, isolated=False),
     RawFormat(
-        HEADERLESS, "headerless", "headerless", "16-bit little-endian, or a [packing](#headerless-frames)", stackable=True,
-        isolated=False, wants_geometry=True,
+        HEADERLESS, "headerless", "headerless", "16-bit little-endian values, or a [packing](#headerless-frames)",
+        stackable=True, isolated=False, wants_geometry=True,
     ),
     RawFormat(
         (".fits", ".fit", ".fts"), "fits", "FITS, also fpack (extra `fits`)",
-        "an image or a cube; BAYERPAT (2×2, X-Trans), XBAYROFF, YBAYROFF, ROWORDER, EXPTIME", stackable=True,
+        "an image or a cube; the keywords BAYERPAT (2×2 or X-Trans), XBAYROFF, YBAYROFF, ROWORDER and EXPTIME",
+        stackable=True,
     ),
     RawFormat(
-        (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5", "a dataset, `‹dataset› NAME` where there are several; names of its axes",
+        (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5",
+        "a dataset and the names of its axes; if there are several datasets, give `‹dataset› NAME`",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
     RawFormat(
-        (".mat",), "mat", "MATLAB", "a variable (row, col, frame), `‹dataset› NAME` where there are several",
+        (".mat",), "mat", "MATLAB", "a variable (row, col, frame); if there are several, give `‹dataset› NAME`",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
-    RawFormat((".ser",), "ser", "SER", "all frames; array", holds_frame=False, stackable=True, isolated=False),
+    RawFormat((".ser",), "ser", "SER", "all frames and the array", holds_frame=False, stackable=True, isolated=False),
     RawFormat(
         (".mkv", ".mov", ".mp4", ".avi", ".y4m"), "video", "video (extra `video`)",
-        "one channel, lossless: FFV1, uncompressed AVI of 8 bits, y4m; rate and times", holds_frame=False, stackable=True,
+        "one channel without loss (FFV1, uncompressed 8-bit AVI or y4m), frame rate and frame times", holds_frame=False,
+        stackable=True,
     ),
     RawFormat(
-        (".dng",), "dng", "DNG, CinemaDNG", "8–16 bits; array of any size, [tags](#tags-of-a-dng)", has_rate=True,
+        (".dng",), "dng", "DNG, CinemaDNG",
+        "pixels of 8 to 16 bits, an array of any size, and [many tags](#tags-of-a-dng)", has_rate=True,
     ),
     CAMERA_RAW,
 )  # fmt: skip

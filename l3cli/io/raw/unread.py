@@ -11,7 +11,7 @@ from l3cli.system.files import open_regular
 
 DEVELOPED = "its raw values are lost; give the camera's raw file"
 EXPORT = "export its frames as TIFF of one channel and 16 bits, or as .npy"
-SPECTRUM = "it holds spectra, no frame; name it in a recipe, as a light or a reflectance"
+SPECTRUM = "it contains spectra and no frame; name it in a recipe as an illuminant or a reflectance"
 
 
 @dataclass(frozen=True)
@@ -29,21 +29,23 @@ UNREAD = (
     UnreadFormat("a Magic Lantern video", (".mlv",), "convert it to CinemaDNG, as mlv_dump and MLV App do", ((0, b"MLVI"),)),
     UnreadFormat("a Phantom cine video", (".cine",), EXPORT),
     UnreadFormat("a NorPix sequence", (".seq",), EXPORT, ((0, b"\xed\xfe\x00\x00N\x00o\x00r\x00p\x00i\x00x"),)),
-    UnreadFormat("a RED video", (".r3d",), "no program but RED's reads its raw values; record raw frames of another format"),
+    UnreadFormat(
+        "a RED video", (".r3d",), "only RED's own software can read its raw values; record raw frames in another format"
+    ),
     UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
     UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
-    UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "give raw frames, as FFV1 in MKV or DNG"),
+    UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "give raw frames, as FFV1 in MKV or as DNG"),
     UnreadFormat("an Andor SIF picture", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
     UnreadFormat("a Princeton Instruments SPE picture", (".spe",), EXPORT),
     UnreadFormat("a PCO picture", (".b16", ".pcoraw"), EXPORT, ((0, b"PCO-"),)),
     UnreadFormat("a DICOM picture", (".dcm",), EXPORT, ((128, b"DICM"),)),
     UnreadFormat("a microscope's picture", (".nd2", ".czi", ".lif", ".lsm", ".oib", ".oif", ".vsi"), EXPORT),
-    UnreadFormat("an archive of numpy", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
+    UnreadFormat("a numpy archive", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
     UnreadFormat("a zarr or zipped folder", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
     UnreadFormat("a compressed file", (".gz", ".xz", ".bz2", ".zst", ".7z", ".rar"), "unpack it first"),
-    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes of l3 simulate, no raw frames"),
+    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes for l3 simulate and not raw frames"),
     UnreadFormat("a JCAMP-DX file", (".jdx", ".dx", ".jcm", ".jcamp"), SPECTRUM, ((0, b"##TITLE="),)),
-    UnreadFormat("a text", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
+    UnreadFormat("a text file", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
     UnreadFormat("a JPEG", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),
     UnreadFormat("a JPEG 2000", (".jp2", ".j2k", ".jpx"), "decode it into TIFF of one channel", ((4, b"jP  "),)),
     UnreadFormat("a JPEG XL", (".jxl",), DEVELOPED),

@@ -66,7 +66,7 @@ class SceneFormat:
 
 FORMATS = (
     SceneFormat("iset", "iset", keys=("light",), holds="ISET scene (.mat)", states="photons, wavelengths, illuminant"),
-    SceneFormat("rgb", "rgb", keys=("holds",), holds="picture of three channels", states="—"),
+    SceneFormat("rgb", "rgb", keys=("holds",), holds="picture with three channels", states="nothing"),
     SceneFormat(
         "bands", "bands", is_folder=True, has_files=True, holds="folder of one picture per band (.png, .tif, .pgm, .exr)",
         states='wavelengths in the names of the files: "450nm.png", "face_450.5nm.tif", "450.png"',
