@@ -20,26 +20,26 @@ CHARTS = {  # name: (measured spectra, colours that the manufacturer states for 
     "passport 2": (AVERAGE, SINCE_2014),
 }
 NO_SPECTRA = (
-    "its colours are published, its reflectances are not; give them as CSV (wavelength, a column a patch, row by row): "
-    'chart = "sg.csv", layout = [10, 14]'
+    "only its colours are published, not its reflectances; give these as a CSV file with the wavelength and one column per "
+    'patch, row by row: chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # nm, correlation length of the correction for new dyes
+CORRECTION_NM = 60.0  # nm; correlation length of the correction for the dyes of newer charts
 Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     """Return the patches of a chart with CLASSIC rows and columns, row by row.
 
-    "classic" and "passport" are ColorCheckers made before November 2014: the average of thirty charts (BabelColor), or the
-    single chart in ISO 17321-1. Later charts have other dyes, whose spectra are not published. "classic 2014" and "passport
-    2" are the older spectra times the smoothest factors that give the colours stated by the manufacturer.
+    "classic" and "passport" are ColorCheckers made before November 2014: the average of thirty charts (BabelColor) and the
+    single chart in ISO 17321-1. Later charts have other dyes, whose spectra are not published. For "classic 2014" and
+    "passport 2", the older spectra are multiplied by the smoothest factors that give the colours stated by the manufacturer.
 
     Parameters
     ----------
     name : str
         A key of CHARTS.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
 
 @functools.cache
 def _stated_xyz(stated: str) -> Array:
-    """Return XYZ (patch, 3) under D50 that the manufacturer states. A perfect white has Y = 1."""
+    """Return the colours (patch, 3) that the manufacturer states, as XYZ under D50. A perfect white has Y = 1."""
     colour = spectra.colour_science()
     table = colour.CCS_COLOURCHECKERS[stated]
     assert np.allclose(table.illuminant, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D50"], atol=2e-3)

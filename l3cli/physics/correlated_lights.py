@@ -1,5 +1,6 @@
-"""Lights of scenes: black bodies and daylight with a green or magenta tint. Find the light for a white point or a neutral
-camera signal (docs/method.md#scene-white).
+"""Estimates the illuminant of a scene from a white point or from the camera's signal for grey (docs/method.md#scene-white).
+
+Illuminants are modelled as black bodies or daylight with a green or magenta tint.
 """
 
 import functools
@@ -12,28 +13,28 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 
-WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm, visible range
-MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])  # 10^6 / K, 25 000 K to 1600 K
-DAYLIGHT_MIRED = 250.0  # 4000 K; up to this value (and in cooler light) daylight, above it a black body
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm; visible range
+MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])  # 10^6 / K; 25 000 K to 1600 K
+DAYLIGHT_MIRED = 250.0  # 10^6 / K; up to this value (4000 K) the model is daylight, above it a black body
 GREENS = np.arange(-0.8, 1.01, 0.1)  # natural log of the excess in the green over a black body or daylight
-GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # nm, where the lines of fluorescent lamps make their light green
-SAME_MIRED = 1.0  # colour temperatures closer than this (42 K at 6500 K) count as equal; the difference is invisible
-FINER = 10  # steps of the second search within one step of the first
+GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # nm; centre and width of the tint, as caused by the lines of fluorescent lamps
+SAME_MIRED = 1.0  # 10^6 / K; colour temperatures that differ by less (42 K at 6500 K) look the same
+FINER = 10  # number of steps of the second search within one step of the first
 
 
 @dataclass(frozen=True)
 class CorrelatedLight:
-    """A light described by its colour temperature and its distance from black bodies."""
+    """An illuminant, described by its colour temperature and its distance from the black-body locus."""
 
-    xyz: NDArray[np.float64]  # (3) XYZ of a perfect white, Y = 1
-    kelvin: float  # correlated colour temperature
-    duv: float  # distance from the black bodies in CIE 1960 uv, above zero if greener
-    misfit: float  # RMS difference between the logs of the light's channel signals and the requested signals
+    xyz: NDArray[np.float64]  # (3) XYZ of a perfect white, with Y = 1
+    kelvin: float  # correlated colour temperature in K
+    duv: float  # distance from the black-body locus in CIE 1960 uv, positive if greener
+    misfit: float  # RMS difference between the logarithms of the model's channel signals and of the given signals
     radiance: Array | None  # relative photon radiance on the camera's grid, or None if unknown
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:
-    """Return the relative photon radiance (wavelength) of a light.
+    """Return the relative photon radiance (wavelength) of a model illuminant.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
     green : float
         Tint, as in GREENS.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
     """
     kelvin = 1e6 / mired
     plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
@@ -50,26 +51,26 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """Return the factor (wavelength) that gives a light a green tint."""
+    """Return the factor (wavelength) that adds a green tint to an illuminant."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
-    """Find the light under which a grey gives a camera the signals `neutral`.
+    """Find the illuminant under which a grey surface has the camera signals `neutral`.
 
     Parameters
     ----------
     weights : ndarray, (channel, wavelength)
-        Weights of the camera.
+        Responsivities of the camera.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
     neutral : ndarray, (channel)
-        Signals of a grey, at any scale. Channels without a positive signal are ignored.
+        Signals of a grey surface, at any scale. Channels without a positive signal are ignored.
 
     Returns
     -------
     CorrelatedLight
-        The light with the smallest squared error in the logs of the signals.
+        The illuminant with the smallest squared error in the logarithms of the signals.
     """
     mired, green, misfit = _nearest(weights, wavelength, neutral)
     xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
@@ -77,16 +78,16 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """Find the light with a given white point (3), and its radiance on a camera's grid `wavelength`.
+    """Find the illuminant with a given white point (3), and its radiance on a camera's grid `wavelength`.
 
-    `misfit` refers to X, Y and Z.
+    Its `misfit` is computed from X, Y and Z instead of channel signals.
     """
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
     return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return reciprocal temperature (mired), green and misfit of the light whose grey is `neutral` (channel)."""
+    """Return the mired value, tint and misfit of the illuminant under which grey has the signals `neutral` (channel)."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -102,14 +103,15 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """Return a light about which only its white point (3) is known."""
+    """Return an illuminant of which only the white point (3) is known."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
-    """Return the correlated colour temperature (K) of a white (3) and its distance Duv from the black bodies.
+    """Return the correlated colour temperature (K) of a white (3) and its distance Duv from the black-body locus.
 
-    The temperature is limited to 1600…25 000 K. Duv is in CIE 1960 uv, positive if the white is greener than a black body.
+    The temperature is limited to 1600…25 000 K. Duv is in CIE 1960 uv, and positive if the white is greener than a black
+    body.
     """
     mireds, locus = _black_bodies()
     point = uv(xyz)
@@ -135,7 +137,7 @@ def uv(xyz: Array) -> NDArray[np.float64]:
 
 @functools.cache
 def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the reciprocal temperatures (mired) and CIE 1960 uv (…, 2) of black bodies."""
+    """Return the reciprocal colour temperatures (mired) and the CIE 1960 uv coordinates (…, 2) of black bodies."""
     mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
     lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
     return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)

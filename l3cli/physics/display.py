@@ -1,6 +1,6 @@
-"""From XYZ to a displayed picture: adaptation, exposure and sRGB, their inverses, and CIELAB differences.
+"""Conversion of XYZ to a displayed picture and back, with adaptation, exposure and sRGB, and CIELAB colour differences.
 
-XYZ are CIE 1931. A picture is linear sRGB (row, col, 3), where 1 is display white, unless a name says "codes"
+XYZ means CIE 1931. A picture is linear sRGB (row, col, 3), where 1 is display white, unless a name says "codes"
 (docs/method.md#display).
 """
 
@@ -18,14 +18,14 @@ from l3cli.system.text import Quantity
 
 Array = NDArray[np.floating]
 XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
-CHROMATICITY = Quantity(0.001, 0.999)  # x or y of a white
+CHROMATICITY = Quantity(0.001, 0.999)  # range of x and of y of a white
 WHITE_PERCENTILE = 99  # percentile of Y that is mapped to display white, as in the authors' pictures
-LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of sRGB's primaries (Rec. 709)
-FLOAT_BITS = 32  # bits of linear values, which are floating point
+LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB primaries (Rec. 709)
+FLOAT_BITS = 32  # bits per value of linear pictures, which are floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits per code → type
-AT_ONCE = 1 << 13  # number of colours whose differences fit into the CPU cache
-TONE_LIMIT = 1e6  # linear values are clipped here, where tone curves have reached white
-PRECISION = 1e-3  # tolerance of the gradient; a smaller one does not change any result
+AT_ONCE = 1 << 13  # number of colour differences computed at once, so that they fit into the CPU cache
+TONE_LIMIT = 1e6  # linear values are clipped here; tone curves have reached white far below
+PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tolerance does not change any result
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -33,28 +33,28 @@ PRECISION = 1e-3  # tolerance of the gradient; a smaller one does not change any
 
 @functools.cache
 def daylight() -> Array:
-    """Return XYZ (3), with Y = 1, of D65, the white of displays."""
+    """Return XYZ (3) of D65, the white of displays, with Y = 1."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """Return XYZ (3), with Y = 1 to four digits, of white in sRGB's rounded matrix: D65."""
+    """Return XYZ (3) of display white according to the rounded matrix of sRGB. It is D65 with Y = 1, to four digits."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
     """Return the luminance that is mapped to display white: the 99th percentile of `luminance` (row, col).
 
-    It has the unit of `luminance`, and is 1 if the scene is dark.
+    The result is in the unit of `luminance`. It is 1 if the scene is dark.
     """
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
 
 def white_percentile(values: Array) -> float:
-    """Return np.percentile(values, 99), bit for bit, but faster.
+    """Return the same bits as np.percentile(values, 99) in less time.
 
-    np.percentile imports masked arrays, which takes a twentieth of the time of rendering a picture.
+    np.percentile imports numpy's masked arrays, which takes a twentieth of the time of rendering a picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -83,7 +83,7 @@ def scene_white(text: str) -> NDArray[np.float64]:
     Raises
     ------
     RecipeError
-        If it is neither.
+        If the text is neither of these.
     """
     if "," not in text:
         return np.asarray(white_point(text), np.float64)
@@ -96,7 +96,7 @@ def scene_white(text: str) -> NDArray[np.float64]:
             f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
         ) from None
     if x + y > CHROMATICITY.most:
-        raise RecipeError(f"white {text} is not a chromaticity: x + y is at most {CHROMATICITY.most}")
+        raise RecipeError(f"white {text} is not a chromaticity; x + y must be at most {CHROMATICITY.most}")
     return np.array([x, y, 1 - x - y]) / y
 
 
@@ -114,7 +114,7 @@ def srgb_curve(linear: Array) -> Array:
 
 
 def srgb_decoded(encoded: Array) -> Array:
-    """Decode non-linear sRGB in 0…1 to linear values, the inverse of `srgb_curve` (IEC 61966-2-1)."""
+    """Decode non-linear sRGB in 0…1 to linear values (IEC 61966-2-1). This is the inverse of `srgb_curve`."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
@@ -164,7 +164,7 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
     white : ndarray, (3)
         XYZ of the scene's white, which is adapted to D65.
     scale : float
-        Y that is mapped to 1.
+        Luminance Y that is mapped to 1.
 
     Returns
     -------
@@ -176,13 +176,13 @@ def displayed(xyz: Array, white: Array, scale: float) -> Array:
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to XYZ planes (3, row, col): the inverse of `displayed`, where that does not clip."""
+    """Convert a picture to XYZ planes (3, row, col). This is the inverse of `displayed`, except for clipped values."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """Return XYZ (row, col, 3) of a display that shows a picture, with white at Y = 1."""
+    """Return XYZ (row, col, 3) of a picture on a display. White has Y = 1."""
     return linear @ xyz_from_srgb_matrix().T
 
 
@@ -195,7 +195,7 @@ def lab(xyz: Array, white: Array) -> Array:
 
 
 def lightness(linear: Array) -> Array:
-    """Return CIE L* (row, col), 0 to 100, of a displayed picture."""
+    """Return CIE L* (row, col), from 0 to 100, of a displayed picture."""
     return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
 
 
@@ -218,20 +218,21 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 
 
 def _delta_e_2000(one: Array, other: Array) -> Array:
-    """Return CIEDE2000 (colour) between L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005).
+    """Return CIEDE2000 (colour) between two arrays of L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005).
 
-    Hues are unit vectors, and the mean hue is their bisector. This takes one angle instead of two angles and their cosines.
+    Hues are represented by unit vectors, and the mean hue by their bisector. This needs one angle instead of two angles and
+    their cosines.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
     a_1, a_2 = a_1 * stretch, a_2 * stretch
     chroma_1, chroma_2 = _length(a_1, b_1), _length(a_2, b_2)
     both, dot, cross = chroma_1 * chroma_2, a_1 * a_2 + b_1 * b_2, a_1 * b_2 - b_1 * a_2
-    opposed = both + dot <= 1e-9 * both  # also true if one colour is grey
+    opposed = both + dot <= 1e-9 * both  # hues are opposite, or one of the colours is grey
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
-    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # for opposite hues, the mean of the angles
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # selects the mean of the angles for opposite hues
     x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
     length = _length(x, y)
     mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
@@ -248,7 +249,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²), in a fifth of the time of np.hypot, which guards against overflow that colours never cause."""
+    """Return √(x² + y²) in a fifth of the time of np.hypot, which guards against an overflow that colours cannot cause."""
     return np.sqrt(x * x + y * y)
 
 
@@ -265,9 +266,9 @@ def displayed_delta_e(one: Array, other: Array) -> Array:
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix by least squares that maps one given input exactly.
+    """Fit a matrix by least squares, with the constraint that it maps one given input exactly.
 
-    The constraint is met with a Lagrange multiplier.
+    The constraint is imposed with a Lagrange multiplier.
 
     Parameters
     ----------
@@ -280,12 +281,12 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     answer : ndarray, (output)
         Output of the constraint: M @ known = answer.
     noise : ndarray, (input), or float
-        Variances of noise on the inputs, which penalise amplification.
+        Noise variances of the inputs. They penalise noise amplification.
 
     Returns
     -------
     ndarray, (output, input)
-        M.
+        The matrix M.
     """
     gram = inputs.T @ inputs + len(inputs) * np.diag(np.broadcast_to(noise, inputs.shape[1:]))
     free = np.linalg.solve(gram, inputs.T @ outputs).T
@@ -297,21 +298,21 @@ STEP = 2.0**-26  # step of numerical derivatives, the square root of float64's p
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """Return the matrix near the identity that minimises squared CIEDE2000 errors and keeps white.
+    """Return the matrix near the identity that minimises squared CIEDE2000 errors and preserves white.
 
     Parameters
     ----------
     xyz : ndarray, (surface, 3)
-        Colours to be transformed.
+        XYZ of the colours to be transformed.
     wanted : ndarray, (surface, 3)
-        Target colours.
+        XYZ of the target colours.
     white : ndarray, (3)
         White point, which the matrix does not change.
 
     Returns
     -------
     ndarray, (3, 3)
-        R, applied as R @ xyz.
+        Matrix R, applied as R @ xyz.
     """
     from scipy.optimize import minimize
 
@@ -320,7 +321,7 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # squares, because they are smooth where an error vanishes
+    def errors(changes: Array) -> Array:  # squared, because squares are smooth where an error vanishes
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
     def sloped(change: Array) -> tuple[float, Array]:  # evaluating all neighbours at once takes a fifth of the time

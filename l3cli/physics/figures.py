@@ -8,11 +8,11 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """How a metric is named on pages, in tables and in sentences."""
+    """Names, unit and format of a metric on pages, in tables and in sentences."""
 
     heading: str  # heading on a page
     short: str  # heading of a column in the terminal
-    unit: str = ""  # unit after a difference
+    unit: str = ""  # text after the value of a difference
     more_is_better: bool = False
     digits: int = 2
 
@@ -57,7 +57,7 @@ def known_mean(values: Sequence[float | None]) -> float | None:
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better, otherwise −1. Unknown metrics, from other versions, give −1."""
+    """Return 1 if larger values of a metric are better, otherwise −1. The result for unknown metrics is −1."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 

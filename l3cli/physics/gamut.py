@@ -1,15 +1,15 @@
-"""Map colours outside a colour space into its gamut along lines of constant hue (docs/method.md#gamut).
+"""Maps colours outside a colour space into its gamut, along lines of constant hue (docs/method.md#gamut).
 
 A colour is a vector c of linear values of the space. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
 scaled to give 1 for white. Its lightness is L = λ · s. Greys have s = (L, L, L), so the colours with one lightness and hue
 lie on the line s(t) = L + t (s − L). Along it, linear values are cubic polynomials in t.
 
 1. Negative values: the colour moves towards grey until no value is below 0. The position t is the smallest root of the
-   cubics. It is approximated by one step of Halley's method, from the zero of the straight line between both ends of the
-   cubic with the lowest end.
+   cubics. It is approximated by one step of Halley's method. The step starts at the zero of the straight line between the
+   ends of the cubic whose value at t = 1 is lowest.
 2. Values above 1: the colour is darkened until no value is above 1, which preserves its OkLab hue. As the luminance Y
-   approaches 1, darkening gives way to clipping each value, with the weight Y⁴. Highlights are thus as bright as possible
-   and end in white.
+   approaches 1, darkening is replaced gradually by clipping of each value, with the weight Y⁴. Highlights are thus as
+   bright as possible and end in white.
 
 References
 ----------
@@ -34,8 +34,8 @@ CONES_FROM_XYZ = np.array(
     ]
 )
 LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of cone responses
-LEAST_CONE = 1e-12  # smallest cone response, for black
-CONE_SHARE = 0.02  # cone responses are raised to this fraction of the largest; real colours have at least 0.07
+LEAST_CONE = 1e-12  # smallest cone response, which black gets
+CONE_SHARE = 0.02  # smaller cone responses are raised to this fraction of the largest; real colours have at least 0.07
 LEAST_LIGHTNESS = 1e-4  # avoids division by zero
 TINY = 1e-30  # avoids division by zero
 
@@ -44,9 +44,9 @@ TINY = 1e-30  # avoids division by zero
 class Gamut:
     """The colours that a space can show, as matrices between its linear values (0…1) and cone responses."""
 
-    cones: NDArray[np.float64]  # (3, 3) from linear values to cone responses, (1, 1, 1) for white
+    cones: NDArray[np.float64]  # (3, 3) from linear values to cone responses; white has (1, 1, 1)
     linear: NDArray[np.float64]  # (3, 3) the inverse of `cones`
-    luminance: NDArray[np.float64]  # (3) weights of linear values in Y, 1 for white
+    luminance: NDArray[np.float64]  # (3) weights of linear values in Y; white has Y = 1
 
 
 @functools.cache
@@ -68,13 +68,13 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
     gamut : Gamut
         Gamut of the space.
     bounded : bool
-        False if a tone curve follows, which can show values above 1. These values then remain.
+        Whether values above 1 are mapped. Use False if a tone curve follows that maps them itself.
 
     Returns
     -------
     ndarray, (…, 3)
-        Linear values. The caller must clip them, because a few may remain outside 0…1: deep blues by up to 2 % of their
-        largest value.
+        Linear values. The caller must clip them, because a few may remain outside 0…1. Deep blues exceed the range by up to
+        2 % of their largest value.
     """
     shown = linear.copy()
     negative = linear.min(axis=-1) < 0
@@ -93,7 +93,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
     lightness = np.maximum(roots @ LIGHTNESS, LEAST_LIGHTNESS)[:, None]
     chroma = roots / lightness - 1
     first, second, third = (scale * chroma**power @ gamut.linear.T for scale, power in ((3, 1), (3, 2), (1, 3)))
-    ends = np.minimum(linear / lightness**3, 0)  # the cubics' values at t = 1; at t = 0 they are 1
+    ends = np.minimum(linear / lightness**3, 0)  # values of the cubics at t = 1; at t = 0 they are 1
     t = 1 / (1 - ends.min(axis=1, keepdims=True))
     value = 1 + t * (first + t * (second + t * third))
     slope = first + t * (2 * second + t * (3 * third))
@@ -105,7 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Darken colours (colour, 3) with values above 1, or clip them, the more so the nearer they are to white."""
+    """Darken colours (colour, 3) with values above 1. The nearer they are to white, the more they are clipped instead."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

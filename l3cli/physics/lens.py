@@ -1,7 +1,7 @@
-"""Optics of a lens: camera equation, fall-off towards the corners, and blur by diffraction and defocus.
+"""Lens optics: camera equation, fall-off towards the corners, and blur by diffraction and defocus.
 
-The formulas are those of ISETCam, and are tested against it (docs/method.md#optics). Lengths are in m unless a name says
-otherwise.
+The formulas are the same as in ISETCam and are tested against it (docs/method.md#optics). Lengths are in m unless a name
+says otherwise.
 """
 
 import numpy as np
@@ -11,9 +11,9 @@ Array = NDArray[np.floating]
 
 
 def image_distance(focal_length: float, object_distance: float) -> float:
-    """Return the distance from lens to sensor when the object is in focus: f d / (d − f).
+    """Return the distance between lens and sensor if the object is in focus: f d / (d − f).
 
-    For an object at infinity, written as `object_distance` 0, it is the focal length.
+    An `object_distance` of 0 means infinity. The result is then the focal length.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -21,7 +21,7 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 
 
 def magnification(focal_length: float, object_distance: float) -> float:
-    """Return the magnification |m| in focus: f / (d − f), or 0 at infinity (`object_distance` 0)."""
+    """Return the magnification |m| of an object in focus: f / (d − f), or 0 at infinity (`object_distance` 0)."""
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
@@ -31,7 +31,7 @@ def irradiance_per_radiance(f_number: float, magnification: float) -> float:
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the illumination (row, col) of an even scene relative to the centre of the frame.
+    """Return the illumination (row, col) of a uniform scene relative to the centre of the frame.
 
     It is (D² / (D² + r²))², the cos⁴ law, where D is the image distance and r the distance from the centre.
     """
@@ -46,11 +46,11 @@ def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -
     Parameters
     ----------
     frequency : ndarray, (frequency)
-        Cycles/m on the sensor.
+        Spatial frequency in cycles/m on the sensor.
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelength λ in nm.
     f_number : float
-        N.
+        F-number N.
     """
     u = np.minimum(frequency[:, None] * (wavelength * 1e-9) * f_number, 1.0)
     return 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u**2))
@@ -62,7 +62,7 @@ def gaussian_transfer(frequency: Array, deviation: float) -> Array:
     Parameters
     ----------
     frequency : ndarray, (frequency)
-        Cycles/m on the sensor.
+        Spatial frequency f in cycles/m on the sensor.
     deviation : float
         Standard deviation σ in m on the sensor.
     """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[np.floating]
 XY: TypeAlias = tuple[float, float]  # chromaticity
 
-# Both matrices are in colour-science too, but importing it takes longer than rendering a frame, which needs nothing else.
+# Both matrices also exist in colour-science, but importing it takes longer than rendering a frame, which needs only these.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # XYZ to cones
 D65: XY = (0.3127, 0.3290)
@@ -20,7 +20,7 @@ D65: XY = (0.3127, 0.3290)
 
 @dataclass(frozen=True)
 class Curve:
-    """Transfer curve from linear x in 0…1: gain · x^exponent − offset above `knee`, slope · x below."""
+    """Transfer curve for linear x in 0…1: gain · x^exponent − offset above `knee`, and slope · x below."""
 
     knee: float
     slope: float
@@ -41,18 +41,18 @@ BT2020_CURVE = Curve(0.018053968510807, 4.5, 1.09929682680944, 0.09929682680944,
 
 @dataclass(frozen=True)
 class Space:
-    """An RGB colour space, or XYZ. Equal values of all three components are `white`."""
+    """An RGB colour space, or XYZ. A colour with three equal components has the chromaticity `white`."""
 
-    name: str  # value of the option that selects it
+    name: str  # value of the option that selects this space
     title: str
     primaries: tuple[XY, XY, XY]
     white: XY
     curve: Curve | None  # None if values are linear and not clipped
-    neutral: XY | None = None  # chromaticity of a white surface, if it is not `white`
+    neutral: XY | None = None  # chromaticity of a white surface, if it differs from `white`
 
     @property
     def neutral_xyz(self) -> Array:
-        """XYZ (3) of a white surface, with Y = 1."""
+        """XYZ (3) of a white surface with Y = 1."""
         return xyz_of(self.neutral) if self.neutral else np.linalg.solve(self.from_xyz, np.ones(3))
 
     @property
@@ -63,7 +63,7 @@ class Space:
 
     @property
     def from_xyz(self) -> Array:
-        """Matrix (3, 3) from XYZ to linear values. For sRGB it is the rounded matrix of the standard."""
+        """Matrix (3, 3) from XYZ to linear values. For sRGB, it is the rounded matrix in the standard."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -84,7 +84,7 @@ SPACES = {
 
 
 def xyz_of(chromaticity: XY) -> Array:
-    """Return XYZ (3), with Y = 1, of a chromaticity x, y."""
+    """Return XYZ (3) with Y = 1 for a chromaticity x, y."""
     x, y = chromaticity
     return np.array([x, y, 1 - x - y]) / y
 
@@ -101,7 +101,7 @@ def adaptation_matrix(white: Array, to: Array) -> Array:
     Parameters
     ----------
     white, to : ndarray, (3)
-        XYZ of both whites, at any luminance.
+        XYZ of the two whites, at any luminance.
     """
     gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
     return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)

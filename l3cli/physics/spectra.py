@@ -1,6 +1,6 @@
-"""Wavelengths, illuminants, observers and reflectances. All access to colour-science goes through this module.
+"""Wavelengths, illuminants, observers and reflectances. Only this module uses colour-science.
 
-Spectra are arrays over a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless a name says otherwise.
+Spectra are arrays on a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless a name says otherwise.
 """
 
 import functools
@@ -19,16 +19,16 @@ LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
 BLACK_BODY = Quantity(500, 100_000, "K")  # cooler black bodies emit no visible light
 DAYLIGHT = Quantity(4000, 25_000, "K")  # range in which CIE daylight is defined
-# Correlated colour temperatures of the CIE daylights in K, for today's value of the second radiation constant (CIE 15)
+# Correlated colour temperatures of CIE daylight in K, for the present value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # luminous efficiency below which light counts as invisible; rounding beyond 830 nm leaves more
+UNSEEN = 1e-9  # light counts as invisible below this luminance, relative to light of equal power
 LONGEST_NM = 20_000  # wavelength, of any spectrum
-SPRAGUE_STEP = 20.0  # nm, widest band spacing for which a reflectance is interpolated as a smooth curve
+SPRAGUE_STEP = 20.0  # nm; largest band spacing at which reflectances are interpolated as smooth curves
 Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
-    """Import colour-science on first use, which takes two seconds, and suppress its warnings."""
+    """Import colour-science on first use, because this takes two seconds, and suppress its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -41,10 +41,9 @@ def photons_from_energy(wavelength: Array, energy: Array) -> Array:
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Return the edges (wavelength + 1) in nm of the bins around the samples of an increasing grid.
+    """Return the edges (wavelength + 1), in nm, of the bins around the samples of an increasing grid.
 
-    Edges lie midway between samples. The outer edges are as far outside as the next edges are inside. A single sample has a
-    bin of 1 nm.
+    Edges lie midway between samples. Each outermost bin is symmetric about its sample. A single sample has a bin of 1 nm.
     """
     if wavelength.size == 1:
         return wavelength[0] + np.array([-0.5, 0.5])
@@ -53,12 +52,12 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the width (wavelength) in nm of the bin around each sample, so that Σ f·Δλ is the integral of f."""
+    """Return the width (wavelength), in nm, of the bin around each sample, so that Σ f·Δλ is the integral of f."""
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reverse a decreasing grid and its values (…, wavelength). Other grids are returned unchanged."""
+    """Reverse a decreasing wavelength grid and its values (…, wavelength). Other grids are returned unchanged."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
@@ -76,14 +75,12 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return a 1 nm grid that covers the range of the observer and of a camera with wavelengths `seen`."""
+    """Return a grid with steps of 1 nm that covers the observer and a camera with the wavelengths `seen`."""
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) that interpolates samples linearly at points. It is zero outside the range of
-    `source`.
-    """
+    """Return the matrix (grid, source) for linear interpolation. It is zero outside the range of `source`."""
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
     inside = (grid >= source[0]) & (grid <= source[-1])
@@ -94,10 +91,14 @@ def interpolation_matrix(source: Array, grid: Array) -> Array:
 def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
     """Return the matrix (grid, source) that averages a spectrum over the bins of `grid`.
 
-    Notes ----- The source is linear between its samples and constant in the outer half of its outermost bins. Beyond, it is
-    zero, or held constant if `extended`. The integral over every piece between samples of either grid is split between the
-    two nearest samples of `grid`, with the weights of linear interpolation. This preserves the power and its mean
-    wavelength, and equal grids give the identity. Raises ValueError if a wavelength occurs twice.
+    Raises ValueError if a wavelength occurs twice.
+
+    Notes
+    -----
+    The source is linear between its samples and constant in the outer half of its outermost bins. Farther outside it is
+    zero, or constant if `extended` is true. The samples of both grids divide the range into pieces. The integral over each
+    piece is split between the two nearest samples of `grid`, with the weights of linear interpolation. This preserves the
+    power and its mean wavelength. For equal grids the matrix is the identity.
     """
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
@@ -116,11 +117,11 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 
 
 def sampling_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) that resamples a density such as power or photons per nm.
+    """Return the matrix (grid, source) that resamples a spectral density, such as power or photons per nm.
 
-    Values become means over the bins of `grid`, so that the sum of value × bin width is preserved wherever spectral lines
-    lie between the samples. On a finer grid this is linear interpolation; on the same grid it is the identity. The result is
-    zero beyond the bins of `source`. Grids may be in any order.
+    The results are means over the bins of `grid`, so that the sum of value × bin width is preserved even if spectral lines
+    lie between the samples. On a finer grid, this is linear interpolation. On the same grid, it is the identity. The result
+    is zero beyond the bins of `source`. Both grids may be in any order.
     """
     return _step_matrix(source, grid, extended=False)
 
@@ -133,18 +134,18 @@ def resample(spectrum: Array, source: Array, grid: Array) -> Array:
 def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
     """Average a ratio (…, source), such as a transmittance or responsivity, over the bins of another grid.
 
-    At the ends of its range, the average covers the part of a bin where the ratio is known. It is zero at wavelengths
-    outside the range.
+    In the bins at the ends of its range, the average is taken over the part where the ratio is known. It is zero at
+    wavelengths outside the range.
     """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """Return the matrix (wavelength, band) that averages a reflectance over bins, held constant beyond its ends (CIE 15).
+    """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over bins.
 
-    Evenly spaced bands up to 20 nm apart are interpolated with Sprague polynomials, as in CIE 167 and colour-science. All
-    others are interpolated linearly.
+    Beyond its ends, the reflectance is constant (CIE 15). Evenly spaced bands up to 20 nm apart are interpolated with
+    Sprague polynomials, as in CIE 167 and colour-science. All others are interpolated linearly.
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
 
@@ -166,15 +167,18 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # nm, for near_infrared: start, full sensitivity, end
-LUMINOUS_WIDTH = 106.86  # nm, integral of ȳ of CIE 1931
-SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm, bands of spectral outputs
+INFRARED = 740.0, 780.0, 1000.0  # nm; start of near_infrared, start of its full sensitivity, and its end
+LUMINOUS_WIDTH = 106.86  # nm; integral of ȳ of CIE 1931
+SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm; bands of spectral outputs
 # Names as in OpenEXR files (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021)
 REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for kind in ("T", "S0"))
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
-    """Return x̄ ȳ z̄ (3, wavelength) of an observer in OBSERVERS, interpolated linearly from its 1 nm table."""
+    """Return x̄ ȳ z̄ (3, wavelength) of an observer, which is a key of OBSERVERS.
+
+    They are interpolated linearly in a table with steps of 1 nm.
+    """
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
     cmfs = colour_science().MSDS_CMFS[OBSERVERS[observer]]
@@ -184,8 +188,8 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 def near_infrared(wavelength: Array) -> Array:
     """Return a sensitivity (wavelength) for the near infrared.
 
-    It rises from 740 nm, where the eye's range ends, to 780 nm, where CIE IR-A begins, and is zero beyond 1000 nm. It has
-    the scale of ȳ: light of equal power up to 830 nm gives as much of it as of Y.
+    It rises from 740 nm, where the eye's range ends, to 780 nm, where CIE IR-A begins, and is zero beyond 1000 nm. Its scale
+    is such that light with equal power at all wavelengths up to 830 nm gives the same value as Y.
     """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
@@ -194,7 +198,7 @@ def near_infrared(wavelength: Array) -> Array:
 def sampled_radiance(wavelength: Array) -> Array:
     """Return the functions (output, wavelength) of the outputs RADIANCES: the mean over each bin of SAMPLED.
 
-    They have the scale of ȳ: light of equal power gives as much of each as of Y.
+    Their scale is such that light with equal power at all wavelengths gives the same value as Y in each output.
     """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
@@ -207,14 +211,14 @@ def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
 def matching_weights(functions: Array, wavelength: Array) -> Array:
     """Return weights (output, wavelength) for photon radiance from matching functions (output, wavelength).
 
-    The output is weights @ radiance (photons/s/sr/m²/nm). For x̄ ȳ z̄ it is in cd/m².
+    Outputs are weights @ radiance, with radiance in photons/s/sr/m²/nm. For x̄ ȳ z̄ they are in cd/m².
     """
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """Return weights (3, wavelength), so that CIE 1931 XYZ (cd/m²) = weights @ radiance (photons/s/sr/m²/nm)."""
+    """Return the weights (3, wavelength) for CIE 1931 XYZ: XYZ (cd/m²) = weights @ radiance (photons/s/sr/m²/nm)."""
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
@@ -223,22 +227,22 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """Return the tabulated illuminants.
+    """Return the names of the tabulated illuminants.
 
-    "F1" to "F12" are aliases of FL1 to FL12. "3200K" (black body) and "D6000K" (daylight) are not in the table.
+    "F1" to "F12" are aliases of FL1 to FL12. Black bodies ("3200K") and daylight ("D6000K") are computed and not listed.
     """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Return the relative photon radiance (wavelength), with mean 1, of a named light.
+    """Return the relative photon radiance (wavelength) of a standard illuminant, with mean 1.
 
     Parameters
     ----------
     name : str
-        A CIE illuminant, a black body such as "3200K", or daylight of a colour temperature such as "D6000K".
+        A CIE illuminant, a black body such as "3200K", or daylight of a given colour temperature such as "D6000K".
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
 
     Raises
     ------
@@ -266,10 +270,10 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def known_range(name: str) -> tuple[float, float]:
-    """Return the range in nm in which the spectrum of a named light is known.
+    """Return the range, in nm, in which the spectrum of a standard illuminant is known.
 
-    Lights that a formula defines are known everywhere. Beyond the table of any other light, `illuminant` holds its ends
-    constant.
+    Illuminants that are defined by a formula are known everywhere. Beyond the ends of the other tables, `illuminant` returns
+    the last value.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -280,26 +284,29 @@ def known_range(name: str) -> tuple[float, float]:
 
 @functools.lru_cache(1000)
 def require_illuminant(name: str) -> None:
-    """Raise RecipeError unless there is a light with that name."""
+    """Raise RecipeError if no illuminant has this name."""
     illuminant(name, SAMPLED)
 
 
 def _illuminant_a(wavelength: Array) -> Array:
-    """Return the energy (wavelength) of CIE illuminant A, from its defining formula (ISO/CIE 11664-2)."""
+    """Return the energy spectrum (wavelength) of CIE illuminant A, from its defining formula (ISO/CIE 11664-2)."""
     return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Return the energy (wavelength) of a CIE illuminant, interpolated linearly and held constant beyond its table."""
+    """Return the energy spectrum (wavelength) of a tabulated CIE illuminant.
+
+    It is interpolated linearly. Beyond the ends of the table, it keeps the last value.
+    """
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _illuminant_table(name: str) -> tuple[Array, Array]:
-    """Return the wavelengths and energy of a CIE illuminant. Raises RecipeError if it has no table.
+    """Return the wavelengths and energy spectrum of a CIE illuminant. Raises RecipeError if it has no table.
 
-    The tables of colour-science end at 780 nm, those of the CIE for daylight at 830 nm. The components of daylight extend
-    these.
+    The tables in colour-science end at 780 nm, but the CIE tables for daylight at 830 nm. Daylight is therefore extended
+    with the components of CIE daylight.
     """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
@@ -317,13 +324,13 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return the energy (wavelength) of CIE daylight of a colour temperature in the range DAYLIGHT (CIE 15)."""
+    """Return the energy spectrum (wavelength) of CIE daylight for a colour temperature in the range DAYLIGHT (CIE 15)."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _daylight_table(temperature: float) -> tuple[Array, Array]:
-    """Return the wavelengths and energy of CIE daylight of a correlated colour temperature in K."""
+    """Return the wavelengths and energy spectrum of CIE daylight for a correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -332,22 +339,22 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Scale `radiance` (wavelength) to `luminance` cd/m². Raises InputFileError if the light is not visible."""
+    """Scale `radiance` (wavelength) to a luminance in cd/m². Raises InputFileError if the light is invisible."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
-        raise InputFileError(f"light of {ends} has no luminance, which exposures go by; include some of 380…780 nm")
+        raise InputFileError(f"light of {ends} has no luminance, which exposures require; include some of 380…780 nm")
     return radiance * (luminance / seen)
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return XYZ (3), with Y = 1, of a perfect reflector under a named illuminant or black body."""
+    """Return XYZ (3), with Y = 1, of a perfect reflector under a standard illuminant."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
 
 
-COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths at which the chart was measured
+COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm; wavelengths at which the chart was measured
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
@@ -359,8 +366,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the measured reflectances in colour-science as pairs of wavelength and (sample, wavelength), without
-    ColorChecker.
+    """Return the sets of measured reflectances in colour-science, without the ColorChecker.
+
+    Each set is a pair of wavelengths and reflectances (sample, wavelength).
     """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
@@ -375,14 +383,14 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # nm, range of all measurements in the library; values are held constant beyond it
+SURFACES_MEASURED = 380.0, 780.0  # nm; range that all measurements cover; beyond it, reflectances keep their last values
 
 
 def reflectance_library(wavelength: Array) -> Array:
-    """Return measured reflectances of surfaces (sample, wavelength), clipped to 0.003–0.999
-    (docs/method.md#procedural-scenes).
+    """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003–0.999.
 
-    They are smooth curves sampled at points, as `held_interpolation` expects. Means over bins would be flatter.
+    They are values at the given wavelengths, as `held_interpolation` expects. Means over bins would flatten the curves
+    (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -390,7 +398,7 @@ def reflectance_library(wavelength: Array) -> Array:
     return np.clip(library[np.isfinite(library).all(axis=1)], 0.003, 0.999)
 
 
-WHITEST, BLACKEST = 1.0, 0.002  # limits of reflectances
+WHITEST, BLACKEST = 1.0, 0.002  # highest and lowest reflectance
 
 
 def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.bool_] | slice = slice(None)) -> Array:
@@ -401,28 +409,28 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        0 gives grey, the geometric mean over bands. 1 changes nothing.
+        0 gives grey with the geometric mean over the bands. 1 changes nothing.
     drawn : ndarray of bool, (band), or slice
-        Bands over which the mean is taken.
+        Bands over which the mean is computed.
     """
     grey = np.exp(np.log(reflectance[..., drawn]).mean(axis=-1, keepdims=True))
     return np.asarray(grey * (reflectance / grey) ** saturation)
 
 
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
-    """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
+    """Apply the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
-    All light that titanium white scatters turns dark within some 20 nm of the edge. Cameras and the eye weigh the edge
-    differently. Without it in training, a table takes white paint for yellow.
+    Materials with titanium white become dark within about 20 nm of the edge. Cameras and the eye weight this range
+    differently. If the edge is missing in training, a table renders white paint yellow.
 
     Parameters
     ----------
     reflectance : ndarray, (…, band)
-        Within BLACKEST to WHITEST.
+        Reflectances between BLACKEST and WHITEST.
     wavelength : ndarray, (band)
-        In nm.
+        Wavelengths in nm.
     edge : float
-        K/S (Kubelka–Munk) added at 405 nm, about 0.2.
+        Addition to K/S (Kubelka–Munk) at 405 nm, about 0.2.
     width : float
         Decay length of the exponential tail in nm, 5 to 11 (Urbach's rule).
     """
@@ -431,6 +439,6 @@ def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, widt
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque layer from its K/S (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer, given its ratio K/S of absorption to scattering (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

@@ -1,10 +1,10 @@
-"""Read spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
+"""Reads spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
 
 A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
 BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum is a run of
 fields that are named after their wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds these
-names to whole nanometres and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM.
-SPECTRAL_NORM is the value that represents 1.
+names to whole nanometres, and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. Values are
+divided by SPECTRAL_NORM.
 
 References: ANSI CGATS.17; ArgyllCMS documentation, "File formats".
 """
@@ -23,8 +23,8 @@ TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
 NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the sample's name, in order of preference
-PERCENT_ABOVE = 2.0  # values above this are percent, because no surface reflects twice the incident light
-KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; all others are lights
+PERCENT_ABOVE = 2.0  # larger values must be percent, because no surface reflects twice the incident light
+KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; all other types are lights
 
 
 @dataclass
@@ -47,7 +47,7 @@ class Spectra:
 
 
 def is_cgats(text: str) -> bool:
-    """Whether a text is a CGATS file, judging by its first line and its markers."""
+    """Whether a text is a CGATS file, according to its first line and its markers."""
     return FIRST_LINE.match(text) is not None and re.search(r"^\s*BEGIN_DATA\b", text, re.M | re.I) is not None
 
 
@@ -59,17 +59,17 @@ def read_cgats(text: str, path: Path) -> Spectra:
     text : str
         Content of the file.
     path : Path
-        Its name, for messages.
+        Name of the file, for messages.
 
     Returns
     -------
     Spectra
-        One spectrum per sample of the first table that has spectra.
+        One spectrum per sample of the first table that contains spectra.
 
     Raises
     ------
     InputFileError
-        If no table has spectra, a row is broken, or the stated grid contradicts the fields.
+        If no table contains spectra, a row is broken, or the stated grid contradicts the fields.
     """
     tables = _tables(text, path)
     for table in tables:
@@ -77,7 +77,7 @@ def read_cgats(text: str, path: Path) -> Spectra:
             return _spectra(table, text.split(None, 1)[0].upper(), path)
     fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
     raise InputFileError(
-        f"{path}: holds {fields[:60] or 'no data'} and no spectra; export spectral data, in fields such as SPEC_380"
+        f"{path}: contains {fields[:60] or 'no data'}, but no spectra; export spectral data, in fields such as SPEC_380"
     )
 
 
@@ -105,11 +105,13 @@ def _tables(text: str, path: Path) -> list[CgatsTable]:
             table.keywords[word] = tokens[1]
     for table in tables:
         width = len(table.fields)
-        if width and any(len(row) != width for row in table.rows):  # rows may be broken into lines
+        if width and any(len(row) != width for row in table.rows):  # a row may extend over several lines
             cells = [cell for row in table.rows for cell in row]
             if len(cells) % width:
                 number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)
-                raise InputFileError(f"{path}: row {number} has {len(table.rows[number - 1])} values for {width} fields")
+                raise InputFileError(
+                    f"{path}: row {number} has {len(table.rows[number - 1])} values, but there are {width} fields"
+                )
             table.rows = [cells[at : at + width] for at in range(0, len(cells), width)]
     return tables
 
@@ -119,13 +121,13 @@ def _tokens(line: str) -> list[str]:
 
 
 def _bands(table: CgatsTable) -> list[tuple[int, float]]:
-    """Return the position and wavelength of each spectral field."""
+    """Return the index and the wavelength of each spectral field."""
     found = [(place, BAND.match(name)) for place, name in enumerate(table.fields)]
     return [(place, float(match[1])) for place, match in found if match]
 
 
 def _number(text: str) -> float:
-    """Return a number whose decimal point may be a comma, as programs write it in some countries."""
+    """Convert text to a number. The decimal point may be a comma, as programs write it in some countries."""
     return float(text.replace(",", "."))
 
 
@@ -136,7 +138,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         kind = "reflectance"
     norm = 100.0 if identifier.startswith("CTI") else None
     try:
-        if "SPECTRAL_NM" in upper:  # pairs of wavelength and value
+        if "SPECTRAL_NM" in upper:  # the row consists of pairs of wavelength and value
             at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
             wavelength = np.array([_number(table.rows[0][place]) for place in at])
             places = [place + 1 for place in at]
@@ -149,7 +151,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         if "SPECTRAL_NORM" in table.keywords:
             norm = _number(table.keywords["SPECTRAL_NORM"])
     except (ValueError, IndexError) as error:
-        raise InputFileError(f"{path}: its data are no rows of numbers ({error})") from error
+        raise InputFileError(f"{path}: its data are not rows of numbers ({error}); export it again") from error
     if norm is None and kind is None and values.max() > PERCENT_ABOVE:
         unit: str | None = "%"
     else:
@@ -160,7 +162,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm from the keywords, or otherwise from the names of the fields."""
+    """Return the wavelengths in nm, from the keywords if there are any, otherwise from the names of the fields."""
     keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
     if not all(key in table.keywords for key in keys):
         return np.array(named)
@@ -168,7 +170,7 @@ def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDAr
     grid = np.linspace(first, last, count)
     if bands != count or (named and np.abs(grid - named).max() > 1.0):
         raise InputFileError(
-            f"{path}: states {bands:g} bands of {first:g}…{last:g} nm, and its fields are {count} bands of "
+            f"{path}: states {bands:g} bands of {first:g}…{last:g} nm, but its fields are {count} bands of "
             f"{named[0] if named else first:g}…{named[-1] if named else last:g} nm; export it again"
         )
     return grid

@@ -1,20 +1,17 @@
-"""Read files of spectra. `read_table` reads every format in FORMATS; the reader of text tables is here too.
+"""Reads files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
 
-A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by the same
-number of values. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs, a comma is a
+A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by values, as
+many in each row. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs, a comma is a
 decimal point. A heading names the columns. It is the first line, or the last comment (#) before the numbers. The heading
-says which column contains the wavelengths, the other columns are found by name in any order, and units in brackets are
-converted. Without a heading, the wavelengths come first, in nm, and the other columns are in the order that the caller
-expects.
+says which column contains the wavelengths. Other columns are found by name, in any order, and units in brackets are
+converted. Without a heading, the first column is the wavelength in nm, and the other columns are in the order that the
+caller expects.
 
 CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard
 Format for the Electronic Transfer of Spectral Data) is read with colour-science.
 
-Instruments export text as UTF-8, UTF-16 or Windows-1252. Lines of any text may precede the numbers (`Key: value`, or a
-marker such as >>>>>Begin Spectral Data<<<<<). One of them is the heading, another may state the units. An end marker may
-follow the numbers. A table may also be transposed: a row of wavelengths, then one row per spectrum. Curves digitised from
-a plot (WebPlotDigitizer) are pairs of columns X and Y, each pair of its own length, below a line with their names. They
-are interpolated to one grid of 1 nm.
+Instruments export text as UTF-8, UTF-16 or Windows-1252. Any lines of text may precede the numbers (`Key: value`, or a
+marker such as
 """
 
 import codecs
@@ -47,26 +44,26 @@ UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
 QUALITY = re.compile(r"\d{5}")  # code before a measurement of Photo Research instruments
-SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row has this many wavelengths in this range (nm)
+SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row contains this many wavelengths in this range (nm)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
-JAZ = {"d", "r", "s", "p"}  # further columns of Ocean Optics' Jaz: dark, reference, sample, processed result
+JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
-DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and X in nm and Y of each point
+DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and for each point X (nm) and Y
 
 
 @dataclass(frozen=True)
 class TextTable:
     """The rows of numbers in a text, and the names of their columns."""
 
-    heading: Cells | None  # a name for each column
-    rows: list[list[float]]  # all of one length
-    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves, instead of rows
+    heading: Cells | None  # name of each column
+    rows: list[list[float]]  # all rows have the same length
+    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves, in place of rows
     faults: tuple[str, ...] = ()  # faults of the digitised curves
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Read the table in a text file. Raises InputFileError if there is none, or if a row is broken."""
+    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is broken."""
     return _text_table(_text(path), path)
 
 
@@ -85,7 +82,7 @@ def _text_table(text: str, path: Path) -> TextTable:
     cells = _upright(cells, decimal_comma)
     rows, before = _numbers(cells, separator, decimal_comma, path)
     heading = _heading(before, len(rows[0]), decimal_comma, path)
-    if heading is None and comments:  # as numpy writes a heading
+    if heading is None and comments:  # numpy writes the heading as a comment
         names = _split(comments[-1].lstrip("# "), separator)
         heading = names if len(names) == len(rows[0]) and any(map(is_wavelength, names)) else None
     if heading is not None and heading[0] == "W" and "P" in heading and {*map(str.lower, heading[1:])} <= JAZ:
@@ -99,7 +96,7 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Decode the text of a file, in the encodings that instruments use."""
+    """Decode the text of a file, which may have any of the encodings that instruments use."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -113,16 +110,16 @@ def _text(path: Path) -> str:
                 raise
             return content.decode("cp1252")
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path}: not a text file; {CURE}") from error
+        raise InputFileError(f"{path}: is not a text file; {CURE}") from error
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
-    """Return the column separator, None for blanks, and whether a comma is a decimal point."""
+    """Return the column separator (None for blanks), and whether a comma is a decimal point."""
     last = next((line for line in reversed(lines) if re.match(r"[-+.]?\d", line)), lines[-1] if lines else "")
     for separator in ";\t":
         if separator in last:
             return separator, True
-    if "," in last and re.search(r"\d\s+[-+]?\d", last):  # 380 0,0123
+    if "," in last and re.search(r"\d\s+[-+]?\d", last):  # for example "380 0,0123"
         return None, True
     return ("," if "," in last else None), False
 
@@ -139,7 +136,7 @@ def _split(line: str, separator: str | None) -> Cells:
 
 
 def _without_last(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Remove the empty last cell if every row of numbers ends in a separator."""
+    """Remove the empty last cells if every row of numbers ends with a separator."""
     rows = [row for row in cells if _is_number(row[0], decimal_comma)]
     if not rows or any(len(row) < 3 or row[-1] for row in rows):
         return cells
@@ -167,8 +164,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a text, and the lines before them.
 
-    Raises InputFileError if there are none, or if numbers precede the last line of text: a broken row must not be mistaken
-    for the end of the preamble.
+    Raises InputFileError if there are no such rows, or if rows of numbers precede the last line of text. In that case, the
+    line of text is probably a broken row and not the end of the preamble.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -189,17 +186,19 @@ def _numbers(
         wrong = next(row for number, row in enumerate(before) if number >= earlier[0] and not numeric[number])
         raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers')
     if decimal_comma and {",", "."} <= {letter for row in rows for cell in row for letter in cell if letter in ",."}:
-        raise InputFileError(f"{path}: numbers have commas and points; write decimals with one of them, thousands with none")
+        raise InputFileError(
+            f"{path}: numbers contain commas and points; use only one of them, as decimal point, and no thousands separator"
+        )
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
-        raise InputFileError(f"{path}: rows must be a wavelength in nm and equally many values each")
+        raise InputFileError(f"{path}: each row must have a wavelength in nm and the same number of values")
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
     """Return the digitised curves (pairs of X and Y) in a text, and all their faults. Both are empty for other texts.
 
-    Digitisers write the pairs side by side, below X, Y, X, Y… and a line of names, or below a wavelength and a name for each
-    curve. Or they write one curve below the other, each with its own heading.
+    Digitisers write the pairs of columns side by side. Above them is a line of names and a line X, Y, X, Y, …, or a single
+    line with a wavelength and a name for each curve. Alternatively, the curves are below one another, each with a heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
     above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric, False][1:], strict=True)]
@@ -213,7 +212,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
         end = heads[which + 1][0] if which + 1 < len(heads) else len(cells)
         rows = cells[number + 1 : end]
         if which + 1 < len(heads) and lettered[which + 1] and rows and not numeric[end - 1]:
-            rows.pop()  # the names of the next curves
+            rows.pop()  # this row contains the names of the next curves
         names = cells[number - 1] if number and lettered[which] and not numeric[number - 1] else []
         for place, (x_head, y_head) in enumerate(pairs):
             name = (names[2 * place] if len(names) > 2 * place else "") if lettered[which] else y_head
@@ -225,7 +224,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
             wrong = [point for point in points if len(point) < 2 or not _all_numbers(point, decimal_comma)]
             if wrong:
                 more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-                faults.append(f'"{", ".join(wrong[0])[:40]}"{more} of {label} is no pair of X and Y')
+                faults.append(f'"{", ".join(wrong[0])[:40]}"{more} of {label} is not a pair of X and Y')
             elif not points:
                 faults.append(f"{label} has no points")
             scale = units.length_nm(units.split(x_head)[1] or "nm") or 1.0
@@ -249,7 +248,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Whether a heading of pairs reads X, Y, so that the names are in the line above."""
+    """Whether a heading of pairs is X, Y, …, in which case the names are in the line above."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -258,10 +257,10 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 
 
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Transpose a table that has its wavelengths in a row, so that each row is a wavelength."""
+    """Transpose a table whose wavelengths are in one row, so that each row is one wavelength."""
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
-            continue  # most rows are not a row of wavelengths
+            continue  # the row does not contain the wavelengths
         across = [_without_nm(cell) for cell in row]
         labels = next((at for at, cell in enumerate(across) if _is_number(cell, decimal_comma)), len(row))
         grid = across[labels:]
@@ -285,7 +284,7 @@ def _without_nm(cell: str) -> str:
 
 
 def _is_grid(values: Sequence[float]) -> bool:
-    """Whether numbers may be sorted wavelengths in nm."""
+    """Whether numbers are plausible as a sorted grid of wavelengths in nm."""
     ordered = sorted(values)
     return LIGHT[0] <= ordered[0] and ordered[-1] <= LIGHT[1] and len(set(values)) == len(values) and (
         list(values) in (ordered, ordered[::-1])
@@ -296,14 +295,14 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the line that names the columns, with units from the line below it."""
+    """Return the line that names the columns, completed with the units in the line below."""
     if not before:
         return None
     if len(before) == 1 and not QUALITY.fullmatch(before[0][0]) and not MARKER.match(before[0][0]):
         if len(before[0]) == columns:
             return before[0]
         if len(before[0]) == 1 and not is_wavelength(before[0][0]):
-            return None  # a title
+            return None  # the line is a title and not a heading
         raise InputFileError(_mismatch(len(before[0]), columns, path))
     fitting = [row for row in before if len(row) == columns]
     named = next((number for number in reversed(range(len(fitting))) if any(map(is_wavelength, fitting[number]))), None)
@@ -315,7 +314,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # units only, the names are above
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # only units; the names are in the line above
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -324,34 +323,34 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
 
 def _mismatch(named: int, columns: int, path: Path) -> str:
     return (
-        f"{path}: its heading names {named} columns, its rows have {columns}; "
-        "name each, and with decimal commas separate columns by semicolons"
+        f"{path}: its heading names {named} columns, but its rows have {columns}; "
+        "name each column, and with decimal commas separate columns by semicolons"
     )
 
 
 def is_wavelength(heading: str) -> bool:
-    """Whether a heading denotes wavelengths, by a word for them or by a unit of length alone."""
+    """Whether a heading denotes wavelengths. It may contain a word for wavelength or be just a unit of length."""
     words = [word for word in re.split(SEPARATORS, heading) if word]
     lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
     return bool(words) and (words[0].lower() in WAVELENGTH or lone)
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell that contains nothing else, with or without brackets."""
+    """Return the unit in a cell if the cell contains nothing else, with or without brackets."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append the unit in brackets to a heading. The heading of the wavelengths does not get the unit of the values."""
+    """Append the unit of the values, in brackets, to a heading. The heading of the wavelengths is returned unchanged."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of all values that a line of the preamble states, as in "Units: µW/cm²/nm"."""
+    """Return the unit of all values if a line of the preamble states it, as in "Units: µW/cm²/nm"."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
@@ -359,13 +358,13 @@ def _stated_unit(line: str) -> str | None:
 
 
 MOST_ROWS = 100_000  # largest number of wavelengths in a text table
-WIDEST_GAP = 20.0  # nm, largest distance between points of a digitised curve
-EDGE = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off by the edge
-FOOT = 0.05  # a curve may end inside the plot below this fraction of its peak, and is zero beyond
+WIDEST_GAP = 20.0  # nm; largest distance between points of a digitised curve
+EDGE = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off there
+FOOT = 0.05  # fraction of the peak; a curve may end inside the plot if it has fallen below this value
 JITTER = 0.02  # fraction of the peak by which a digitised curve may fall below zero
-METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which a grid of wavelengths is in these units, not in nm
+METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which wavelengths are probably in these units, not in nm
 SPDX = (".spdx", ".xml")
-SPDX_UNITS = {  # unit of each quantity in the standard
+SPDX_UNITS = {  # quantity in the standard → unit
     "radiance": "W/(sr m² nm)",
     "irradiance": "W/(m² nm)",
     "exitance": "W/(m² nm)",
@@ -374,7 +373,7 @@ SPDX_UNITS = {  # unit of each quantity in the standard
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # raw columns in counts that accompany a result
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns of raw counts, beside the result
 Array = NDArray[np.float64]
 
 
@@ -383,29 +382,29 @@ class SpectrumFormat:
     """A file format for spectra. docs/own-lab.md lists all formats."""
 
     name: str
-    suffixes: tuple[str, ...]  # in lower case; file names may use any case
-    holds: str  # contents that l3 reads, for the documentation
-    is_of: Callable[[str], bool] | None  # recognises the text of a file; None if only the suffix counts
-    read: Callable[[str, Path], CurveTable]  # reads the text of a file with the given path
+    suffixes: tuple[str, ...]  # in lower case, but file names may use any case
+    holds: str  # description of the contents that l3 reads, for the documentation
+    is_of: Callable[[str], bool] | None  # whether a text has this format; None if the suffix decides
+    read: Callable[[str, Path], CurveTable]  # reader for the text and the path of a file
 
 
 def read_table(path: Path) -> CurveTable:
-    """Read the curves of a file of spectra, in any of the FORMATS.
+    """Read a file of spectra in any of the FORMATS.
 
     Parameters
     ----------
     path : Path
-        The file. The format is recognised by the content, except for XML.
+        The file. Its format is recognised from the content, except for XML.
 
     Returns
     -------
     CurveTable
-        Its columns over increasing wavelengths in nm.
+        The columns of the file, with increasing wavelengths in nm.
 
     Raises
     ------
     InputFileError
-        If the format is unknown, or if the wavelengths are not plausible in nm or in the unit that the file states.
+        If the format is unknown, or if the wavelengths are implausible in nm or in the unit that the file states.
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -414,7 +413,7 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Whether the name of a light, chart or transmittance is a file name, by the suffixes of FORMATS in any case."""
+    """Whether the name of an illuminant, chart or transmittance is a file name: whether it has a suffix in FORMATS."""
     return name.lower().endswith(SUFFIXES)
 
 
@@ -439,7 +438,7 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Return only the result of a measurement if the file also has the readings from which it was computed.
+    """Drop the raw readings if the file also contains the result that was computed from them.
 
     Avantes, for example, writes Sample, Dark and Reference in counts beside Transmittance in percent.
     """
@@ -466,7 +465,7 @@ def _text_curves(content: str, path: Path) -> CurveTable:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST_NM} nm")
+        raise InputFileError(f"{path}: give at most {MOST_ROWS} wavelengths, within 0…{LONGEST_NM} nm")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
@@ -484,10 +483,10 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
-    """Interpolate digitised curves, whose points are in any order, to 1 nm.
+    """Interpolate digitised curves to steps of 1 nm. Their points may be in any order.
 
-    A curve is zero beyond its ends, unless it ends at the edge of the plot. Raises InputFileError that lists all faults of
-    all curves.
+    A curve is zero beyond its ends, unless it ends at the edge of the plot. Raises InputFileError with all faults of all
+    curves.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -495,7 +494,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
     if every.size and (other := other_unit(float(every.min()), float(every.max()))):
         wrong.append(f"{other[0]}; give X in nm")
     elif not all((np.abs(line) <= LARGEST).all() for line in lines) or every.max(initial=0.0) > LONGEST_NM:
-        wrong.append(f"X must lie within 0…{LONGEST_NM} nm and every Y be a number within ±{LARGEST:g}")
+        wrong.append(f"every X must lie within 0…{LONGEST_NM} nm, and every Y must be a number within ±{LARGEST:g}")
     elif every.size:
         grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
         wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
@@ -515,14 +514,14 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
     x, y = line
     if x.size < 2:
         if x.size:
-            yield f'"{name}" has one point'
+            yield f'"{name}" has only one point'
         return
     peak = float(y.max())
     for first, last in gaps(x, y[None], WIDEST_GAP):
-        yield f'"{name}" has a gap between {first:g} and {last:g} nm, where {WIDEST_GAP:g} nm are the most'
+        yield f'"{name}" has a gap between {first:g} and {last:g} nm, and at most {WIDEST_GAP:g} nm are permitted'
     for end, inside in ((0, x[0] > grid[0] + EDGE), (-1, x[-1] < grid[-1] - EDGE)):
         if inside and y[end] > FOOT * peak:
-            yield f'"{name}" ends at {x[end]:g} nm, at {y[end] / peak:.0%} of its peak, before its foot'
+            yield f'"{name}" ends at {x[end]:g} nm, where it is still at {y[end] / peak:.0%} of its peak'
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
@@ -536,7 +535,7 @@ def _spdx(_: str, path: Path) -> CurveTable:
         wavelength, values = np.asarray(spectrum.wavelengths, np.float64), np.asarray(spectrum.values, np.float64)
     except (ParseError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); give one, or CSV") from error
+        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); give such a file, or CSV") from error
     _require_light(path, wavelength, values)
     order = np.argsort(wavelength)
     unit = SPDX_UNITS.get((spectrum.spectral_quantity or "other").lower())
@@ -546,17 +545,17 @@ def _spdx(_: str, path: Path) -> CurveTable:
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
     """Raise InputFileError unless the wavelengths are sorted and plausible and all values are finite.
 
-    `column` describes the column of the wavelengths in the message.
+    `column` is the description of the wavelength column in the message.
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= LARGEST).all() or not ((steps > 0).all() or (steps < 0).all()):
-        raise InputFileError(f"{path}: wavelengths must increase and every value be a number within ±{LARGEST:g}")
+        raise InputFileError(f"{path}: wavelengths must increase, and every value must be a number within ±{LARGEST:g}")
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
-        raise InputFileError(f"{path}: give {MOST_ROWS} wavelengths at most, within 0…{LONGEST_NM} nm{column}")
+        raise InputFileError(f"{path}: give at most {MOST_ROWS} wavelengths, within 0…{LONGEST_NM} nm{column}")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:
-    """Say why a grid of wavelengths cannot be in nm, and which unit it seems to have.
+    """Detect a grid of wavelengths that is not in nm.
 
     Parameters
     ----------
@@ -566,16 +565,19 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
     Returns
     -------
     tuple of str, or None
-        The fault, and the likely unit. None if the wavelengths may be in nm.
+        A description of the fault, and the likely unit. None if the wavelengths are plausible in nm.
     """
     if first <= 0 or (last >= MICROMETRES and first <= ANGSTROMS):
         return None
     unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
-    return f"wavelengths {first:g}…{last:g} are not in nm, but perhaps {first * nm:g}…{last * nm:g} nm in {unit}", unit
+    return (
+        f"wavelengths {first:g}…{last:g} are not in nm, but perhaps in {unit}, which gives {first * nm:g}…{last * nm:g} nm",
+        unit,
+    )
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the column with the wavelengths, and its unit in nm if the heading states one."""
+    """Return the index of the wavelength column and, if the heading states a unit, the size of this unit in nm."""
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'

@@ -1,8 +1,8 @@
-"""Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
+"""Reads optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
-A block is a list of records `##LABEL= value`. Its data are XYDATA or XYPOINTS. In XYDATA, (X++(Y..Y)), each line is an
-abscissa followed by equally spaced ordinates. XYPOINTS, (XY..XY), are pairs. Numbers are plain decimals (AFFN), or
-ordinates packed as ASDF:
+A block is a list of records `##LABEL= value`. Its data are XYDATA or XYPOINTS. In XYDATA, written (X++(Y..Y)), each line is
+an abscissa followed by equally spaced ordinates. In XYPOINTS, written (XY..XY), the data are pairs. Numbers are plain
+decimals (AFFN), or ordinates in the packed form ASDF:
 
 =====  ==========================================================================  =======================
 PAC    signs separate numbers: +1-2+3
@@ -55,7 +55,7 @@ class Block:
     """One block of a file."""
 
     records: dict[str, str] = field(default_factory=dict)  # by label without blanks, dashes, slashes and underscores
-    kind: str = ""  # label of the data
+    kind: str = ""  # label of the record with the data
     lines: list[str] = field(default_factory=list)  # lines of the data
 
     def of(self, label: str, default: str = "") -> str:
@@ -63,33 +63,33 @@ class Block:
 
 
 def is_jcamp(text: str) -> bool:
-    """Whether a text is a JCAMP-DX file, that is, its first record is a title."""
+    """Whether a text is a JCAMP-DX file, which means that its first record is a title."""
     return re.match(r"\s*##\s*TITLE\s*=", text, re.I) is not None
 
 
 def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...], str | None]:
     """Read a spectrum from a JCAMP-DX file.
 
-    If blocks are linked, as SpectraSuite writes them, the block with the processed spectrum is read. Otherwise it is the
-    first block with data.
+    If blocks are linked, as in files of SpectraSuite, the block with the processed spectrum is read. Otherwise the first
+    block with data is read.
 
     Parameters
     ----------
     text : str
         Content of the file.
     path : Path
-        Its name, for messages.
+        Name of the file, for messages.
 
     Returns
     -------
     wavelength : ndarray, (wavelength)
-        In nm, in the order of the file.
+        Wavelengths in nm, in the order of the file.
     values : ndarray, (1, wavelength)
         Values in `unit`.
     names : tuple of str
         The title of the spectrum.
     unit : str or None
-        Unit of the values; None if they are relative.
+        Unit of the values, or None if they are relative.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     elif block.kind == "XYPOINTS":
         x, y = _pairs(block, comma, path)
     else:
-        raise InputFileError(f"{path}: its data are {block.kind}, no spectrum; export XYDATA or XYPOINTS")
+        raise InputFileError(f"{path}: its data are {block.kind}, not a spectrum; export XYDATA or XYPOINTS")
     y, unit = _in_unit(y, block.of("YUNITS").strip())
     return x * NM[xunits], y[None], (block.of("TITLE").strip(),), unit
 
@@ -143,7 +143,7 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
     except ValueError as error:
         if not text and default is not None:
             return default
-        raise InputFileError(f'{path}: {label} is "{text}", no number') from error
+        raise InputFileError(f'{path}: {label} is "{text}", not a number; export the spectrum again') from error
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -156,14 +156,14 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
     first, last = (_figure(block, label, comma, path) for label in ("FIRSTX", "LASTX"))
     count = _figure(block, "NPOINTS", comma, path)
     if count != len(values):
-        raise InputFileError(f"{path}: holds {len(values)} values, and NPOINTS is {count:g}; copy the file again")
+        raise InputFileError(f"{path}: contains {len(values)} values, but NPOINTS is {count:g}; copy the file again")
     return np.linspace(first, last, len(values)), np.array(values) * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Unpack ordinates from lines."""
+    """Return the ordinates in lines of packed or plain numbers."""
     values: list[float] = []
-    by_difference = False  # whether the last number was a difference
+    by_difference = False  # whether the previous number was a difference
     for line in lines:
         abscissa = re.match(r"[-+]?\d*\.?\d*", line)
         rest = line[abscissa.end() if abscissa else 0 :]
@@ -183,7 +183,9 @@ def _unpacked(lines: list[str], path: Path) -> list[float]:
             step, by_difference = 0.0, False
             if check and first:
                 if last != values[-1]:
-                    raise InputFileError(f"{path}: {last:g} is not the {values[-1]:g} before; it is damaged, copy it again")
+                    raise InputFileError(
+                        f"{path}: a line begins with {last:g} instead of the previous {values[-1]:g}; copy the file again"
+                    )
             else:
                 values.append(last)
             first = False
@@ -201,13 +203,13 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))
     if not numbers or len(numbers) != 2 * count:
-        raise InputFileError(f"{path}: holds {len(numbers) / 2:g} pairs, and NPOINTS is {count}; copy the file again")
+        raise InputFileError(f"{path}: contains {len(numbers) / 2:g} pairs, but NPOINTS is {count}; copy the file again")
     x, y = np.array(numbers).reshape(-1, 2).T
     return x * _figure(block, "XFACTOR", comma, path, 1.0), y * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Convert values by YUNITS: fractions of light become 0…1, relative values have no unit."""
+    """Convert values according to the text of YUNITS. Transmittances become 0…1, and relative values have no unit."""
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:
         percent = bool(share[1] or share[5])

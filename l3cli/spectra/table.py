@@ -1,4 +1,4 @@
-"""Tables of spectra over wavelength: select columns by name and convert them to the units that are needed."""
+"""Tables of spectra: select columns by name, and convert them to the required units."""
 
 import json
 import re
@@ -13,15 +13,15 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm: less is invisible to any pixel, and no lamp emits more
-RELATIVE = ("relative", "relative photons", "relative power")  # units of radiances of unknown scale
+DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm; no pixel detects less, and no lamp emits more
+RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with unknown scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
 VISIBLE = 400.0, 700.0  # nm
-DARK, DARK_OUTSIDE = 0.01, 0.05  # fraction of the peak below which a curve is dark, inside and outside the visible
-NOISE = 0.01  # fraction of the peak by which a spectrometer's dark noise may fall below zero
+DARK, DARK_OUTSIDE = 0.01, 0.05  # a curve is dark below this fraction of its peak, inside and outside the visible range
+NOISE = 0.01  # fraction of the peak by which values may be negative because of the spectrometer's dark noise
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
 OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # other spellings of channel names
-ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm: energy of a photon × wavelength
+ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm; photon energy × wavelength
 Array = NDArray[np.float64]
 
 
@@ -34,15 +34,15 @@ class CurveTable:
     values: Array  # (column, wavelength)
     names: tuple[str, ...] | None  # names of the columns without units; None if there is no heading
     units: tuple[str | None, ...]  # units of the columns as stated in the heading
-    left_out: tuple[str, ...] = ()  # names of columns of the file that were not selected
+    left_out: tuple[str, ...] = ()  # names of the columns that were not selected
 
     @property
     def note(self) -> str | None:
-        """A line about columns that were not selected, if there are any."""
-        return f"{self.path}: left out are the columns {', '.join(self.left_out)}" if self.left_out else None
+        """A line that lists the columns that were not selected, if there are any."""
+        return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Return the table itself. Raises InputFileError unless it has `columns` columns."""
+        """Check that the table has `columns` columns, and return the table. Raises InputFileError otherwise."""
         if len(self.values) != columns:
             comma = "; with decimal commas separate columns by semicolons" if len(self.values) == 2 * columns else ""
             raise InputFileError(f"{self.path}: contains {len(self.values)} curves, but {columns} are needed{comma}")
@@ -54,7 +54,7 @@ class CurveTable:
         Parameters
         ----------
         wanted : sequence of str
-            Names of all columns. Upper and lower case are distinguished only where names differ in nothing else.
+            Names of all columns. Case matters only if two names differ in nothing else.
         known_as : callable, optional
             Translates a name in the heading to a name in `wanted`.
 
@@ -84,12 +84,13 @@ class CurveTable:
         channels : sequence of str
             Names of the channels.
         columns : mapping, optional
-            Channel → name of its column, if that is not the name of the channel.
+            Channel → name of its column, if the two names differ.
 
         Returns
         -------
         CurveTable
-            Without a heading, the columns are taken in their order, and their number must be that of the channels.
+            The selected columns. If there is no heading, all columns are returned in their order, and there must be one per
+            channel.
 
         Raises
         ------
@@ -104,7 +105,7 @@ class CurveTable:
         names = [_plain(name) for name in self.names]
         asked = [_plain(columns.get(channel, channel)) for channel in channels]
         if len(names) < len(asked) and not columns:
-            return self.counted(len(asked))  # an error
+            return self.counted(len(asked))  # raises InputFileError
         order = [_place(name, names) for name in asked]
         left_out = [name for number, name in enumerate(self.names) if number not in order]
         for channel, name, place in zip(channels, asked, order, strict=True):
@@ -129,7 +130,7 @@ class CurveTable:
                 raise InputFileError(f'{self.path}: no column is called "{which}"; {there}')
             which = names.index(_plain(which)) + 1
         if not 1 <= which <= len(self.values):
-            raise InputFileError(f"{self.path}: there is no column {which}; give 1…{len(self.values)}")
+            raise InputFileError(f"{self.path}: there is no column {which}; give a number from 1 to {len(self.values)}")
         one = slice(which - 1, which)
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
@@ -139,9 +140,9 @@ class CurveTable:
         Parameters
         ----------
         unit : str or None
-            Unit of the values, if the heading states none. Without either, they are in photons/s/sr/m²/nm.
+            Unit of the values if the heading states no unit. [default: photons/s/sr/m²/nm]
         absolute : bool
-            Whether the scale matters. If so, units other than radiance and implausible values are errors.
+            Whether the absolute scale matters. If it does, other quantities than radiance and implausible values are errors.
 
         Raises
         ------
@@ -152,7 +153,7 @@ class CurveTable:
         for values, heading in zip(self.values, self.units, strict=True):
             if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
                 raise InputFileError(
-                    f'{self.path}: its heading says "{heading}", the measurement file "{unit}"; correct one'
+                    f'{self.path}: its heading says "{heading}", but the measurement file says "{unit}"; correct one of them'
                 )
             rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE, absolute))
         photons = np.array(rows)
@@ -187,7 +188,7 @@ class CurveTable:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # no light at all; callers that need light check for it
+            return  # there is no light at all; callers that need light check this themselves
         cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, outside the plausible range of "
@@ -195,7 +196,7 @@ class CurveTable:
         )
 
     def powers(self) -> Array:
-        """Convert the columns to relative power per nm. Columns whose heading states photons are converted."""
+        """Return the columns as relative power per nm. Columns in photons, according to the heading, are converted."""
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -208,9 +209,10 @@ class CurveTable:
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Convert the columns to fractions of light, 0…1; "(%)" in the heading divides by 100.
+        """Convert the columns to transmittances or reflectances, 0…1. With "(%)" in the heading, they are divided by 100.
 
-        Values that noise moves below 0 or above 1 are clipped. Raises InputFileError for other values outside the range.
+        Values slightly below 0 or above 1 are clipped, because noise explains them. Raises InputFileError if other values
+        are out of range.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -230,8 +232,8 @@ class CurveTable:
     def responses(self, per_energy: bool, key: str) -> Array:
         """Return the columns as responsivities per energy or per photon.
 
-        `key` is the name of the recipe's key that sets `per_energy`, for the message. Raises InputFileError if the heading
-        contradicts it.
+        Raises InputFileError if the heading contradicts `per_energy`. `key` is the recipe key that sets `per_energy`, for
+        the message.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -244,14 +246,16 @@ class CurveTable:
                 )
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
-                raise InputFileError(f'{self.path}: its heading says "{heading}", which is {key} = {wanted}; correct one')
+                raise InputFileError(
+                    f'{self.path}: its heading says "{heading}", which requires {key} = {wanted}; correct one of them'
+                )
         return self.values * np.array([[_share(heading)] for heading in self.units])
 
     def efficiencies(self, per_energy: bool) -> Array:
         """Convert the columns to quantum efficiencies in e-/photon.
 
-        Columns without a unit count as efficiencies if `per_energy` is False. Raises InputFileError if the columns are
-        relative, or if their unit contradicts `per_energy`.
+        Columns without a unit are assumed to be efficiencies if `per_energy` is False. Raises InputFileError if the columns
+        are relative, or if their unit contradicts `per_energy`.
         """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
@@ -270,9 +274,7 @@ class CurveTable:
         return np.array(rows)
 
     def per_energy(self) -> Array:
-        """Convert the columns to relative responses per energy. Columns whose heading states a unit per photon are
-        converted.
-        """
+        """Return the columns as relative responses per energy. Columns with a unit per photon are converted."""
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -281,7 +283,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set negative values within the NOISE of a spectrometer to zero.
+    """Set negative values to zero if the noise of a spectrometer (NOISE) explains them.
 
     Parameters
     ----------
@@ -291,7 +293,7 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The curves. Values further below zero remain, so that the caller can reject them.
+        The curves. Values farther below zero are unchanged, so that the caller can reject them.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
@@ -300,13 +302,13 @@ def without_noise(curves: Array) -> Array:
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
     """Return the wavelength steps that are too wide for interpolation.
 
-    Steps at both of whose ends all curves are dark do not count. Dark is below 1 % of the peak, or below 5 % if the step
+    A step is ignored if all curves are dark at both of its ends. Dark means below 1 % of the peak, or below 5 % if the step
     lies outside 400 to 700 nm.
 
     Parameters
     ----------
     wavelength : ndarray, (wavelength)
-        In nm, increasing.
+        Increasing wavelengths in nm.
     curves : ndarray, (curve, wavelength)
         Spectra or responses.
     widest : float
@@ -326,12 +328,12 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Whether values in a unit are proportional to power or photons, or are a relative power in percent."""
+    """Whether values in a unit are proportional to power or photons. Percent counts as relative power."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
 def _share(heading: str | None) -> float:
-    """Return the factor of a column of fractions: 0.01 for percent."""
+    """Return the factor that converts a column to fractions: 0.01 if the heading says percent, otherwise 1."""
     unit = units.parse(heading) if heading is not None else None
     return unit.scale if unit is not None and not unit.powers else 1.0
 
@@ -347,7 +349,8 @@ def _energy_response(unit: units.Unit) -> bool | None:
 def _conversion(unit: str) -> tuple[str, float] | None:
     """Parse a unit of spectral radiance.
 
-    Returns the quantity, "J" or "photon", and the factor to W/(sr m² nm) or photons/s/sr/m²/nm. None for other units.
+    The result is the quantity ("J" or "photon") and the factor to W/(sr m² nm) or photons/s/sr/m²/nm. It is None for other
+    units.
     """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
@@ -358,7 +361,7 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return the quantity of a unit and its factor, if the remaining powers of the unit are those in `below`."""
+    """Return the quantity and the factor of a unit if its denominator consists of the powers in `below`, otherwise None."""
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
@@ -376,9 +379,9 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the position of the column with a name, where "red" and "r" are the same, or None.
+    """Return the index of the column with a name, or None. "red" and "r" count as the same name.
 
-    Upper and lower case are distinguished only where names differ in nothing else.
+    Case matters only if two names differ in nothing else.
     """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())
@@ -389,8 +392,9 @@ def _place(name: str, names: Sequence[str]) -> int | None:
 
 
 def known_as(name: str, channels: Sequence[str]) -> str:
-    """Translate a name to a channel: "red" becomes "r" if there is a channel r and no channel red. Other names are
-    unchanged.
+    """Translate a name to a channel name: "red" becomes "r" if there is a channel r and no channel red.
+
+    Other names are returned unchanged.
     """
     other = OTHER_NAMES.get(name.casefold(), name)
     return other if name not in channels and other in channels else name

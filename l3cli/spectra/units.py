@@ -1,4 +1,4 @@
-"""Parse units such as "W/(sr m² nm)", "µm" or "ms", and convert them to the units that l3 computes in."""
+"""Parses units such as "W/(sr m² nm)", "µm" or "ms", and converts them to the units in which l3 computes."""
 
 import re
 from dataclasses import dataclass
@@ -33,12 +33,12 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Raw readings, which include the response of the instrument.
+# Units of raw readings, which include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
 RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # the same at the end of a name, without brackets
-SHARES = ("reflectance", "transmittance")  # "units" of columns that contain fractions of light, 0…1
+SHARES = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
 PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
-LONGEST = 80  # characters; longer texts are not units
+LONGEST = 80  # characters; a longer text is not a unit
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
@@ -56,7 +56,7 @@ def parse(text: str) -> Unit | None:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
     plain = re.sub(r"\^-\^", "^-", plain).strip()
-    plain = re.sub(r"(?<=[a-z0-9])-(?=[a-z])", " ", plain)  # W/m2-sr-nm
+    plain = re.sub(r"(?<=[a-z0-9])-(?=[a-z])", " ", plain)  # for units such as W/m2-sr-nm
     tokens, at = [], 0
     while at < len(plain):
         token = TOKEN.match(plain, at)
@@ -82,8 +82,9 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to a closing bracket. Returns the unit and the remaining tokens; a slash divides by the next factor
-    only.
+    """Parse tokens up to a closing bracket, and return the unit and the remaining tokens.
+
+    A slash applies only to the next factor.
     """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":
@@ -107,9 +108,7 @@ def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
 
 
 def length_nm(text: str) -> float | None:
-    """Return the size in nm of a unit of length, or None if `text` is not one. "A" means ångström, as usual for
-    wavelengths.
-    """
+    """Return the size of a unit of length in nm, or None if `text` is not a unit of length. "A" means ångström."""
     unit = parse("angstrom" if text in ("A", "AA", "Angstrom", "Angstroms", "ANGSTROM") else text)
     return unit.scale * 1e9 if unit is not None and unit.powers == {"m": 1} else None
 
@@ -117,8 +116,7 @@ def length_nm(text: str) -> float | None:
 def split(heading: str) -> tuple[str, str | None]:
     """Split a heading such as "name (unit)", "name [unit]" or "name / unit" into name and unit.
 
-    The unit is None, and the name is the whole heading, if there is no unit or if the brackets contain something that does
-    not resemble a unit.
+    If there are no brackets or their content does not look like a unit, the name is the whole heading and the unit is None.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

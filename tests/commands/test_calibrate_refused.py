@@ -244,7 +244,7 @@ def test_finished_curves_are_columns_of_a_shared_file(table: Path, tmp_path: Pat
     assert 'curves.columns: "w" is not a channel' in refused(2, *command)
     (table / "MEASUREMENTS.toml").write_text(text.replace("{}", 'file = "curves.csv"\ncolumns = {r = "red"}'))
     code, _, err = l3(*command)
-    assert (code, "curves.csv: left out are the columns IR" in err) == (0, True)
+    assert (code, "curves.csv: columns that are not used: IR" in err) == (0, True)
     camera = load(CameraModel, tmp_path / "camera.h5")
     np.testing.assert_allclose(camera.responsivity[0], 400 / 401, rtol=1e-9)  # in proportion to wavelength: per photon flat
 
@@ -284,7 +284,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
     [
         ("sweep.csv", "400,100", "400,text", 3, "not a row of numbers"),
         ("sweep.csv", "500,100", "500,nan", 3, "every value be a number"),
-        ("sweep.csv", ",1\n600", "\n600", 3, "equally many values"),
+        ("sweep.csv", ",1\n600", "\n600", 3, "same number of values"),
         ("diode.csv", "390,", "450,", 3, "do not cover the sweep's 400…700 nm"),
         ("diode.csv", "0.5", "-0.5", 3, "photodiode responds to"),
         ("sweep.csv", "64,50.0,1", "64,1.0,1", 3, "sees no light at 500 nm"),

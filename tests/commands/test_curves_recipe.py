@@ -78,7 +78,7 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     four = np.column_stack([percent[:, 2], percent.mean(axis=1), percent[:, :2]])
     camera = camera_of(folder, written("nm,b (%),NIR (%),r (%),G (%)", nm, four))
     np.testing.assert_allclose(camera.responsivity, truth.responsivity, rtol=1e-9)
-    note = f"{folder / CSV}: left out are the columns NIR"
+    note = f"{folder / CSV}: columns that are not used: NIR"
     simulate = ("simulate", folder / "scenes.toml", "--camera", folder / "camera.toml", "-o", folder / "training.h5")
     assert note in l3(*simulate)[2]
     assert note in l3("check", folder / "camera.toml")[1]
@@ -147,7 +147,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     ),
     "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "has negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g has no light"),
-    "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps 390…710 nm in um"),
+    "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps in um, which gives 390…710 nm"),
     "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
     "gap": (
         lambda nm, percent: written(
@@ -156,9 +156,9 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         "a gap between 485 and 540 nm",
     ),
     "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm where channel r"),
-    "no pair": (
+    "not a pair": (
         lambda nm, percent: digitised(nm, percent) + "400,text,,,,\n",
-        '"400, text" of curve 1 (r (%)) is no pair of X and Y',
+        '"400, text" of curve 1 (r (%)) is not a pair of X and Y',
     ),
     "no foot": (
         lambda nm, percent: "\n".join(
@@ -168,9 +168,12 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
                 *(f"{x},50,{x},50,{x},50" if x <= 600 else f",,{x},50,{x},50" for x in range(400, 701, 10)),
             ]
         ),
-        '"r" ends at 600 nm, at 100% of its peak, before its foot',
+        '"r" ends at 600 nm, where it is still at 100% of its peak',
     ),
-    "heading": (lambda nm, percent: written("nm,r (%),g (%)", nm, percent), "its heading names 3 columns, its rows have 4"),
+    "heading": (
+        lambda nm, percent: written("nm,r (%),g (%)", nm, percent),
+        "its heading names 3 columns, but its rows have 4",
+    ),
 }
 
 

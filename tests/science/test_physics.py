@@ -115,16 +115,16 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
         ("nm,wavelength,a\n1,2,3\n", '"nm" and "wavelength" names the wavelengths'),
         ("frequency_THz,a,b\n400,1,2\n", 'call one column "wavelength_nm"'),
         ("wavelength (THz),a,b\n400,1,2\n", "no unit of wavelength"),
-        ("0.4,1,2\n0.7,1,2\n", r"perhaps 400…700 nm in um; name that column \"wavelength_um\""),
-        ("wavelength_nm,a,b\n4000,1,2\n7000,1,2\n", "perhaps 400…700 nm in A"),
-        ("4e-7,1,2\n7e-7,1,2\n", "nm in m"),
+        ("0.4,1,2\n0.7,1,2\n", r"perhaps in um, which gives 400…700 nm; name that column \"wavelength_um\""),
+        ("wavelength_nm,a,b\n4000,1,2\n7000,1,2\n", "perhaps in A, which gives 400…700 nm"),
+        ("4e-7,1,2\n7e-7,1,2\n", "perhaps in m"),
         ("wavelength_um,a,b\n400,1,2\n700,1,2\n", '"wavelength_um"'),
         ("nm,a,b\n400,5,1,0\n", "decimal commas"),
         ("400,1,1\n400,2,2\n", "wavelengths must increase"),
-        ("400,1,1\n410,nan,1\n", "wavelengths must increase and every value be a number"),
-        ("400,1,1\n410\n", "equally many values"),
+        ("400,1,1\n410,nan,1\n", "wavelengths must increase, and every value must be a number"),
+        ("400,1,1\n410\n", "same number of values"),
         ("400,1\n410,1\n", "contains 1 curves, but 2 are needed"),
-        ("", "rows must be"),
+        ("", "each row must have"),
         ("nm;a;b\n400;1.234,5;1\n", "not a row of numbers"),
         ("nm;a;b\n400;1,5;1.5\n", "commas and points"),
     ],
@@ -318,7 +318,7 @@ def test_bands_of_a_cube_in_micrometres_are_refused(bayer_recipe: Path, tmp_path
         "wavelengths_nm = [0.4, 0.55, 0.7]\n"
     )
     line = refused(2, "simulate", scenes, "--camera", bayer_recipe, "-o", tmp_path / "t.h5")
-    assert "perhaps 400…700 nm in um" in line
+    assert "perhaps in um, which gives 400…700 nm" in line
 
 
 def test_reflectances_in_percent_are_refused(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:

@@ -146,7 +146,7 @@ def test_a_chart_without_published_reflectances_states_how_to_give_them(name: st
     """Of ColorChecker SG colour-science has colours under D50 alone; no reflectance is invented for them."""
     colour = spectra.colour_science()
     assert not any("SG" in each for each in colour.SDS_COLOURCHECKERS)
-    with pytest.raises(RecipeError, match=r"reflectances are not; give them as CSV .*layout = \[10, 14\]"):
+    with pytest.raises(RecipeError, match=r"only its colours are published, .*layout = \[10, 14\]"):
         charts.chart(name, WAVELENGTH)
 
 

@@ -26,7 +26,7 @@ def test_a_verdict_states_by_which_figures_and_how_often() -> None:
         figures = {"ours": dict.fromkeys(wins, 1.0)}
         return verdict({"frames": [figures] * frames, "better": {"basic": wins}})
 
-    assert words(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic by every figure."
+    assert words(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic in every metric."
     assert words(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic in every metric, in every frame."
     some = "Ours is nearer to the ideal than basic by mean ΔE00 in 3 of 4 frames"
     assert words(4, mean_delta_e=3, ssim=3) == f"{some}."
