@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
-from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.isolated import isolated
 from l3cli.io.tags import UPRIGHT, flip_of
 from l3cli.system.limits import VALUE_BYTES, require_picture
 
@@ -58,7 +58,7 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """Yield OpenImageIO's input and specification of a file that contains a single picture of acceptable size."""
-    with named_in_utf8(path) as name, contextlib.closing(open_image(path, name)) as source:
+    with contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         require_bearable(path, spec)
         require_whole_stack(path, spec, 1)
@@ -70,13 +70,13 @@ def opened(path: Path) -> Iterator[tuple[Any, Any]]:
         yield source, spec
 
 
-def open_image(path: Path, name: str) -> Any:
-    """Open a file with OpenImageIO. `name` is its name in UTF-8."""
+def open_image(path: Path) -> Any:
+    """Open a file with OpenImageIO."""
     import OpenImageIO as oiio
 
-    source = oiio.ImageInput.open(name)
+    source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_reason(oiio.geterror(), name)})")
+        raise InputFileError(f"{path} is not an image that can be read ({_reason(oiio.geterror(), str(path))})")
     return source
 
 

@@ -8,7 +8,6 @@ executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) have
 """
 
 import atexit
-import contextlib
 import functools
 import json
 import os
@@ -17,12 +16,11 @@ import socket
 import struct
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from math import prod
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -36,8 +34,7 @@ ROOM = 1 << 30  # bytes of address space for the interpreter, the libraries and 
 COPIES = 2  # further address space, as a multiple of the largest allowed content of a file
 MORE_MEMORY = "free some memory, or raise its limit (ulimit -v)"
 READY = b"ready"  # first message of the process
-MOST_TALK = 64 << 20  # bytes, largest reply without its arrays
-ALIGNMENT = 64  # bytes, alignment of arrays in the memory file
+MAX_REPLY = 64 << 20  # bytes, largest reply without its arrays
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
 ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
@@ -69,6 +66,7 @@ def isolated(*libraries: str) -> Callable[[F], F]:
         @functools.wraps(function)
         def decode(path: Path, *plain: Any) -> Any:
             require_regular(path)
+            _require_utf8(path)
             if trusted():
                 return _decoded(function, path, *plain)
             with _lock:
@@ -85,6 +83,14 @@ def start() -> None:
     if not trusted():
         with _lock:
             _the_child()
+
+
+def _require_utf8(path: Path) -> None:
+    """Raise InputFileError for a name in another encoding, which the libraries cannot open."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputFileError(f"{path}: its name is not UTF-8; rename the file or its folder") from None
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
@@ -117,9 +123,9 @@ class _Child:
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits
         self.owner = os.getpid()
-        self._arrays = os.memfd_create("l3-arrays")
+        self._arrays = open(os.memfd_create("l3-arrays"), "r+b", buffering=0)  # noqa: SIM115  closed by `end`
         self._socket, there = socket.socketpair()
-        inherited = (there.fileno(), self._arrays)
+        inherited = (there.fileno(), self._arrays.fileno())
         serving = f"serve({inherited[0]}, {inherited[1]}, {limits[0]!r}, {limits[1]})"
         program = f"import sys; sys.path[:] = {sys.path!r}; from l3cli.io.decoder_process import serve; {serving}"
         with there:
@@ -148,7 +154,7 @@ class _Child:
                 os.killpg(self._process.pid, signal.SIGKILL)  # includes the workers
             self._process.wait()
         self._socket.close()
-        os.close(self._arrays)
+        self._arrays.close()
 
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
         """Return the result of the function `name` of `module` for the file."""
@@ -158,7 +164,7 @@ class _Child:
             send(self._socket, json.dumps(request).encode())
             answer = json.loads(receive(self._socket, time.monotonic() + PATIENCE * self.limits[0]))
             result = arrays_back(answer, self._arrays)
-            os.ftruncate(self._arrays, 0)
+            self._arrays.truncate(0)
             if "error" in result:
                 raise KINDS[result["error"]](result["message"])
             return result["value"]
@@ -222,7 +228,7 @@ def _end_child() -> None:
 # ----------------------------------------------------------------------------------------------------------------- messages
 
 
-def arrays_back(answer: Any, file: int) -> Any:
+def arrays_back(answer: Any, file: BinaryIO) -> Any:
     """Return a reply with its arrays copied from `file`.
 
     Raises ValueError, TypeError or KeyError if the reply is invalid.
@@ -238,53 +244,30 @@ def arrays_back(answer: Any, file: int) -> Any:
     return {str(key): arrays_back(value, file) for key, value in answer["dict"].items()}
 
 
-def _array(description: list[Any], file: int) -> np.ndarray:
+def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
     """Return the array that a reply describes."""
-    kind, shape, order, offset = description
+    kind, shape, offset = description
     dtype = np.dtype(kind)
-    if dtype.kind not in "biuf" or order not in ("C", "F") or any(type(n) is not int or n < 0 for n in (*shape, offset)):
+    if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
         raise ValueError("no array of numbers")
-    length = prod(shape) * dtype.itemsize
-    if offset + length > os.fstat(file).st_size:
+    if offset + prod(shape) * dtype.itemsize > os.fstat(file.fileno()).st_size:
         raise ValueError("an array outside its file")
-    content = np.empty(length, np.uint8)
-    rest = content.data
-    while len(rest):
-        got = os.preadv(file, [rest], offset)
-        if not got:
-            raise ValueError("an array that has been cut")
-        rest, offset = rest[got:], offset + got
-    return content.view(dtype).reshape(shape, order=order)
+    file.seek(offset)
+    return np.fromfile(file, dtype, prod(shape)).reshape(shape)
 
 
-class ArrayWriter:
-    """Writes arrays to a file, from its beginning."""
-
-    def __init__(self, file: int) -> None:
-        self._file, self._end = file, 0
-
-    def append(self, array: np.ndarray) -> dict[str, Any]:
-        order = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
-        flat = np.ascontiguousarray(array.T if order == "F" else array)
-        start = offset = self._end
-        rest = flat.reshape(-1).view(np.uint8).data
-        while len(rest):
-            done = os.pwrite(self._file, rest, offset)
-            rest, offset = rest[done:], offset + done
-        self._end = -(-offset // ALIGNMENT) * ALIGNMENT
-        return {"array": [array.dtype.str, array.shape, order, start]}
-
-
-def plain_of(value: Any, writer: ArrayWriter) -> Any:
-    """Convert a value to JSON types. Its arrays are passed to `writer`."""
+def plain_of(value: Any, file: BinaryIO) -> Any:
+    """Convert a value to JSON types. Its arrays are written to `file`."""
     if isinstance(value, np.ndarray):
-        return writer.append(value)
+        offset = file.tell()
+        np.ascontiguousarray(value).tofile(file)
+        return {"array": [value.dtype.str, value.shape, offset]}
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, dict):
-        return {"dict": {str(key): plain_of(item, writer) for key, item in value.items()}}
+        return {"dict": {str(key): plain_of(item, file) for key, item in value.items()}}
     if isinstance(value, tuple | list):
-        return {"tuple" if isinstance(value, tuple) else "list": [plain_of(item, writer) for item in value]}
+        return {"tuple" if isinstance(value, tuple) else "list": [plain_of(item, file) for item in value]}
     if value is None or isinstance(value, str | bool | int | float):
         return value
     raise TypeError(f"{type(value).__name__} cannot be handed over")
@@ -297,7 +280,7 @@ def send(connection: socket.socket, text: bytes) -> None:
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
     """Return a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
-    if length > MOST_TALK:
+    if length > MAX_REPLY:
         raise ValueError("an endless message")
     return _exactly(connection, length, until)
 
@@ -311,40 +294,3 @@ def _exactly(connection: socket.socket, length: int, until: float | None) -> byt
             raise EOFError
         content += got
     return bytes(content)
-
-
-# ----------------------------------------------------------------------- names of files for libraries that take UTF-8 alone
-
-
-_links: dict[Path, str] = {}  # absolute path → link made by `linked`
-
-
-@contextlib.contextmanager
-def named_in_utf8(path: Path) -> Iterator[str]:
-    """Yield a name of the file that is valid UTF-8: the given name, or that of a link."""
-    with linked(path):
-        yield _links.get(path.absolute(), str(path))
-
-
-@contextlib.contextmanager
-def linked(path: Path) -> Iterator[None]:
-    """Make a link, within the block, to a file whose name is not UTF-8.
-
-    Processes forked in the block use it through `named_in_utf8`, because the decoding process cannot make links itself.
-    """
-    try:
-        os.fsencode(path.absolute()).decode()
-        has_link = True
-    except UnicodeDecodeError:
-        has_link = path.absolute() in _links
-    if has_link:
-        yield
-        return
-    with tempfile.TemporaryDirectory(prefix="l3-name-") as folder:
-        link = Path(folder, "file").with_suffix(path.suffix)
-        link.symlink_to(path.absolute())
-        _links[path.absolute()] = str(link)
-        try:
-            yield
-        finally:
-            del _links[path.absolute()]

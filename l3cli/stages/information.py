@@ -19,7 +19,6 @@ from l3cli.artifacts.store import load, open_artifact, read_fields
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, TrainingSetReader
 from l3cli.errors import DeviceError, L3Error
-from l3cli.io.decoder_process import LANDLOCK, SECCOMP, measures
 from l3cli.options.commands import BenchOptions
 from l3cli.rendering import benchmark
 from l3cli.rendering.opencl.devices import cache_warning, survey
@@ -121,18 +120,18 @@ def versions() -> dict[str, Any]:
 
 
 def _decoding() -> str:
-    """Describe how foreign files are decoded on this machine."""
+    """Describe how foreign files are decoded on this machine, with each measure that confines the process."""
+    from l3cli.io.decoder_process import SECCOMP, measures  # looks for libseccomp, which takes time
+
     try:
         if trusted():
-            return "process without limits, l3's own (L3_TRUST)"
+            return "in l3's own process, without limits (L3_TRUST)"
         holds = measures(Path(sys.executable))
     except L3Error as error:
         return str(error)
-    missing = [name for name in (LANDLOCK, SECCOMP) if name not in holds]
-    if not missing:
-        return f"sandboxed process ({LANDLOCK}, {SECCOMP}), with limits of time and memory"
-    partly = "".join(f" and {name}" for name in holds)
-    return f"isolated process with limits of time and memory{partly}; {' and '.join(missing)} missing in this kernel"
+    landlock = next((each for each in holds if each != SECCOMP), "no Landlock in this kernel")
+    seccomp = "seccomp" if SECCOMP in holds else 'no seccomp (pip install "l3cli[seccomp]", and libseccomp 2 of the system)'
+    return f"isolated process with limits of time and memory, {landlock}, {seccomp}"
 
 
 def _version(library: str) -> str | None:

@@ -21,7 +21,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.cli import COMMANDS, l3, terminal
 from l3cli.errors import suggestion
 from l3cli.frames.frame import RawFrame
-from l3cli.io.decoder_process import LANDLOCK, SECCOMP
+from l3cli.io.decoder_process import SECCOMP
 from l3cli.rendering.exposure import RangeMeter
 from l3cli.system.console import HEADING
 from l3cli.system.text import columns
@@ -76,17 +76,17 @@ def test_versions_and_devices(l3: L3, refused: Refused, monkeypatch: pytest.Monk
     assert document["l3"] == document["run"]["l3"] == __version__
     assert document["python"] == ".".join(map(str, sys.version_info[:3]))
     assert document["devices"][0].startswith("0: ")
-    assert document["decoding"].startswith(("sandboxed process", "isolated process"))
+    assert document["decoding"].startswith("isolated process with limits of time and memory, ")
     plain = l3("info", "--version")[1]
     for name, version in document["libraries"].items():
         assert f"  {name} {version or 'is not installed'}\n" in plain
     for holds, words in (
-        ((LANDLOCK, SECCOMP), "sandboxed process (Landlock, seccomp)"),
-        ((SECCOMP,), "isolated process with limits of time and memory and seccomp; Landlock missing in this kernel"),
-        ((), "isolated process with limits of time and memory; Landlock and seccomp missing in this kernel"),
+        (("Landlock ABI 7", SECCOMP), "limits of time and memory, Landlock ABI 7, seccomp"),
+        ((SECCOMP,), "limits of time and memory, no Landlock in this kernel, seccomp"),
+        ((), "limits of time and memory, no Landlock in this kernel, no seccomp"),
     ):
-        monkeypatch.setattr("l3cli.stages.information.measures", lambda path, holds=holds: holds)
-        assert f"Decoder of foreign files: {words}" in " ".join(l3("info", "--version")[1].split())
+        monkeypatch.setattr("l3cli.io.decoder_process.measures", lambda path, holds=holds: holds)
+        assert words in " ".join(l3("info", "--version")[1].split())
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
     assert "give either" in refused(2, "info")

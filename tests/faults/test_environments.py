@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.io.pictures.registry import write_picture
-from l3cli.io.raw import libraw
 from l3cli.system.limits import MEGAPIXELS, SECONDS, TRUST, trusted
 from tests.helpers.calls import L3, Refused
 from tests.helpers.dng_files import write_dng
@@ -82,24 +80,10 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
     assert set(os.listdir(folder)) == {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
 
 
-def test_camera_raws_and_scenes_are_named_by_any_bytes(tmp_path: Path, l3: L3) -> None:
-    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/in\xff"))
-    folder.mkdir()
-    write_dng(folder / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
-    assert libraw.read(folder / "a\udcff.dng")["values"].shape == (64, 64)
-    write_picture(folder / "b\udcff.png", np.full((24, 32, 3), 120, np.uint8))
-    (folder / "s.toml").write_text('exposure_share = [0.9]\n[[scene]]\nsource = "rgb"\nfile = "*.png"\n')
-    call = (
-        "simulate",
-        folder / "s.toml",
-        "--camera",
-        CONFIGS / "cameras/bayer.toml",
-        "-o",
-        folder / "t\udcff.h5",
-        "--quiet",
-    )
-    assert l3(*call) == (0, "", "")
-    assert "scene str = b?" in l3("info", folder / "t\udcff.h5")[1]
+def test_libraries_open_no_names_of_other_bytes_than_utf8(desk: Path, tmp_path: Path, refused: Refused) -> None:
+    write_dng(tmp_path / "a\udcff.dng", np.full((64, 64), 500, np.uint16), np.array([[0, 1], [1, 2]]))
+    call = ("render", desk / "table.h5", tmp_path / "a\udcff.dng", "-o", tmp_path / "a.png")
+    assert "rename the file" in refused(3, *call)
 
 
 def test_other_line_ends_give_the_same_artifact(tmp_path: Path, l3: L3) -> None:

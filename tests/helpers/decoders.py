@@ -114,19 +114,14 @@ REACHES: dict[str, Callable[[Path, str], object]] = {
     "root": lambda path, other: os.chroot(path.parent),
     "memory": lambda path, other: os.open("/proc/self/mem", os.O_RDONLY),
 }
-BY_SECCOMP = (
-    "memory of no file",
-    "root",
-    "connect",
-    "socket pair",
-    "fork",
-    "signal",
-    "leave the group",
-    "limits of others",
-    "mode",
-    "time",
-    "truncate",
-)
+NEVER = 10**6
+LANDLOCK_SINCE = {  # version of Landlock that prevents it; version 1 the others
+    **dict.fromkeys(("memory of no file", "root", "socket pair", "fork", "leave the group", "limits of others"), NEVER),
+    **dict.fromkeys(("mode", "time"), NEVER),
+    "truncate": 3,
+    "connect": 4,
+    "signal": 6,
+}
 
 
 @isolated()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import with_one_black_level
 from l3cli.frames.measurement import Stated, StatedMatrix
-from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.isolated import isolated
 from l3cli.io.raw import RawContent
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.io.raw.dng_colour import calibrations
@@ -41,7 +41,7 @@ def opened(path: Path) -> Iterator[Any]:
     import rawpy
 
     try:
-        with named_in_utf8(path) as name, rawpy.imread(name) as raw:
+        with rawpy.imread(str(path)) as raw:
             require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
                 raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")

@@ -13,7 +13,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.marks import missing, scaled
 from l3cli.frames.scene import SpectralCube
 from l3cli.io.images import open_image, picture_size, pixels_of, read_image, require_bearable
-from l3cli.io.isolated import isolated, named_in_utf8
+from l3cli.io.isolated import isolated
 from l3cli.io.scenes.wavelengths import NAMES, in_nm, of_names
 from l3cli.system.limits import require_values
 
@@ -144,21 +144,20 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
     if values is not None:
         order = sorted(range(values.ndim), key=lambda axis: {"Y": 0, "X": 1}.get(axes[axis], 2))
         return values.transpose(order).reshape(page.imagelength, page.imagewidth, bands), names, said
-    with named_in_utf8(path) as name:
-        source = open_image(path, name)
-        planes = []
-        for index in pages:
-            if not source.seek_subimage(index, 0):
-                raise InputFileError(f"{path}: page {index + 1} is damaged; copy the file again")
-            spec = source.spec()
-            require_bearable(path, spec)
-            pixels = pixels_of(path, source, spec)
-            depth = 8 * pixels.dtype.itemsize
-            if pixels.dtype.kind == "u":  # OpenImageIO scales depths such as 12 bits up, so that the stored bits are on top
-                pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
-            planes.append(pixels)
-            names = names or list(spec.channelnames)
-        source.close()
+    source = open_image(path)
+    planes = []
+    for index in pages:
+        if not source.seek_subimage(index, 0):
+            raise InputFileError(f"{path}: page {index + 1} is damaged; copy the file again")
+        spec = source.spec()
+        require_bearable(path, spec)
+        pixels = pixels_of(path, source, spec)
+        depth = 8 * pixels.dtype.itemsize
+        if pixels.dtype.kind == "u":  # OpenImageIO scales depths such as 12 bits up, so that the stored bits are on top
+            pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
+        planes.append(pixels)
+        names = names or list(spec.channelnames)
+    source.close()
     return np.concatenate(planes, axis=2), names if len(names) == bands else [], said
 
 
