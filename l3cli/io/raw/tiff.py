@@ -175,12 +175,8 @@ EXPOSURE_TIME = 33434
 # tags with a single allowed value: compression, photometric interpretation, orientation, channels, planes, kind of samples
 FIXED = {259: [1], 262: [1], 274: [UPRIGHT], 277: [1], 284: [1], 339: [1]}
 NEEDED = {WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, *FIXED}
-TYPES: dict[int, np.dtype] = {
-    3: np.dtype("<u2"),
-    4: np.dtype("<u4"),
-    5: np.dtype("<u4,<u4"),
-    13: np.dtype("<u4"),
-}  # rational: two numbers
+RATIONAL = np.dtype("<u4,<u4")
+TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONAL, 13: np.dtype("<u4")}
 
 
 class _Plain(NamedTuple):
