@@ -1,4 +1,4 @@
-"""The page of the gallery, from the figures of its arrays."""
+"""Write the page of the gallery from the errors of its arrays."""
 
 from typing import Any
 
@@ -6,41 +6,41 @@ Entries = dict[str, dict[str, Any]]  # by name of the recipe
 NAMES = {"ours": "l3", "malvar": "Malvar", "menon": "Menon"}
 HEAD = """# Gallery
 
-This page is for readers who want to see what l3 does with an array before they try it. It shows one picture for each
-array that `l3 init` knows.
+This page is for readers who want to see results before they try l3. It shows one picture for each colour filter array
+for which `l3 init` has a recipe.
 
-For each array, l3 trains a table from the recipes alone, with the scenes of `{scenes}` and the class recipe that
-`l3 init` chooses. The simulated camera then takes a picture of a scene that is not in the training, under D65, with a
-perfect white at 0.9 of full scale. The rendered picture is compared with the *ideal* picture, as displayed.
-`make gallery` makes this page and its pictures.
+For each array, l3 trains a table with the scene recipe `{scenes}` and with the class recipe that `l3 init` selects. It
+then simulates a frame of a scene that is not in the training set, and renders the frame. The scene is under D65, and a
+perfect white has 0.9 of full scale. The errors are the differences between the rendered picture and the *ideal* picture,
+as a display shows them. `make gallery` makes this page and its pictures.
 
-The other methods do not learn:
+The pictures are compared with methods that do not learn:
 
-* *basic* interpolates each channel by itself, balances the white and applies a colour matrix.
-* *Malvar* and *Menon* are demosaicking methods for arrays with Bayer's layout.
-* *long*, *short*, *high gain* and *low gain* are *basic* with the pixels of one exposure or one gain only.
+* *basic* interpolates each channel separately, corrects the white balance and applies a colour matrix.
+* *Malvar* and *Menon* are demosaicing methods for arrays with the layout of a Bayer array.
+* *long*, *short*, *high gain* and *low gain* are *basic*, applied only to the pixels with one exposure or one gain.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
-| original size: raw and ideal above, l3 and basic below |
+| Original size. Upper row: raw frame, ideal. Lower row: l3, basic. |
 |---|
 | ![{title}: raw and ideal, below them l3 and basic](gallery/{name}.jpg) |
 
-| the same, a crop enlarged 4 times |
+| A part of the pictures above, enlarged 4 times |
 |---|
 | ![{title}, enlarged: raw and ideal, below them l3 and basic](gallery/{name}_crop.png) |
 """
 
 
 def page(entries: Entries, scenes: str) -> str:
-    """docs/gallery.md."""
+    """Return the text of docs/gallery.md."""
     sections = [section(name, entry) for name, entry in entries.items()]
     return HEAD.format(scenes=scenes) + table(entries) + "\n" + verdict(entries) + "\n\n" + "\n".join(sections)
 
 
 def table(entries: Entries) -> str:
-    """Figures of all arrays, with those of the best that learns nothing."""
+    """Return the table with the errors of l3 and of the basic pipeline for all arrays."""
     rows = [
         "| array | class recipe | l3: mean ΔE00 | l3: PSNR (dB) | basic: mean ΔE00 | basic: PSNR (dB) |",
         "|---|---|---|---|---|---|",
@@ -52,7 +52,7 @@ def table(entries: Entries) -> str:
 
 
 def verdict(entries: Entries) -> str:
-    """Where a pipeline that learns nothing is better."""
+    """Return a sentence that names the arrays on which a method without learning is better."""
     lost = []
     for name, entry in entries.items():
         ours = entry["figures"]["ours"]
@@ -69,16 +69,17 @@ def verdict(entries: Entries) -> str:
                 lost.append(f"{NAMES.get(rival, rival)} on {name} ({', '.join(better)})")
     if lost:
         return f"Better than l3: {'; '.join(lost)}."
-    return "On no array is one of these methods better than l3, in ΔE00 or in PSNR."
+    return "None of these methods has a lower ΔE00 or a higher PSNR than l3 on any array."
 
 
 def section(name: str, entry: dict[str, Any]) -> str:
-    """One array."""
-    figures = "; ".join(
-        f"{NAMES.get(each, each)} {of['mean_delta_e']:.2f} and {of['psnr']:.2f} dB" for each, of in entry["figures"].items()
-    )
+    """Return the section of one array."""
+    rows = [
+        f"| {NAMES.get(each, each)} | {of['mean_delta_e']:.2f} | {of['psnr']:.2f} |" for each, of in entry["figures"].items()
+    ]
+    errors = "\n".join(["| method | mean ΔE00 | PSNR (dB) |", "|---|---|---|", *rows])
     twins = ", ".join(f"`{twin}`" for twin in entry["twins"])
-    also = f" Recipes for the same array that begin at another pixel: {twins}." if twins else ""
+    also = f" These recipes have the same array, but start at another pixel: {twins}." if twins else ""
     period, _, about = entry["summary"].rpartition("  ")
     pictures = PICTURES.format(name=name, title=entry["title"])
-    return f"## {name}\n\n{about} ({' '.join(period.split())}).{also}\n\nMean ΔE00 and PSNR: {figures}.\n\n{pictures}"
+    return f"## {name}\n\n{about} ({' '.join(period.split())}).{also}\n\n{errors}\n\n{pictures}"

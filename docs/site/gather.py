@@ -28,7 +28,7 @@ CONTENTS = {
         "commands", "reference/commands", "reference/recipes", "artifacts", "reference/artifacts", "python",
         "reference/python", "metrics", "guarantees", "troubleshooting",
     ],
-    "Results": ["gallery", "benchmarks", "peers", "limits"],
+    "Results": ["gallery", "benchmarks", "results", "peers", "limits"],
     "Background": ["method", "implementation"],
     "Project": ["architecture", "contributing", "notebook", "changelog", "security", "reference/licences"],
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Arrays as they are sold, beside what can be built for them without learning (docs/benchmarks.md#quality-of-other-arrays).
+"""Arrays as they are sold, beside what can be built for them without learning (docs/results.md#quality-of-other-arrays).
 
 python -m pytest -m slow -s tests/studies/test_arrays_study.py -k NAME      three minutes on a core
 
