@@ -15,7 +15,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5d
 
 from l3cli.artifacts.container import ENCODING, encoded
 from l3cli.artifacts.schema import Group, Spec, declared, instances
@@ -73,8 +72,7 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
     Each list of references is written once. h5py's `attach_scale` would rewrite it for every dataset.
     """
-    held = {name: spec for name, spec in _layout(kind)[0].items() if group.id.links.exists(name.encode())}
-    fields = {name: (spec, h5py.Dataset(h5d.open(group.id, name.encode()))) for name, spec in held.items()}
+    fields = {name: (spec, group[name]) for name, spec in _layout(kind)[0].items() if name in group}
     scales: dict[str, h5py.Dataset] = {}
     attached: dict[str, list[tuple[h5py.Reference, int]]] = {}
     for spec, dataset in fields.values():

@@ -356,7 +356,7 @@ class TransformTable(Artifact):
     light : LightSpectrum or None
         Mean light on the training scenes.
     camera : CameraModel or None
-        The camera that the table was trained for, without its fit. None in older files.
+        The camera that the table was trained for, without its fit. `l3 train` always stores it.
     conditions : tuple of Condition
         Transforms for other noise, then for each light.
     spectra : SpectralSmoothing or None

@@ -131,7 +131,7 @@ class TrainingFrame(TrainingPair):
         "float32", "channel", "row", "col", unit="e-", doc="mean photo-electrons of every channel, noise-free, unclipped"
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
-    shown: Shown | None = group(default=None)  # None in older files
+    shown: Shown | None = group(default=None)  # None: unknown
     ignored: IgnoredPixels | None = group(default=None)  # None: no pixel is ignored
 
     def __post_init__(self) -> None:

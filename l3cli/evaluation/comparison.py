@@ -30,8 +30,8 @@ class Curve:
     name: str
     luminance: tuple[float, ...]  # cd/m² of a perfect white, increasing
     value: tuple[float, ...]
-    clipped: tuple[float, ...] = ()  # fraction of pixels at full scale at each luminance; empty if unknown
-    exposure: tuple[float, ...] = ()  # s, longest exposure time at each luminance
+    clipped: tuple[float, ...]  # fraction of pixels at full scale at each luminance
+    exposure: tuple[float, ...]  # s, longest exposure time at each luminance
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
             raise RecipeError(f'the metric "{figure}" is unknown; {suggestion(figure, sorted(known))}')
         by_luminance: dict[float, list[tuple[float, float, float]]] = {}
         for frame in document["frames"]:
-            row = float(frame[OURS][figure]), float(frame.get("clipped", 0.0)), float(frame.get("exposure", 1.0))
+            row = float(frame[OURS][figure]), float(frame["clipped"]), float(frame["exposure"])
             by_luminance.setdefault(float(frame["luminance"]), []).append(row)
         rows = [row for at_one in by_luminance.values() for row in at_one]
         sound = all(abs(value) <= LARGEST and 0 <= clipped <= 1 and 0 < time <= LARGEST for value, clipped, time in rows)
@@ -110,14 +110,13 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
             raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])
-        measured = all("clipped" in frame and "exposure" in frame for frame in document["frames"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputFileError(
             f'{file} does not contain {figure} by luminance; give a file that "l3 evaluate --json" printed'
         ) from error
     value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
     exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
-    return Curve(name, tuple(rising), value, *((clipped, exposure) if measured else ()))
+    return Curve(name, tuple(rising), value, clipped, exposure)
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
@@ -199,9 +198,9 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """State the luminance at which a camera begins to clip, or return None if it does not clip or this is unknown."""
+    """State the luminance at which a camera begins to clip, or return None if it does not clip."""
     some = [share >= CLIPPING for share in curve.clipped]
-    if not some or not some[-1]:
+    if not some[-1]:
         return None
     first = len(some) - next((index for index, clips in enumerate(reversed(some)) if not clips), len(some))
     times = set(curve.exposure[first:])

@@ -390,14 +390,12 @@ def _camera_of(file: CameraFile) -> CameraModel:
         return load(CameraModel, file.path)
     camera = load(TransformTable, file.path).camera
     if camera is None:
-        raise InputFileError(f"{file.path} is a table of an older version, without its camera; give a camera model")
+        raise InputFileError(f"{file.path} is a table that does not hold its camera; give a camera model")
     return camera
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """Return the test by the noise of the table's camera; RecipeError if an older table does not hold it."""
+    """Return the test by the noise of the table's camera; RecipeError if the table does not hold it."""
     if table.camera is None:
-        raise RecipeError(
-            "‹hot› needs the camera's noise, which tables of older versions do not hold; train the table again"
-        )
+        raise RecipeError("‹hot› needs the camera's noise, but the table does not hold its camera; train the table again")
     return HotTest.of(table.camera)

@@ -142,7 +142,7 @@ def known_gains(table: TransformTable) -> tuple[float, float]:
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
     """Return the analog gain of a camera's frames relative to the table's camera, when both are brought to the same levels.
 
-    It is 1 for an older table, which does not hold its camera.
+    It is 1 for a table that does not hold its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain

@@ -184,7 +184,7 @@ def other_gain(frame: RawFrame, table: TransformTable) -> str:
         return ""
     its = f"its analog gain is {frame.gain:.3g} times that of the table's camera"
     if table.camera is None:
-        return f"{its}, whose noise the table does not know, as it is of an older l3; train it again"
+        return f"{its}, whose noise is unknown, because the table does not hold its camera; train it again"
     there, (least, most) = table.camera.at_gain(frame.gain), known_gains(table)
     deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
     if deviation > there.black_level:

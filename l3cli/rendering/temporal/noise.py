@@ -185,9 +185,9 @@ def times_brighter(now: tuple[float, float | None], before: tuple[float, float |
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return the camera whose noise the filter uses; RecipeError if an older table does not hold it."""
+    """Return the camera whose noise the filter uses; RecipeError if the table does not hold it."""
     if camera is None:
         raise RecipeError(
-            "‹temporal› needs the camera's noise, which tables of older versions do not hold; train the table again"
+            "‹temporal› needs the camera's noise, but the table does not hold its camera; train the table again"
         )
     return camera
