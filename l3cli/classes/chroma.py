@@ -11,18 +11,16 @@ average over the sites.
 """
 
 import warnings
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.class_rule import CHROMA_SCALE, MAX_CHROMAS, ClassRule
+from l3cli.artifacts.class_rule import CHROMA_SCALE, ClassRule
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers, Neighbourhoods
-from l3cli.recipes.toml import Recipe
 
 CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
 MAX_CHROMA_INPUT = 2**16 - 1  # clamp of the channel means, so that the scores stay within 32 bits
@@ -32,15 +30,6 @@ DITHERED = 0.6  # fraction of the squared distance to the next centre; with 1 th
 TWINS = 2e-3  # squared distance of two centres, relative to the mean channel, below which sites are not dithered
 TURN = 159  # 256 times the golden section, so that consecutive sites, and any few of them, differ
 SNIPPET = "features/chroma.cl"
-
-
-class Options(Recipe):
-    """Chroma keys of the [classes] of a recipe."""
-
-    # number of colours distinguished where nothing is saturated, including white; 0 or 1: none (docs/method.md#chroma)
-    chromas: Annotated[int, msgspec.Meta(ge=0, le=MAX_CHROMAS)] = 9
-    # whether CFA sites between two chromas are divided among them, which avoids seams in tables of several layers
-    chroma_dither: bool = False
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:

@@ -15,29 +15,23 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.keys import BasicKeys
 from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers
 from l3cli.errors import RecipeError
-from l3cli.recipes.toml import Recipe
 
 MEAN_TRUNCATED = 1 / 3  # DN², mean increase of V because M is rounded down; matters where noise is below 1 DN
 SNIPPET = "features/contrast.cl"
 
 
-class Options(Recipe):
-    """Contrast keys of the [classes] of a recipe."""
-
-    contrasts: tuple[float, ...] = (1.4,)  # edges of √(signal variance / noise variance)
-
-
-def check_edges(recipe: Options) -> None:
+def check_edges(recipe: BasicKeys) -> None:
     """Raise RecipeError unless the contrast edges are positive and increase."""
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
         raise RecipeError("contrasts must be positive and increase")
 
 
 def stored_edges(
-    recipe: Options, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
+    recipe: BasicKeys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
     """Return the contrast edges (edge, level) of the rule, from the camera's noise at `levels` (see `noise_of_grey`)."""
     channels = len(camera.channels)

@@ -29,7 +29,7 @@ SHARES = 16  # coherence is stored in units of 1/SHARES
 HEAD = 5  # number of constants before the edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
 
 
-class Options(Recipe):
+class DirectionKeys(Recipe):
     """[classes.direction] of a recipe."""
 
     orientations: Literal[4, 8] = 4
@@ -44,7 +44,7 @@ def fits(camera: CameraModel, patch: int) -> bool:
 
 
 def make_feature(
-    keys: Options, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
+    keys: DirectionKeys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
 ) -> Feature:
     """Return the windows, multipliers and strength edges for a camera, as `features.FeatureModule.make_feature` describes.
 
@@ -89,7 +89,12 @@ def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
 
 
 def _strength_edges(
-    keys: Options, windows: tuple[Window, ...], multipliers: Integers, camera: CameraModel, rule: ClassRule, dark: float
+    keys: DirectionKeys,
+    windows: tuple[Window, ...],
+    multipliers: Integers,
+    camera: CameraModel,
+    rule: ClassRule,
+    dark: float,
 ) -> Integers:
     """Return the strength edges (strength edge, level) of G, as multiples of its RMS value due to the camera's noise
     alone.

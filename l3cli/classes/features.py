@@ -3,7 +3,7 @@
 Every rule has the basic features level, contrast, saturation and chroma, on which training and kernels rely: levels borrow
 from neighbouring levels, chromas have common parents, saturated classes are trained on greys, and a single loop compares
 levels and selects contrast edges. Any number of other features may follow. A recipe switches such a feature on by a table
-with its name.
+with its name (`ClassRecipe`).
 
 A module with the functions of `FeatureModule` says how such a feature is decided. What a table stores of the feature is a
 `class_rule.Feature`, which the functions receive as `feature`.
@@ -19,19 +19,16 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule, Feature
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, direction, level, saturation
+from l3cli.classes.direction import DirectionKeys
+from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers
 from l3cli.errors import InputFileError
-from l3cli.recipes.toml import Recipe
 
 
 class DescribedFeature(Protocol):
     """What the module of every feature has."""
 
     SNIPPET: str  # file with the formula, below opencl/
-
-    @property
-    def Options(self) -> type[Recipe]:
-        """The type of the feature's recipe keys."""
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
         """Return a description of value `index` for reports and JSON."""
@@ -119,6 +116,12 @@ BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
 FEATURES: Mapping[str, FeatureModule] = {  # by the name of the recipe table that switches it on
     "direction": direction,
 }
+
+
+class ClassRecipe(BasicKeys):
+    """Recipe of the classes that pixels are sorted into (configs/classes). A table switches the feature of its name on."""
+
+    direction: DirectionKeys | None = None
 
 
 def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:

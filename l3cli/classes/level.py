@@ -5,7 +5,7 @@
 summed over the channels, where n is the count and S the sum of a channel.
 """
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,31 +13,21 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.keys import BasicKeys
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers
 from l3cli.errors import RecipeError
-from l3cli.recipes.toml import Count, Recipe
 
 LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
 SNIPPET = "features/level.cl"
 
 
-class Options(Recipe):
-    """Level keys of the [classes] of a recipe."""
-
-    levels: Count = 20
-    spacing: Literal["logarithmic", "linear"] = "logarithmic"  # of the level edges
-    lowest_level: float = 0.001  # upper edge of the darkest level, as a fraction of full scale
-    highest_level: float = 0.95  # lower edge of the brightest level, as a fraction of full scale
-    level_edges: tuple[float, ...] | None = None  # as fractions of full scale; replaces the four keys above
-
-
-def edge_shares(recipe: Options, reach: float = 1.0) -> NDArray[np.float64]:
+def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     """Return the level edges that a recipe asks for.
 
     Parameters
     ----------
-    recipe : Options
+    recipe : BasicKeys
     reach : float
         Signal of a grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
 

@@ -1,47 +1,16 @@
 """Make a camera's class rule from a recipe. The rule's classes are all combinations of the features' values."""
 
-from typing import TYPE_CHECKING, Any
-
-import msgspec
-
-from l3cli.artifacts.camera import CameraModel
-from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import FEATURES
-from l3cli.recipes.toml import Count, Recipe
-
-if TYPE_CHECKING:
-
-    class ClassRecipe(level.Options, contrast.Options, saturation.Options, chroma.Options):
-        """Recipe of the classes that pixels are sorted into (configs/classes)."""
-
-        patch: Count = 9  # pixels, side of the neighbourhood
-
-else:
-
-    def _fields(keys: type[Recipe]) -> list[tuple[str, Any, Any]]:
-        """Return name, type and default of the keys of a feature that every rule has."""
-        return [(field.name, field.type, field.default) for field in msgspec.structs.fields(keys)]
-
-    # patch: pixels, side of the neighbourhood. Other features have a table each, which switches them on.
-    ClassRecipe = msgspec.defstruct(
-        "ClassRecipe",
-        [
-            ("patch", Count, 9),
-            *(field for feature in (level, contrast, saturation, chroma) for field in _fields(feature.Options)),
-            *((name, feature.Options | None, None) for name, feature in FEATURES.items()),
-        ],
-        bases=(Recipe,),
-        module=__name__,
-    )
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import CLASS_BITS, MAX_PATCH, ClassRule, StoredFeatures
 from l3cli.classes import chroma, contrast, level, saturation
-from l3cli.classes.features import FEATURES
+from l3cli.classes.features import FEATURES, ClassRecipe
 from l3cli.classes.windows import neighbourhoods, window_channels
 from l3cli.errors import RecipeError
 

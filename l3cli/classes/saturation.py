@@ -14,19 +14,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
-from l3cli.recipes.toml import Count, CountOrNone, Recipe
 
 MIN_FRACTION = 2e-4  # of the training patches; rarer patterns join the nearest case
 SNIPPET = "features/saturation.cl"
-
-
-class Options(Recipe):
-    """Saturation keys of the [classes] of a recipe."""
-
-    saturation: float = 0.985  # fraction of full scale from which a pixel counts as saturated
-    saturation_radius: CountOrNone = 2  # pixels
-    max_cases: Count = 12  # saturation patterns with their own classes, including the unsaturated pattern
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
@@ -85,7 +77,7 @@ def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
-def stored_threshold(recipe: Options, camera: CameraModel) -> int:
+def stored_threshold(recipe: BasicKeys, camera: CameraModel) -> int:
     """Return the value from which the rule counts a pixel as saturated, in DN."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 

@@ -6,7 +6,7 @@ import inspect
 import io
 import textwrap
 import tokenize
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -17,9 +17,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PLACE = "#/$defs/{name}"
 
 
-def schema_of(
-    recipes: Sequence[type[Recipe]], title: str, described_by: Mapping[str, Sequence[type[Recipe]]]
-) -> dict[str, Any]:
+def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
     """Return the schema of a file that is one of `recipes`.
 
     The description of a key is the comment beside its declaration.
@@ -30,8 +28,6 @@ def schema_of(
         Structures that the file may have.
     title : str
         Title of the schema.
-    described_by : mapping
-        For structures that are built at run time: the classes with the comments, by the name of the structure.
 
     Returns
     -------
@@ -45,8 +41,8 @@ def schema_of(
         if "description" in table:
             table["description"] = " ".join(table["description"].split())
         meanings: dict[str, str] = {}
-        for each in (*described_by.get(name, ()), *reversed(classes[name].__mro__)):
-            meanings |= _comments(each) if isinstance(each, type) and issubclass(each, Recipe) and each is not Recipe else {}
+        for each in reversed(classes[name].__mro__):
+            meanings |= _comments(each) if issubclass(each, Recipe) and each is not Recipe else {}
         for key, value in table.get("properties", {}).items():
             table["properties"][key] = _plain(value) | ({"description": meanings[key]} if key in meanings else {})
     whole: dict[str, Any] = {"$schema": DIALECT, "title": title}

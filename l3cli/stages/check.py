@@ -19,7 +19,6 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_recipe_faults, load_camera
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource, key_in, keys_of
-from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name, pixel_of
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.io.file_names import find_scenes
@@ -174,7 +173,6 @@ KINDS = {
         Kind("measurements", (MeasurementRecipe, CorrectionRecipe), None),
     )
 }
-FEATURES = {"ClassRecipe": tuple(feature.Options for feature in (level, contrast, saturation, chroma))}
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
@@ -212,7 +210,7 @@ def names() -> dict[str, list[tuple[Kind, Path]]]:
 
 def schema(kind: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of recipe."""
-    return schema_of(KINDS[kind].recipes, KINDS[kind].title, FEATURES)
+    return schema_of(KINDS[kind].recipes, KINDS[kind].title)
 
 
 class Judge(NamedTuple):

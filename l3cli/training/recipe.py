@@ -14,7 +14,7 @@ from l3cli.artifacts.plane_rules import MAX_LEAVES
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.table import RATIO_TAPS, WINDOWS
 from l3cli.classes import contrast, level
-from l3cli.classes.rule import ClassRecipe
+from l3cli.classes.features import ClassRecipe
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import Fault, fault
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Share

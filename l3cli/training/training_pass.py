@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.features import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum

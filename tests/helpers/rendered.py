@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.classes import direction
+from l3cli.classes.direction import DirectionKeys
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.display import encode, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
@@ -38,12 +38,12 @@ TABLES = {
     "sixteen": lambda: random_table(SIXTEEN, bits=13, patch=15, outputs=("a",), contrasts=(1.4, 3.0), wild=True),
     "four outputs": lambda: random_table(BAYER, bits=12, black_level=64.0, patch=5, outputs=XYZ + ("N",)),
     "mono": lambda: random_table([[0]], bits=16, patch=11, outputs=tuple("abcdefghijklmnop"), wild=True),
-    "directions": lambda: random_table(BAYER, bits=14, black_level=256.0, patch=9, direction=direction.Options()),
+    "directions": lambda: random_table(BAYER, bits=14, black_level=256.0, patch=9, direction=DirectionKeys()),
     "directions of a large array": lambda: random_table(
-        np.arange(36).reshape(6, 6) % 5, patch=9, direction=direction.Options(strengths=(2.0,))
+        np.arange(36).reshape(6, 6) % 5, patch=9, direction=DirectionKeys(strengths=(2.0,))
     ),
     "8 directions": lambda: random_table(
-        FIVE_BAND, black_level=100.0, direction=direction.Options(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
+        FIVE_BAND, black_level=100.0, direction=DirectionKeys(orientations=8, strengths=(1.5, 6.0), coherence=0.4)
     ),
     "two layers": lambda: with_refinement(
         random_table(FIVE_BAND, black_level=100.0, patch=9, chroma_dither=True), 5, ratios=1
@@ -76,10 +76,10 @@ TABLES = {
         with_components(random_table(STRIPES, bits=14, patch=5, outputs=tuple("abcdef"), contrasts=(1.2,)), 3)
     ),
     "two sets": lambda: with_low_noise(
-        random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=direction.Options(orientations=8, strengths=(1.5, 6.0)))
+        random_table(FIVE_BAND, contrasts=(1.1, 2.0), direction=DirectionKeys(orientations=8, strengths=(1.5, 6.0)))
     ),
     "two sets of three layers": lambda: with_low_noise(
-        with_refinement(random_table(BAYER, black_level=64.0, patch=9, direction=direction.Options()), 5, 3, ratios=1)
+        with_refinement(random_table(BAYER, black_level=64.0, patch=9, direction=DirectionKeys()), 5, 3, ratios=1)
     ),
     "three sets of a tree": lambda: with_low_noise(
         with_tree(random_table(X_TRANS, bits=14, patch=5, seed=11), seed=2), 0.25, 0.03

@@ -24,9 +24,10 @@ from l3cli.artifacts.table import (
 )
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.decide import label_mosaic
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.planes import fixed_point
 from l3cli.classes.refinement import plane_evidence
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.tree import EVERY, Evidence
 from l3cli.classes.windows import window_channels
 from l3cli.frames.frame import RawFrame

@@ -13,7 +13,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.features import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.cli import run
 from l3cli.frames.frame import RawFrame

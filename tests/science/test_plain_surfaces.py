@@ -11,7 +11,8 @@ from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.features import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.classes.windows import neighbourhoods
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab

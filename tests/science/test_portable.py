@@ -69,7 +69,7 @@ TABLES: dict[str, Callable[[], TransformTable]] = {
     "one layer, 2 × 3, 16 bits": lambda: a_table([[0, 1, 2], [2, 0, 1]], 16, 600.25, contrasts=(0.5, 3.0)),
     "directions, two outputs": lambda: a_table(
         [[0, 1], [1, 2]], 10, 40.0, outputs=("a", "b"), contrasts=(),
-        direction=direction.Options(orientations=8, strengths=(4.0,), coherence=0.5),
+        direction=direction.DirectionKeys(orientations=8, strengths=(4.0,), coherence=0.5),
     ),
     "three layers, 2 × 4, 16 bits": lambda: with_strengths(
         with_refinement(a_table([[0, 1, 2, 1], [2, 1, 0, 1]], 16, 64.0, patch=7, contrasts=(), chroma_dither=True), 3, 5),

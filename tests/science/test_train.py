@@ -17,8 +17,9 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingFrame, TrainingSet, white_signal, write_training_set
 from l3cli.classes.chroma import choose_chromas
 from l3cli.classes.decide import label_patches
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.names import kind_name
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import L3Error

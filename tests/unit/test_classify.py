@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from l3cli.artifacts.camera import CameraModel
 from l3cli.classes.chroma import chroma_centres, chroma_widths
 from l3cli.classes.decide import label_mosaic, label_patches, labels
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.level import LEVEL_FRACTION
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.statistics import mosaic_statistics
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import RecipeError

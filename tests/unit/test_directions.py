@@ -18,10 +18,11 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction, structure
 from l3cli.classes.decide import label_mosaic, label_patches
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.names import class_name
 from l3cli.classes.planes import CHROMA
 from l3cli.classes.refinement import RATIO_DARKEST, ROWS_AT_ONCE, bilateral_change, shaded_chroma
-from l3cli.classes.rule import ClassRecipe, left_out, make_rule
+from l3cli.classes.rule import left_out, make_rule
 from l3cli.classes.windows import neighbourhoods, sites
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame, pad_mosaic
@@ -32,11 +33,11 @@ from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera, random_camera
 from tests.helpers.tables import XYZ, random_table, with_first
 
-FOUR, EIGHT = direction.Options(), direction.Options(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
+FOUR, EIGHT = direction.DirectionKeys(), direction.DirectionKeys(orientations=8, strengths=(3.0, 9.0), coherence=0.5)
 BAYER = [[0, 1], [1, 2]]
 
 
-def a_rule(camera: CameraModel, keys: direction.Options, patch: int = 9) -> ClassRule:
+def a_rule(camera: CameraModel, keys: direction.DirectionKeys, patch: int = 9) -> ClassRule:
     features: dict[str, Any] = {"direction": keys}
     return make_rule(ClassRecipe(patch=patch, **features), camera, np.zeros(2 ** len(camera.channels), np.uint16))
 
@@ -80,7 +81,7 @@ def test_noise_alone_is_flat_and_checks_are_not_coherent(bayer: CameraModel) -> 
 
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
-def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: direction.Options) -> None:
+def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: direction.DirectionKeys) -> None:
     rng = np.random.default_rng(2)
     rule = a_rule(fiveband, keys)
     values = rng.integers(100, 4096, (21, 26)).astype(np.uint16)
@@ -97,7 +98,7 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
 
 @pytest.mark.parametrize("keys", [FOUR, EIGHT], ids=["4", "8"])
 @pytest.mark.parametrize("patch", [5, 9, 11])
-def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direction.Options, patch: int) -> None:
+def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direction.DirectionKeys, patch: int) -> None:
     """Of a monochrome camera, whose every orientation has the same window."""
     camera = dataclasses.replace(
         bayer,
@@ -131,7 +132,7 @@ def test_sums_are_averaged_over_all_turns_of_a_window_with_the_classes_they_turn
 
 def test_half_the_noise_is_as_flat(bayer: CameraModel) -> None:
     """To the edges for a quarter of its variance, as the whole is to the camera's own."""
-    rule = a_rule(bayer, direction.Options(strengths=(1.0,)))
+    rule = a_rule(bayer, direction.DirectionKeys(strengths=(1.0,)))
     quiet = dataclasses.replace(
         rule, features=StoredFeatures.of(tuple(direction.with_less_noise(each, 0.25) for each in rule.feature_list))
     )
@@ -158,12 +159,12 @@ def test_a_table_for_less_noise_has_lower_edges() -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        (direction.Options(strengths=()), "one or more positive numbers"),
-        (direction.Options(strengths=(3.0, 2.0)), "increase"),
-        (direction.Options(strengths=(-1.0, 2.0)), "positive"),
+        (direction.DirectionKeys(strengths=()), "one or more positive numbers"),
+        (direction.DirectionKeys(strengths=(3.0, 2.0)), "increase"),
+        (direction.DirectionKeys(strengths=(-1.0, 2.0)), "positive"),
     ],
 )
-def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.Options, message: str) -> None:
+def test_an_impossible_direction_is_refused(fiveband: CameraModel, keys: direction.DirectionKeys, message: str) -> None:
     with pytest.raises(RecipeError, match=message):
         a_rule(fiveband, keys)
 

@@ -14,8 +14,9 @@ from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.calibration import model
 from l3cli.classes.contrast import noise_of_grey
 from l3cli.classes.decide import label_mosaic
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.level import clipped_mean, stored_edges, unclipped_level
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.classes.saturation import choose_cases, spared_cases
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import least_sensitive, merged, merges, most_sensitive

@@ -20,6 +20,7 @@ from l3cli.cli.schema import KINDS as OFFERED
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.io.curves import write_curves
 from l3cli.io.measurement_recipe import MeasurementRecipe
+from l3cli.recipes import schema as recipes_schema
 from l3cli.recipes.faults import about_others, example, fault, typed
 from l3cli.recipes.toml import (
     KeyPath,
@@ -453,3 +454,12 @@ def test_names_of_curves_come_back_whatever_they_hold(tmp_path: Path) -> None:
     names = ("a,b", 'say "g"', "b")
     write_curves(tmp_path / "curves.csv", np.array([400.0, 500.0, 600.0]), np.eye(3), names)
     assert read_table(tmp_path / "curves.csv").names == names
+
+
+def test_structures_of_one_name_are_told_apart_by_their_modules() -> None:
+    one, other = (
+        msgspec.defstruct("Options", [(key, int, 1)], bases=(Recipe,), module=f"package.{key}") for key in ("one", "other")
+    )
+    both = msgspec.defstruct("Both", [("first", one | None, None), ("second", other | None, None)], bases=(Recipe,))
+    tables = recipes_schema.schema_of((both,), "both")["$defs"]
+    assert [list(tables[f"package.{key}.Options"]["properties"]) for key in ("one", "other")] == [["one"], ["other"]]

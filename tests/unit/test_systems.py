@@ -7,8 +7,9 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums
+from l3cli.classes.features import ClassRecipe
 from l3cli.classes.planes import opponent_basis, room_between, room_for
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.rule import make_rule
 from l3cli.evaluation.quality import spectral_angle
 from l3cli.training import systems
 from l3cli.training.goal import Goal

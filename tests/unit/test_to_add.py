@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from l3cli.classes.features import FEATURES, FeatureModule
+from l3cli.classes.features import FEATURES, ClassRecipe, FeatureModule
 from l3cli.io.images import read_image
 from tests.helpers.paths import ROOT
 
@@ -101,7 +101,7 @@ from l3cli.recipes.toml import Count, Recipe
 SNIPPET = "peak.cl"
 
 
-class Options(Recipe):
+class PeakKeys(Recipe):
     steps: Count = 2
 
 
@@ -234,6 +234,8 @@ ADDITIONS: dict[str, dict[str, str | Edits]] = {
         "l3cli/classes/features.py": [
             ("direction, level, saturation", "direction, level, peak, saturation"),
             ('    "direction": direction,\n', '    "direction": direction,\n    "peak": peak,\n'),
+            ("import DirectionKeys\n", "import DirectionKeys\nfrom l3cli.classes.peak import PeakKeys\n"),
+            ("    direction: Dir", "    peak: PeakKeys | None = None\n    direction: Dir"),
         ],
     },
     "raw format": {
@@ -411,6 +413,7 @@ def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:
 def test_a_feature_has_every_member_of_its_protocol(name: str) -> None:
     """Each member, and the parameters of each function by name; what fails is named."""
     assert_is_feature(FEATURES[name])
+    assert name in ClassRecipe.__annotations__, f"the recipe has no table {name}, which l3cli/classes/features.py describes"
 
 
 def test_what_a_feature_lacks_is_named(tmp_path: Path) -> None:

@@ -26,7 +26,8 @@ from l3cli.artifacts.training_set import (
     open_training_set,
     write_training_set,
 )
-from l3cli.classes.rule import ClassRecipe, make_rule
+from l3cli.classes.features import ClassRecipe
+from l3cli.classes.rule import make_rule
 from l3cli.errors import InputFileError
 from l3cli.options.commands import TrainOptions
 from l3cli.parallel import workers
