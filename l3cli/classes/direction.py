@@ -146,10 +146,10 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
     return np.where(strength > 0, 1 + group * orientations + orientation, 0)
 
 
-def with_less_noise(feature: Feature, share: float | NDArray[np.float64]) -> Feature:
+def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
     """Return the feature with strength edges for frames that have this fraction of the noise variance."""
     constants = feature.constants.copy()
-    edges = constants[HEAD:] * np.sqrt(np.resize(share, constants.size - HEAD))
+    edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
     return feature._replace(constants=constants)
 

@@ -101,7 +101,7 @@ class FeatureModule(DescribedFeature, Protocol):
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
         """Return the value (…) of the feature from window sums (…, sum) at `level` (…)."""
 
-    def with_less_noise(self, feature: Feature, share: float | NDArray[np.float64]) -> Feature:
+    def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
         """Return the feature for frames with this fraction of the noise variance, in all or per level."""
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:

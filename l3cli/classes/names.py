@@ -69,10 +69,10 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
             words["structure"] = structure.name(rule, place.kind, place.site)
     elif not case:
         words["leaf of the tree"] = f"{place.kind} of {rule.structures}"
-    protected = table.first.rule.spared_cases
+    spared = table.first.rule.spared_cases
     if case:
-        return words | {"saturation": saturation.name(table, case + protected)}
-    return words | {"saturation": "none by which a filter is lost" if protected else "none"}
+        return words | {"saturation": saturation.name(table, case + spared)}
+    return words | {"saturation": "none by which a filter is lost" if spared else "none"}
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:

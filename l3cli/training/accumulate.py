@@ -17,8 +17,8 @@ from l3cli.classes.decide import label_sums
 from l3cli.classes.level import unclipped_level
 from l3cli.classes.statistics import patch_statistics, truncation
 from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_order
-from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, levels_at, noise_share, patches_of
-from l3cli.training.row_weighting import TARGET_FLOOR, RowWeighting
+from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, lacking_variance, levels_at, patches_of
+from l3cli.training.sample_weighting import TARGET_FLOOR, SampleWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH, TrainingPass
 
@@ -30,7 +30,7 @@ DARKEST_LEVEL = 1e-4  # fraction of full scale below which the weight of a sampl
 def sum_sites(
     pass_: TrainingPass,
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
-    weightings: Mapping[int, RowWeighting | None],
+    weightings: Mapping[int, SampleWeighting | None],
 ) -> dict[int, ClassSums]:
     """Add up the sums of canonical sites over blocks of frames.
 
@@ -39,7 +39,7 @@ def sum_sites(
     pass_ : TrainingPass
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
         For each block: index of its first frame, the sites that use it, and its frames, each of which is read once.
-    weightings : mapping of int to RowWeighting or None
+    weightings : mapping of int to SampleWeighting or None
         The sites, and how their samples are weighted. None: all alike.
 
     Returns
@@ -87,7 +87,7 @@ class _Batch:
     """The patches of one site, and how they are added to the sums."""
 
     def __init__(
-        self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: RowWeighting | None
+        self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None
     ) -> None:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
@@ -129,14 +129,14 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield the class and the level (patch) of the noisy patches of `batch`, for each row of `scale` (draw, patch)."""
+        """Yield the class and the level (patch) of the noisy patches of `batch`, for each draw of `scale` (draw, patch)."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
         carried: Floats | None = None if patches.carried is None else patches.carried[batch].T[order.taps]
-        for row in scale:
-            left = None if carried is None else carried * row**2
-            values = self._exposed_values(signal * row, rng, left, channel)
+        for factor in scale:
+            left = None if carried is None else carried * factor**2
+            values = self._exposed_values(signal * factor, rng, left, channel)
             seen = patch_statistics(values, pass_.rule, order)
             yield label_sums(seen, pass_.rule, self.neighbours, self.site), self._level(seen.sums)
 
@@ -176,7 +176,7 @@ class _Batch:
         target = self.patches.target[patch] * scale[:, None]
         carried = None if self.patches.carried is None else self.patches.carried[patch] * scale[:, None] ** 2
         window = self.neighbours.channel[self.site]
-        variance = noise_share(clean, self.pass_.head.camera, carried, self.pass_.dark, window)
+        variance = lacking_variance(clean, self.pass_.head.camera, carried, self.pass_.dark, window)
         if self.pass_.recipe.noise == "none":
             variance[:] = 0
         if self.pass_.recipe.noise == "sampled":
@@ -195,12 +195,12 @@ class _Batch:
         if self.weighting is not None:
             weight *= self.weighting.weight(clean, variance, target, level, runs)
         taps = clean.shape[1]
-        rows = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
-        np.multiply(clean, weight[:, None], out=rows[:, :taps])
-        rows[:, taps] = weight
-        np.multiply(target, weight[:, None], out=rows[:, taps + 1 :])
+        samples = np.empty((len(label), taps + 1 + target.shape[1]), np.float32)
+        np.multiply(clean, weight[:, None], out=samples[:, :taps])
+        samples[:, taps] = weight
+        np.multiply(target, weight[:, None], out=samples[:, taps + 1 :])
         levels = self.pass_.rule.split(np.array([index for index, _, _ in runs])).level.tolist()
-        add_products(sums.moments, rows, runs, [large[level] for level in levels])
+        add_products(sums.moments, samples, runs, [large[level] for level in levels])
         weight = weight**2
         for index, first, last in runs:
             add_rounded(sums.noise[index], weight[first:last] @ variance[first:last], large[0, 0])

@@ -66,10 +66,10 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     return Clipping(np.append(usual[None], added, axis=0), of_white)
 
 
-def _changes(rows: Array) -> Array:
-    """Return the changes of rows (exposure · surface, value) from each exposure to the next."""
-    by_exposure = rows.reshape(EXPOSURES.size, -1, rows.shape[1])
-    return np.diff(by_exposure, axis=0).reshape(-1, rows.shape[1])
+def _changes(values: Array) -> Array:
+    """Return the changes of values (exposure · surface, value) from each exposure to the next."""
+    by_exposure = values.reshape(EXPOSURES.size, -1, values.shape[1])
+    return np.diff(by_exposure, axis=0).reshape(-1, values.shape[1])
 
 
 def _colours(signals: Array, outputs: Array) -> Array:

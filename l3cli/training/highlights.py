@@ -71,13 +71,13 @@ def grey_patches(
         return {}
     same = np.array(filters or range(signal.size))[:, None] == np.unique(filters or range(signal.size))  # (channel, filter)
     relative = np.ones(signal.size) if sensitivity is None else sensitivity
-    rows: dict[tuple[int, int], list[Array]] = {}  # by level and saturation case
+    samples: dict[tuple[int, int], list[Array]] = {}  # by level and saturation case
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
         clipped = np.minimum(grey * signal, 1.0)
         at = level.level_of_mean(rule, float((clipped * (white_level - black_level) + black_level).sum()))
         seen = level.unclipped_level(clipped.mean(), relative)
-        row = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(seen * grey)
+        sample = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(seen * grey)
         for nearly in NEARLY:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
@@ -88,9 +88,9 @@ def grey_patches(
             share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
             weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
             for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
-                rows.setdefault((neighbour, case), []).append(weight * row)
+                samples.setdefault((neighbour, case), []).append(weight * sample)
     taught: dict[int, Array] = {}
-    for (neighbour, case), greys in rows.items():
+    for (neighbour, case), greys in samples.items():
         classes = rule.join(neighbour, 0, rule.kinds_of(case), combination=np.arange(rule.combinations))
         taught |= dict.fromkeys(classes.ravel().tolist(), np.array(greys).T @ np.array(greys) / len(greys))
     return taught

@@ -366,7 +366,7 @@ def expose_patches(
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
-def noise_share(
+def lacking_variance(
     signal: Floats,
     camera: CameraModel,
     carried: Floats | None = None,

@@ -37,7 +37,7 @@ class LearningRecipe(Recipe):
 
     patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
     draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
-    # levels drawn a patch in the pass whose errors weigh the rows of the second; 0: one pass only
+    # levels drawn a patch in the pass whose errors weigh the samples of the second; 0: one pass only
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
     darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal
     dark_share: Share = 0.0  # share of the draws that lies below `darkest`, down to half of it, for frames of higher gain
@@ -55,12 +55,12 @@ class LearningRecipe(Recipe):
     # lights of the training for each of which transforms are learned besides those of all, as its frames name them; the
     # white of a scene chooses (docs/method.md#several-lights)
     lights: tuple[str, ...] = ()
-    level_power: Share = 1.0  # rows weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
-    brightness_power: Share = 0.5  # rows weigh (Y / level)^-power (docs/method.md#row-weights)
+    level_power: Share = 1.0  # samples weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
+    brightness_power: Share = 0.5  # samples weigh (Y / level)^-power (docs/method.md#sample-weights)
     error_power: ErrorPower = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
     ridge: Positive = 1e-5  # relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
-    chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
+    chroma_noise: NotNegative = 2.0  # the same for the two chroma planes
     level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
     # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
     parent_patches: CountOrNone = 200
@@ -100,12 +100,12 @@ class LayerRecipe(Recipe):
     achromatic: Share = 0.2  # share of them that show their scene without colour
     # pixels of a mosaic, a square of at least so many, that are learned from
     rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900
-    # share of the square's pixels that they are: less than 1 where mosaics are to be large, as rows count by their error
+    # share of the square's pixels that they are: less than 1 where mosaics are to be large, as samples count by their error
     density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
     ridge: Positive = 1e-5  # relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
-    chroma_noise: NotNegative = 2.0  # the same for the two chroma rows
-    # rows weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
+    chroma_noise: NotNegative = 2.0  # the same for the two chroma planes
+    # samples weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
     brightness_power: Share | None = None
     error_power: ErrorPower | None = None
     # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
@@ -116,7 +116,7 @@ class LayerRecipe(Recipe):
     coarse_chroma: bool = False
     level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
     strength_pool: NotNegative = 0.0  # the same of classes of the same direction one strength away, beyond the lowest
-    parent_patches: CountOrNone = 200  # pseudo-rows of the parent, added to every class
+    parent_patches: CountOrNone = 200  # pseudo-samples of the parent, added to every class
 
     @property
     def ratio_taps(self) -> int:

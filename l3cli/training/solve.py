@@ -1,6 +1,14 @@
 """Solve the transforms of the first layer from its sums (docs/method.md#solution).
 
-Each class has a Wiener solution. Classes with few patches get help from others. Classes without patches are filled.
+Each class has a Wiener solution. Classes with few patches get help (docs/method.md#thin-classes):
+
+* **Neighbours.** The sums of the neighbouring levels are added with weights below one. This is possible because sums are
+  relative to the level, and helps because transforms change slowly with it.
+* **Pseudo-samples.** With fewer patches than taps a class has no unique solution, and with few more it would fit their
+  noise. So the mean sums of its *parent*, which joins all chromas of the same level, contrast and saturation case, count as
+  `parent_patches` samples more. They decide what the patches of the class leave open, and hardly matter where there are
+  many. A class without patches has nothing else, and takes the transform of its parent.
+* **Nearest class.** If the parent has no patches either, the class takes the transform of the nearest class that has one.
 """
 
 from dataclasses import dataclass
@@ -105,7 +113,7 @@ AT_ONCE = 64  # classes that are solved together
 class OutputKind(NamedTuple):
     """How the equations of an output differ from those of other outputs."""
 
-    noise: float  # how much noise weighs against bias (docs/method.md#noise-weights)
+    noise_weight: float  # how much noise weighs against bias (docs/method.md#noise-weights)
     taught: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas), and plain areas single bands:
     # luminance only where plain areas have classes for themselves, for textures that clip have other means
 
@@ -114,17 +122,18 @@ class OutputKind(NamedTuple):
 class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis, with their compliance.
 
-    Rows run over the taps and the intercept. `response` is what a uniform patch of one channel (last: the intercept) adds to
-    each output. `compliance` is the change of the rows when that response changes by one (docs/method.md#equal-response).
+    `taps` holds the taps and, last, the intercept. `response` is what a uniform patch of one channel (last: the intercept)
+    adds to each output. `compliance` is the change of the taps when that response changes by one
+    (docs/method.md#equal-response).
     """
 
-    rows: Array  # (class, tap + 1, output)
+    taps: Array  # (class, tap + 1, output)
     response: Array  # (class, channel + 1, output)
     compliance: Array  # (class, equations, tap + 1, channel + 1)
     compliance_response: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
     solved: NDArray[np.bool_]  # (class)
     samples: Array  # (class) patches of its own, a mean over the turns
-    condition: Array  # (class) of the equations for the least noisy row; 0: not solved
+    condition: Array  # (class) of the equations for the least noisy output; 0: not solved
     colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
     white: Array | None  # (channel) signals of white, if the training patches bear them out
     power: Array  # (class) sum of the channels' squared means over its patches and those that help it
@@ -187,7 +196,7 @@ def solve(
     gains = None
     if goal.outputs == goal.channels:
         gains = output_gains(flat_moments(sums, rule, groups.size + len(goal.outputs)), window)
-    rows = np.zeros((solved.size, groups.size, len(goal.outputs)))
+    taps = np.zeros((solved.size, groups.size, len(goal.outputs)))
     compliance = np.zeros((solved.size, len(set(equations)), groups.size, len(member)))
     condition, power = np.zeros(solved.size), np.zeros(solved.size)
     means = member[:-1, :-1] / member[:-1, :-1].sum(axis=1, keepdims=True)
@@ -200,29 +209,29 @@ def solve(
             batch = every[first : first + AT_ONCE]
             moments, noise = _averaged(sums, parents, batch, turns, rule, recipe)
             taught = moments.copy()
-            for row, index in enumerate(batch.tolist()):
+            for place, index in enumerate(batch.tolist()):
                 count = samples[index] + recipe.parent_patches
                 if index in greys:
-                    taught[row] += count * greys[index]
+                    taught[place] += count * greys[index]
                 elif gains is not None and teaches(rule, index):
-                    taught[row] += single_bands(moments[row], window, gains)
+                    taught[place] += single_bands(moments[place], window, gains)
                 elif (plain := surfaces.get(index)) is not None:
-                    noisy = noise[row].sum() / moments[row].diagonal()[: window.size].sum()
+                    noisy = noise[place].sum() / moments[place].diagonal()[: window.size].sum()
                     fades = 1.0 + NOISE_FADES * noisy + (near_white[index] * noisy) ** 2
-                    taught[row] += recipe.plain_surfaces * (count / fades) * plain
+                    taught[place] += recipe.plain_surfaces * (count / fades) * plain
             power[batch] = (means @ taught[:, : window.size, : window.size] * means).sum(axis=(1, 2))
-            for number, ((factor, is_taught), wanted) in enumerate(columns.items()):
+            for number, ((noise_weight, is_taught), wanted) in enumerate(columns.items()):
                 of = taught if is_taught else moments
                 flat = np.broadcast_to(member.T[:used], (batch.size, used, len(member)))
                 right = np.concatenate([of[:, :used, groups.size :] @ basis[:, wanted], flat], axis=2)
-                system = systems.Equations(of[:, :used, :used], noise, factor, right)
+                system = systems.Equations(of[:, :used, :used], noise, noise_weight, right)
                 solution, worst = systems.solve_within(system, recipe.ridge, member[:, :used], goal.integers)
-                rows[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
+                taps[batch[:, None, None], np.arange(used)[:, None], wanted] = solution[..., : len(wanted)]
                 compliance[batch, number, :used] = solution[..., len(wanted) :]
                 condition[batch] = np.maximum(condition[batch], worst)
     targets = moment_matrix(sums.moments[~saturated].sum(axis=0), width_of(sums.moments))[groups.size :, groups.size :]
     about = solved, samples, condition, plain_colours(sums, rule, window), white, power, targets
-    return Solution(rows, member @ rows, compliance, member @ compliance, *about)
+    return Solution(taps, member @ taps, compliance, member @ compliance, *about)
 
 
 def _averaged(
@@ -297,16 +306,16 @@ def equal_responses(
     solved = np.all([solution.solved for solution in solutions], axis=0)
     if not solved.any():
         raise L3Error("no class has training patches at every CFA site; simulate more frames")
-    constrained = [solution.rows for solution in solutions]
+    constrained = [solution.taps for solution in solutions]
     if recipe.equal_response:
         constrained = _constrained(solutions, copies, rule, solved, goal, _equations(recipe, goal, rule))
     back = np.linalg.inv(_opponent_basis(goal))
     if goal.integers is not None:
-        fitting = solved & np.all([systems.fits(rows @ back, goal.white, goal.integers) for rows in constrained], axis=0)
+        fitting = solved & np.all([systems.fits(taps @ back, goal.white, goal.integers) for taps in constrained], axis=0)
         solved = fitting if fitting.any() else solved
     transforms = []
-    for solution, rows in zip(solutions, constrained, strict=True):
-        filled = np.swapaxes(rows @ back, 1, 2)[_nearest(solved, rule)]
+    for solution, taps in zip(solutions, constrained, strict=True):
+        filled = np.swapaxes(taps @ back, 1, 2)[_nearest(solved, rule)]
         transforms.append(Transforms(filled[..., :-1], filled[..., -1], solution.samples, solution.condition))
     return transforms
 
@@ -319,11 +328,11 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Return the rows (class, tap + 1, output) of all sites, constrained to a common response.
+    """Return the taps (class, tap + 1, output) of all sites, constrained to a common response.
 
     Of all common responses, this takes the one with the least squared error.
     """
-    constrained = [solution.rows.copy() for solution in solutions]
+    constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
     rising = solutions[0].white if goal.outputs[:3] == XYZ else None
@@ -387,7 +396,7 @@ def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
-    """Return the equations of each row of the opponent basis."""
+    """Return the equations of each output in the opponent basis."""
     unseen = OutputKind(
         min(recipe.luminance_noise, 1.0), True
     )  # nobody looks at these outputs, so more noise reduction has no use

@@ -21,7 +21,7 @@ from l3cli.errors import L3Error
 
 STEP = 2.0**-24  # grid step for a product of columns of scale one
 EXACT = 2.0**53  # largest number of steps that float64 counts without rounding
-PIECE = 1024  # rows that are computed and multiplied at a time
+PIECE = 1024  # samples that are computed and multiplied at a time
 LARGEST_PIECE = 4096  # the same if all belong to one class
 
 Array = NDArray[np.float64]
@@ -69,17 +69,17 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return (class, first row, end row) of each run of equal classes in sorted `label`."""
+    """Return (class, first sample, end sample) of each run of equal classes in sorted `label`."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Yield slices of about `PIECE` rows, given the sorted classes of the rows.
+    """Yield slices of about `PIECE` samples, given their sorted classes.
 
-    A piece ends where a class ends unless the class is large, because the product of a class costs little more for many rows
-    than for few.
+    A piece ends where a class ends unless the class is large, because the product of a class costs little more for many
+    samples than for few.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
@@ -90,7 +90,7 @@ def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
 
 def add_products(
     total: Array,
-    rows: NDArray[np.float32],
+    samples: NDArray[np.float32],
     runs: list[tuple[int, int, int]],
     large: Sequence[Array],
     columns: NDArray[np.integer] | None = None,
@@ -101,20 +101,20 @@ def add_products(
     ----------
     total : ndarray, (class, pair)
         Packed moments, changed in place.
-    rows : ndarray, (row, column)
-        Samples, sorted by class.
-    runs : list of (class, first row, end row)
+    samples : ndarray, (sample, column)
+        Equations, sorted by class: taps, intercept and outputs.
+    runs : list of (class, first sample, end sample)
         From `runs_of`.
     large : sequence of ndarray, (run)
         The `rounding_number` of the steps of each run.
     columns : ndarray, optional
         Columns to use. [default: all]
     """
-    columns = np.arange(rows.shape[1]) if columns is None else columns
+    columns = np.arange(samples.shape[1]) if columns is None else columns
     row, col = pairs(columns.size)
-    place = columns[row] * rows.shape[1] + columns[col]
+    place = columns[row] * samples.shape[1] + columns[col]
     for (index, first, last), number in zip(runs, large, strict=True):
-        block = rows[first:last]
+        block = samples[first:last]
         add_rounded(total[index], (block.T @ block).reshape(-1).take(place), number)
 
 

@@ -30,7 +30,7 @@ class Equations(NamedTuple):
 
     power: Array  # (class, tap, tap) X Xᵀ; the last tap is the intercept, if there is one
     noise: Array  # (class, tap) diagonal of Λ, without the intercept
-    factor: float  # weight of the noise
+    noise_weight: float
     right: Array  # (class, tap, column) Y Xᵀ for each output, then the taps of each channel
 
 
@@ -67,13 +67,13 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
     return solutions, conditions
 
 
-def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
+def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
     """Return which transforms make planes that fit the integers.
 
     Parameters
     ----------
-    rows : ndarray, (class, tap + 1, output)
-        Transforms, the intercept last.
+    transforms : ndarray, (class, tap + 1, output)
+        The intercept is the last tap.
     white : ndarray, (output)
         White of the table. Transforms to X, Y, Z are tested as the planes that they make. Other outputs are tested as they
         are, because they are larger than their components.
@@ -83,13 +83,13 @@ def fits(rows: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
     -------
     ndarray of bool, (class)
     """
-    planes = np.swapaxes(rows @ opponent_basis(white) if len(white) == PLANES else rows, 1, 2)
+    planes = np.swapaxes(transforms @ opponent_basis(white) if len(white) == PLANES else transforms, 1, 2)
     return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
 
 
-def fits_between(rows: Array) -> NDArray[np.bool_]:
+def fits_between(transforms: Array) -> NDArray[np.bool_]:
     """Return which transforms (class, tap + 1, plane) of planes fit the integers, as bool (class)."""
-    planes = np.swapaxes(rows, 1, 2)
+    planes = np.swapaxes(transforms, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
 
 
@@ -101,18 +101,18 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]
     bends = compliance @ np.linalg.pinv(member[used] @ compliance)
-    rows = np.concatenate([solutions[..., :outputs], bends], axis=2).swapaxes(1, 2)
-    return np.asarray(room_for(rows[..., :taps], rows[..., taps:].sum(axis=2), *integers) > SPARE)
+    changes = np.concatenate([solutions[..., :outputs], bends], axis=2).swapaxes(1, 2)
+    return np.asarray(room_for(changes[..., :taps], changes[..., taps:].sum(axis=2), *integers) > SPARE)
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """Return X Xᵀ + factor · Λ + ridge of the chosen classes, (class, tap, tap), including any intercept."""
+    """Return X Xᵀ + noise_weight · Λ + ridge of the chosen classes, (class, tap, tap), including any intercept."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
     diagonal = np.einsum("cii->ci", systems)  # a view: writes change the systems
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
-    diagonal[:, :taps] += equations.factor * equations.noise[chosen] + ridge * mean + 1e-12
+    diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12
     return systems
 
 

@@ -1,4 +1,15 @@
-"""The interface of the training package: the functions that `l3 train` calls, in the order of the calls."""
+"""The interface of the training package: the functions that `l3 train` calls, in the order of the calls.
+
+Training takes these steps (docs/method.md#training):
+
+1. **Pilot.** `take_pilot` looks at a few patches of each frame. `survey` chooses the class rule from them, because sums can
+   only be formed once it is known to which class a patch belongs.
+2. **First pass.** The patches are summed up by class, and every class is solved by least squares.
+3. **Second pass.** The patches are summed up again. Each sample now counts by how visible its error was with the transforms
+   of the first pass (docs/method.md#second-pass). Least squares alone would serve the few patches with the largest errors,
+   which are not those that one sees. These weights need transforms, so a single pass cannot find them.
+4. **Refinement layers**, one after another, because each learns from what the layers before it make.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -151,8 +162,8 @@ def survey(
     counts = np.where(exposures > 0, patches, 0)
     exposure = float(exposures @ counts / max(counts.sum(), 1))
     observed = _joined([pilot.observed for pilot in every])
-    dark, protected = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
-    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, protected)
+    dark, spared = head.camera.dark_signal(exposure), spared_cases(case_of_code, filters)
+    rule = make_rule(recipe.classes, head.camera, case_of_code, centres, dark, observed, spared)
     return rule, np.average(whites, axis=0, weights=patches), exposure, light
 
 

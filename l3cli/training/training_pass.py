@@ -1,4 +1,4 @@
-"""One pass over the training frames.
+"""One pass over the training frames. A table takes two: the first shows how visible errors are, the second weighs them.
 
 A pass holds everything that its work has in common. Its work is divided into blocks of frames, which are divided among
 processes. The sums do not depend on that division.
@@ -142,7 +142,7 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
 
 
 BATCH = 50_000  # patches sorted together: few enough for the memory, many enough for fast products per class
-LAYER_ROWS = 300_000  # samples of a refinement layer that are sorted together
+LAYER_SAMPLES = 300_000  # samples of a refinement layer that are sorted together
 SUM_BYTES = 200 << 20  # memory for the sums that one process fills at a time; at least two sites are
 
 

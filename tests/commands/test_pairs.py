@@ -17,7 +17,7 @@ from l3cli.frames.frame import RawFrame, as_taken, upright
 from l3cli.io.images import read_image
 from l3cli.simulation.frame import make_pair
 from l3cli.simulation.recipe import Pair
-from l3cli.training.patches import expose_patches, noise_share, sample_pair
+from l3cli.training.patches import expose_patches, lacking_variance, sample_pair
 from l3cli.training.symmetry import site_maps
 from tests.helpers.calls import L3, Refused
 
@@ -97,7 +97,7 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
     for scale in (1.0, 0.25):
         signal = samples.signal * np.float32(scale)
         carried = samples.carried * np.float32(scale**2)
-        values, variance = expose_patches(signal, bayer, rng, carried), noise_share(signal, bayer, carried)
+        values, variance = expose_patches(signal, bayer, rng, carried), lacking_variance(signal, bayer, carried)
         expected = bayer.noise_variance(np.array(mean * scale)) / span**2
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)

@@ -103,7 +103,7 @@ def test_splits_are_judged_by_small_windows_where_there_is_no_noise(
     seen: list[int] = []
     grow = rules.grow
 
-    def watched(samples: Sequence[rules.TreeSample], *further: Any) -> rules.Tree:
+    def watched(samples: Sequence[rules.TreeSamples], *further: Any) -> rules.Tree:
         seen.extend(one.columns.shape[1] - rules.OUTPUTS for one in samples)
         return grow(samples, *further)
 

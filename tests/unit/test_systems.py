@@ -15,7 +15,7 @@ from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.layers.learn import LayerGoal, solve_layer
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.row_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
+from l3cli.training.sample_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
 from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.symmetry import Turn

@@ -134,7 +134,7 @@ def values(feature, rule, sums, level):
     return (_above(feature, sums)[..., None] > feature.constants[1:]).sum(axis=-1)
 
 
-def with_less_noise(feature, share):
+def with_less_noise(feature, noise_fraction):
     return feature
 
 

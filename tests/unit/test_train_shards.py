@@ -183,7 +183,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
     """A layer by structure and one by a tree, each in a pass of its own, with a set for another gain: by one process, two,
     and in shards, at last more of them than frames; a shard takes only the table of the pass before."""
     monkeypatch.setattr(training_pass, "BATCH", 500)  # two blocks of frames, one for each shard
-    monkeypatch.setattr(learn, "LAYER_ROWS", 2000)  # two of the refinement layers, too
+    monkeypatch.setattr(learn, "LAYER_SAMPLES", 2000)  # two of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(
         THREE_LAYERS.replace("levels = 4", "levels = 2").replace("draws = 2\n", "draws = 2\nnoise_left = 0.25\n")

@@ -14,7 +14,7 @@ from l3cli.artifacts.table import PLANE_TOP
 from l3cli.classes import tree
 from l3cli.classes.windows import Integers
 from l3cli.parallel.threads import threaded
-from l3cli.training.layers.rules import ROWS_PER_TAP, TreeSample, grow
+from l3cli.training.layers.rules import SAMPLES_PER_TAP, TreeSamples, grow
 from l3cli.training.symmetry import orientations
 from tests.helpers.tables import random_tree
 
@@ -242,7 +242,7 @@ def test_what_is_no_tree_is_refused(fields: dict[str, Any], why: str) -> None:
 # ------------------------------------------------------------------------------------------------------------ growth
 
 
-def a_sample(test: int, threshold: float, seed: int, noise: float = 0.0, rows: int = 4000, taps: int = 5) -> TreeSample:
+def a_sample(test: int, threshold: float, seed: int, noise: float = 0.0, rows: int = 4000, taps: int = 5) -> TreeSamples:
     """Rows whose targets are made by one filter where a test's quotient exceeds a threshold, and by another elsewhere."""
     rng = np.random.default_rng(seed)
     numerators = rng.normal(size=(TESTS, rows)).astype(np.float32)
@@ -251,7 +251,7 @@ def a_sample(test: int, threshold: float, seed: int, noise: float = 0.0, rows: i
     seen = rng.normal(size=(rows, taps)).astype(np.float32)
     filters = rng.normal(size=(2, taps, 3))
     target = np.where(above[:, None], seen @ filters[1], seen @ filters[0]) + noise * rng.normal(size=(rows, 3))
-    return TreeSample(np.concatenate([seen, target], axis=1).astype(np.float32), numerators, denominators)
+    return TreeSamples(np.concatenate([seen, target], axis=1).astype(np.float32), numerators, denominators)
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_a_leaf_keeps_rows_for_its_filters_at_every_site() -> None:
     for one in samples:
         seen = tree.Evidence(one.numerators, one.denominators)
         fallen = tree.leaves(seen, np.zeros(len(one.columns), np.int64), rule)
-        assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
+        assert np.bincount(fallen, minlength=rule.structures).min() >= SAMPLES_PER_TAP * 5
     assert grow([a_sample(2, 0.1, 1, rows=39)], 64).branch.tolist() == [0]
 
 
@@ -307,13 +307,13 @@ def test_rows_on_a_threshold_fall_where_they_do_when_rendering() -> None:
     )
     rule = a_rule(**grow([dataclasses.replace(one, columns=columns)], 64)._asdict())
     fallen = tree.leaves(tree.Evidence(one.numerators, one.denominators), rows * 0, rule)
-    assert np.bincount(fallen, minlength=rule.structures).min() >= ROWS_PER_TAP * 5
+    assert np.bincount(fallen, minlength=rule.structures).min() >= SAMPLES_PER_TAP * 5
 
 
 def test_growth_adds_up_exactly_and_so_the_same_tree_from_rows_in_any_order() -> None:
     one = a_sample(5, 0.3, 1, noise=0.5, rows=3001, taps=19)
     order = np.random.default_rng(0).permutation(3001)
-    other = TreeSample(one.columns[order], one.numerators[:, order], one.denominators[:, order])
+    other = TreeSamples(one.columns[order], one.numerators[:, order], one.denominators[:, order])
     exact, again = (each.on_grid().columns.astype(np.float64) for each in (one, other))
     np.testing.assert_array_equal(exact.T @ exact, again.T @ again)
     plain, permuted = (each.columns.astype(np.float64) for each in (one, other))

@@ -15,7 +15,7 @@ from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
-from l3cli.training.row_weighting import RowWeighting, row_weighting
+from l3cli.training.sample_weighting import SampleWeighting, sample_weighting
 from l3cli.training.solve import Solution
 from l3cli.training.sums import add
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
@@ -94,7 +94,7 @@ class WorkUnit:
     remote: bool  # whether a worker on another machine must verify that its files are the same
     pass_: TrainingPass
     share: WorkShare
-    weightings: dict[int, RowWeighting | None]
+    weightings: dict[int, SampleWeighting | None]
 
 
 def summed(
@@ -108,7 +108,8 @@ def summed(
     units = []
     for share in work_shares(pass_, pass_.divisors, blocks, execution.pool.size):
         weightings = {
-            site: row_weighting(first, site, pass_.recipe.error_power) if first is not None else None for site in share.sites
+            site: sample_weighting(first, site, pass_.recipe.error_power) if first is not None else None
+            for site in share.sites
         }
         units.append(WorkUnit(run.training, execution.remote, pass_, share, weightings))
     left = collections.Counter(site for unit in units for site in unit.weightings)

@@ -121,7 +121,7 @@ def _measure(unit: LayerUnit) -> list[NDArray[np.float64]]:
     return [noise for first, frames in _read(unit) for noise in rules.luminance_noise(unit.layer, frames, first, every)]
 
 
-def _sample(unit: LayerUnit) -> list[dict[int, rules.TreeSample]]:
+def _sample(unit: LayerUnit) -> list[dict[int, rules.TreeSamples]]:
     assert isinstance(unit.known, GradientScale)
     known = unit.known
     return [sample for first, frames in _read(unit) for sample in rules.sample_tree(unit.layer, known, frames, first)]

@@ -1,4 +1,8 @@
-"""Train a refinement layer: its class rule, its sums and its transforms (docs/method.md#layers)."""
+"""Train a refinement layer: its sums and its transforms (docs/method.md#learning-on-mosaics).
+
+As in the first layer, classes with few samples get those of neighbouring levels and strengths, and pseudo-samples of their
+parent: the mean of all structures of the level, or of the saturation case.
+"""
 
 import functools
 import math
@@ -19,12 +23,12 @@ from l3cli.classes.refinement import label_planes
 from l3cli.classes.windows import neighbourhoods
 from l3cli.errors import L3Error
 from l3cli.training.layers.mosaics import Exposed, FirstLayer, Mosaics, PlaneStage, Seen, margin_of, mosaics_of, sheets_of
-from l3cli.training.layers.rows import GatheredRows, Reading, empty_sums, grid_steps, require_exact, row_weights
+from l3cli.training.layers.samples import GatheredSamples, Reading, empty_sums, grid_steps, require_exact, sample_weights
 from l3cli.training.recipe import LayerRecipe, LearningRecipe
 from l3cli.training.sums import add, moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import SiteMap, orientations, site_maps, stabilisers, turned_structures
 from l3cli.training.systems import fits_between, solve_positive
-from l3cli.training.training_pass import LAYER_ROWS, frame_blocks
+from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
 FADING = 0.97  # response of a chroma plane to itself below which the plane counts as faded
@@ -38,7 +42,7 @@ class LayerGoal:
     pool: tuple[float, ...]  # weights of the classes one, two… levels away
     parent: float  # number of pseudo-patches of the parent
     ridge: float  # relative to the mean power of a tap
-    noise: tuple[float, ...]  # (output) weight of the noise
+    noise_weights: tuple[float, ...]  # (output)
     white: Array  # (plane) values of a white of Y = 1, which the layer must keep
     windows: int  # number of window taps; the taps after them are zero on flat areas
     keeps: bool = False  # whether unsaturated classes must not fade the chroma of uniform windows
@@ -74,13 +78,13 @@ def solve_layer(
     Raises
     ------
     L3Error
-        If no class has training rows at every site.
+        If no class has samples at every site.
     """
-    outputs, planes = len(goal.noise), len(goal.white)
+    outputs, planes = len(goal.noise_weights), len(goal.white)
     taps, noisy = width_of(sums[0].moments) - 1 - outputs, width_of(sums[0].noise)
     member = np.zeros((taps, planes))  # (tap, plane)
     member[: goal.windows] = np.kron(np.eye(planes), np.ones((goal.windows // planes, 1)))
-    rows = [np.zeros((rule.classes_per_site, taps + 1, outputs)) for _ in sums]
+    transforms = [np.zeros((rule.classes_per_site, taps + 1, outputs)) for _ in sums]
     solved = np.zeros(rule.classes_per_site, bool)
     parents = [_Parents(one, rule) for one in sums]
     for index in range(rule.classes_per_site):
@@ -90,21 +94,21 @@ def solve_layer(
             continue
         solved[index] = True
         keeps = goal.keeps and not rule.case(rule.split(index).kind)
-        for factor in dict.fromkeys(goal.noise):
-            of = [output for output, each in enumerate(goal.noise) if each == factor]
-            estimates = [_solution(moments, noise, factor, goal.ridge, of, member) for moments, noise in whole]
+        for noise_weight in dict.fromkeys(goal.noise_weights):
+            of = [output for output, each in enumerate(goal.noise_weights) if each == noise_weight]
+            estimates = [_solution(moments, noise, noise_weight, goal.ridge, of, member) for moments, noise in whole]
             if equal:
                 estimates = _constrained(estimates, member, copies, goal, of, keeps)
             for site, one in enumerate(estimates):
-                rows[site][index, :taps, of] = one[:, : len(of)].T
+                transforms[site][index, :taps, of] = one[:, : len(of)].T
     if not solved.any():
-        raise L3Error("no class of the second layer has training rows of every site; train on more, or larger, frames")
-    fitting = solved & np.all([fits_between(one) for one in rows], axis=0)
+        raise L3Error("no class of the second layer has samples of every site; train on more, or larger, frames")
+    fitting = solved & np.all([fits_between(one) for one in transforms], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
-    return [one[source] for one in rows]
+    return [one[source] for one in transforms]
 
 
-def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: list[int], member: Array) -> Array:
+def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
     """Return the Wiener solutions of the outputs `of`, followed by their compliance (tap, output + plane).
 
     The compliance is the change of the taps when the response to flat areas changes. The columns of `moments` are taps,
@@ -112,10 +116,10 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: lis
     intercept, because black must stay black.
     """
     taps, outputs = len(member), np.array(of)
-    system = moments[:taps, :taps] + factor * noise[:taps, :taps]
+    system = moments[:taps, :taps] + noise_weight * noise[:taps, :taps]
     right = moments[:taps, taps + 1 + outputs]
     if len(noise) > taps:
-        right = right - factor * noise[:taps, taps + outputs]
+        right = right - noise_weight * noise[:taps, taps + outputs]
     system.reshape(-1)[:: taps + 1] += ridge * np.trace(system) / taps + 1e-12
     return solve_positive(system, np.column_stack([right, member]))[0]
 
@@ -123,7 +127,7 @@ def _solution(moments: Array, noise: Array, factor: float, ridge: float, of: lis
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the rows (tap, output) of all sites, constrained to a common response to flat areas.
+    """Return the taps (tap, output) of all sites, constrained to a common response to flat areas.
 
     Of all responses that render white as wanted, this takes the one with the least squared error. With `keeps`, a chroma
     plane whose response would fade keeps its previous values.
@@ -146,7 +150,7 @@ def _constrained(
 
 
 class _Parents:
-    """Mean sums per row that thin classes are shrunk towards, for each level and each saturation case."""
+    """Mean sums per sample that thin classes are shrunk towards, for each level and each saturation case."""
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
@@ -172,7 +176,7 @@ class _Parents:
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
     """Return the moments and noise of a class, with help from its neighbours in level and strength and from its parent.
 
-    The result is None if the parent has no rows.
+    The result is None if the parent has no samples.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -252,8 +256,8 @@ class LayerPass:
 
     @property
     def blocks(self) -> list[range]:
-        """Ranges of frames whose rows are summed together."""
-        return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_ROWS)
+        """Ranges of frames whose samples are summed together."""
+        return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_SAMPLES)
 
     @property
     def number(self) -> int:
@@ -309,7 +313,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Sum up the rows of training frames.
+    """Sum up the samples of training frames.
 
     Parameters
     ----------
@@ -326,13 +330,13 @@ def sum_layer(
     """
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
-    gathered = GatheredRows(sums, rule, reading, layer.basis, layer.grid_steps(rule), noise)
+    gathered = GatheredSamples(sums, rule, reading, layer.basis, layer.grid_steps(rule), noise)
     for first, frames in blocks:
         rng = layer.rng(first, 3)
         for mosaics in sheets_of(drawn_mosaics(layer, frames, first, purpose=1), layer.camera.cfa.shape[0]):
             seen = see(mosaics)
             label = label_planes(seen.noisy, seen.label, rule, layer.rule)
-            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
+            weight = sample_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures)
             inner = seen.inner_pixels(layer.margin)
             pixels = inner if layer.recipe.density == 1 else inner[rng.random(inner.size) < layer.recipe.density]
             gathered.add(seen, label, pixels, weight)
@@ -376,15 +380,15 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
         require_exact(one, rule, layer.grid_steps(rule))
     recipe, reading = layer.recipe, layer.reading(layer.recipe.side)
     copies = [int((reading.canonical == site).sum()) for site in sums]
-    noise: tuple[float, ...] = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
+    noise_weights: tuple[float, ...] = (recipe.chroma_noise, recipe.luminance_noise, recipe.chroma_noise)
     if layer.outputs is not None:
-        noise = (recipe.luminance_noise,) * layer.made
+        noise_weights = (recipe.luminance_noise,) * layer.made
     elif not layer.pictures:
-        noise = (min(recipe.luminance_noise, 1.0),) * layer.made  # as in the first layer
+        noise_weights = (min(recipe.luminance_noise, 1.0),) * layer.made  # as in the first layer
     white, windows = np.eye(PLANES)[LUMINANCE], PLANES * recipe.side**2
     pools = (recipe.level_pool, recipe.parent_patches)
     keeps, corrects = recipe.coarse_chroma, layer.outputs is not None
-    goal = LayerGoal(*pools, recipe.ridge, noise, white, windows, keeps, recipe.strength_pool, corrects)
+    goal = LayerGoal(*pools, recipe.ridge, noise_weights, white, windows, keeps, recipe.strength_pool, corrects)
     sums = {site: _symmetric(layer, rule, site, one) for site, one in sums.items()}
     solved = dict(
         zip(sums, solve_layer(list(sums.values()), copies, rule, goal, layer.learning.equal_response), strict=True)
@@ -392,12 +396,12 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     back = np.linalg.inv(layer.basis) if layer.outputs is None else np.eye(layer.made)
     weights, intercept, samples = [], [], []
     for site, canonical in enumerate(reading.canonical.tolist()):
-        rows = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
-        taps = rows[..., :windows].reshape(*rows.shape[:2], PLANES, -1)
+        transforms = np.swapaxes(solved[canonical] @ back, 1, 2)  # (class, output, tap + 1)
+        taps = transforms[..., :windows].reshape(*transforms.shape[:2], PLANES, -1)
         turned = np.empty_like(taps)
         turned[..., reading.order[site]] = taps
-        weights.append(np.concatenate([turned.reshape(*rows.shape[:2], -1), rows[..., windows:-1]], axis=-1))
-        intercept.append(rows[..., -1])
+        weights.append(np.concatenate([turned.reshape(*transforms.shape[:2], -1), transforms[..., windows:-1]], axis=-1))
+        intercept.append(transforms[..., -1])
         samples.append(sums[canonical].count)
     return PlaneLayer(
         side=recipe.side,

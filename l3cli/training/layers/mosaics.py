@@ -61,7 +61,7 @@ class Exposed:
     dark: float  # dark signal in DN of frames that the table is for
     achromatic: float  # fraction of the mosaics that show their scene without colour
     noisy: bool  # whether the camera's noise is added
-    inner: int  # pixels, side of the square of training rows if the frame is large enough
+    inner: int  # pixels, side of the square of training samples if the frame is large enough
     margin: int  # pixels that are read around that square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
@@ -213,7 +213,7 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
 
 
 AT_ONCE = 1 << 10  # number of pixels whose windows fit the caches
-DARKEST_LEVEL = 1e-4  # fraction of full scale below which rows of darker pixels get no more weight
+DARKEST_LEVEL = 1e-4  # fraction of full scale below which samples of darker pixels get no more weight
 
 
 @dataclass(frozen=True)

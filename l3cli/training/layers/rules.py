@@ -1,6 +1,6 @@
 """Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
 
-The tree is grown on a sample of the rows, best split first. The best split is the one that lowers the squared error of
+The tree is grown on a part of the samples, best split first. The best split is the one that lowers the squared error of
 refitted filters most. What additional filter taps alone would gain is subtracted, and the rest must be more than chance.
 All sites share one tree, but each has its own filters.
 """
@@ -23,15 +23,15 @@ from l3cli.classes.refinement import plane_evidence
 from l3cli.classes.tree import EVERY, Evidence, turned_tests
 from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
-from l3cli.training.layers.rows import row_weights
+from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
 CUTS = 5  # number of thresholds to try for each test, at quantiles of its quotient
-QUOTIENTS = 1 << 13  # approximate number of rows per site from which these quantiles are computed
-TREE_SIDE = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few rows
+QUOTIENTS = 1 << 13  # approximate number of samples per site from which these quantiles are computed
+TREE_SIDE = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few samples
 SPLIT_SIDE = 3  # pixels, side of the windows for evaluating splits if there is no noise to average
-ROWS_PER_TAP = 4  # smallest number of rows per tap that a leaf needs at each site
-FINE = 2.0**16  # steps per largest value of a column; sums over a million rows stay below 2^53, so exact
+SAMPLES_PER_TAP = 4  # smallest number of samples per tap that a leaf needs at each site
+FINE = 2.0**16  # steps per largest value of a column; sums over a million samples stay below 2^53, so exact
 RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of the taps and of the outputs, which splits do not change
 OUTPUTS = 3
 SURE = 3.0  # standard deviations of the chance gain that a split must exceed, because the best of many is chosen
@@ -41,21 +41,21 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class TreeSample:
-    """Training rows of one canonical site, in its orientation."""
+class TreeSamples:
+    """Samples of one canonical site, in its orientation."""
 
-    # (row, tap, then output) windows of noisy mosaics' planes, and targets in units of what errors look like, both weighted
+    # (sample, tap, then output) windows of noisy planes, and targets in the units in which errors are judged, both weighted
     columns: Floats | Array
-    numerators: Floats  # (test, row)
-    denominators: Floats  # (denominator, row)
+    numerators: Floats  # (test, sample)
+    denominators: Floats  # (denominator, sample)
 
     @classmethod
-    def concatenated(cls, parts: Sequence["TreeSample"]) -> "TreeSample":
+    def concatenated(cls, parts: Sequence["TreeSamples"]) -> "TreeSamples":
         axes = {"columns": 0, "numerators": 1, "denominators": 1}
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
-    def on_grid(self) -> "TreeSample":
-        """Return the sample with each column rounded to multiples of a power of two.
+    def on_grid(self) -> "TreeSamples":
+        """Return the samples with each column rounded to multiples of a power of two.
 
         Sums of products of columns are then exact, whatever the order of addition.
         """
@@ -63,13 +63,13 @@ class TreeSample:
         step = np.ldexp(1 / FINE, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
-    def compared(self, test: int, rows: Indices) -> tuple[Floats, Floats]:
-        """Return the numerators and denominators (row) of a test."""
-        return self.numerators[test].take(rows), self.denominators[EVERY[test].denominator].take(rows)
+    def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
+        """Return the numerators and denominators (sample) of a test."""
+        return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
-    def passed(self, test: int, cuts: Floats, rows: Indices) -> NDArray[np.int8]:
-        """Return for each row how many of the thresholds `cuts` of a test it exceeds."""
-        numerator, denominator = self.compared(test, rows)
+    def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
+        """Return for each sample how many of the thresholds `cuts` of a test it exceeds."""
+        numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
@@ -97,12 +97,12 @@ class _Split(NamedTuple):
 Mapped = Callable[[Callable[[int], tuple[Floats, Array]], Iterable[int]], Iterable[tuple[Floats, Array]]]
 
 
-def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tree:
+def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tree:
     """Grow a decision tree on samples of all canonical sites.
 
     Parameters
     ----------
-    samples : sequence of TreeSample
+    sites : sequence of TreeSamples
         One per canonical site. Without samples the tree has one leaf.
     leaves : int
         Largest number of leaves.
@@ -113,57 +113,57 @@ def grow(samples: Sequence[TreeSample], leaves: int, mapped: Mapped = map) -> Tr
     -------
     Tree
     """
-    samples = [one.on_grid() for one in samples]
+    sites = [one.on_grid() for one in sites]
     test, threshold, branch, depth = [0], [np.float32(0)], [0], [0]
     waiting: list[tuple[float, int, _Split, list[Indices]]] = []
 
-    def look(node: int, rows: list[Indices]) -> None:
-        split = _best_split(samples, rows, mapped) if depth[node] < MAX_DEPTH else None
+    def look(node: int, samples: list[Indices]) -> None:
+        split = _best_split(sites, samples, mapped) if depth[node] < MAX_DEPTH else None
         if split is not None:
-            heapq.heappush(waiting, (-split.gain, node, split, rows))
+            heapq.heappush(waiting, (-split.gain, node, split, samples))
 
-    if samples:
-        look(0, [np.arange(len(one.columns)) for one in samples])
+    if sites:
+        look(0, [np.arange(len(one.columns)) for one in sites])
     for _ in range(leaves - 1):
         if not waiting:
             break
-        _, node, split, rows = heapq.heappop(waiting)
+        _, node, split, samples = heapq.heappop(waiting)
         test[node], threshold[node], branch[node] = split.test, split.threshold, len(test)
         cuts = np.array([split.threshold])
-        above = [one.passed(split.test, cuts, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
+        above = [one.passed(split.test, cuts, of_leaf) for one, of_leaf in zip(sites, samples, strict=True)]
         for side in (False, True):
             test.append(0)
             threshold.append(np.float32(0))
             branch.append(0)
             depth.append(depth[node] + 1)
-            look(len(test) - 1, [of_leaf[up == side] for of_leaf, up in zip(rows, above, strict=True)])
+            look(len(test) - 1, [of_leaf[up == side] for of_leaf, up in zip(samples, above, strict=True)])
     return Tree(np.array(test, np.uint8), np.array(threshold, np.float32), np.array(branch, np.int32))
 
 
-def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapped) -> _Split | None:
+def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
     """Return the split of a leaf that lowers the error most.
 
-    The result is None if no split gains more than chance or if too few rows would be left on a side.
+    The result is None if no split gains more than chance or if too few samples would be left on a side.
     """
-    taps = samples[0].columns.shape[1] - OUTPUTS
-    if min(map(len, rows)) < 2 * ROWS_PER_TAP * taps:
+    taps = sites[0].columns.shape[1] - OUTPUTS
+    if min(map(len, samples)) < 2 * SAMPLES_PER_TAP * taps:
         return None
     best = None
-    whole = [_sums(one, of_leaf) for one, of_leaf in zip(samples, rows, strict=True)]
+    whole = [_sums(one, of_leaf) for one, of_leaf in zip(sites, samples, strict=True)]
     before = [float(_error(sums)) for sums in whole]
-    noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, rows, strict=True)])
+    noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, samples, strict=True)])
     chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
 
-    telling = [of_leaf[:: max(of_leaf.size // QUOTIENTS, 1)] for of_leaf in rows]
+    telling = [of_leaf[:: max(of_leaf.size // QUOTIENTS, 1)] for of_leaf in samples]
 
     def tried(test: int) -> tuple[Floats, Array]:
         quotients = np.concatenate(
-            [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(samples, telling, strict=True)]
+            [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(sites, telling, strict=True)]
         )
         cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
-        for one, of_leaf, sums, error in zip(samples, rows, whole, before, strict=True):
+        for one, of_leaf, sums, error in zip(sites, samples, whole, before, strict=True):
             gain += _gains(one, of_leaf, test, cuts, sums, error)
         return cuts, gain
 
@@ -173,42 +173,42 @@ def _best_split(samples: Sequence[TreeSample], rows: list[Indices], mapped: Mapp
     return best
 
 
-def _gains(sample: TreeSample, rows: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return by how much each threshold (cut) lowers the error of a site, −∞ if too few rows are left on a side."""
-    taps = sample.columns.shape[1] - OUTPUTS
-    passed = sample.passed(test, cuts, rows)  # of increasing cuts
+def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
+    """Return by how much each threshold (cut) lowers the error of a site, −∞ if too few samples are left on a side."""
+    taps = site.columns.shape[1] - OUTPUTS
+    passed = site.passed(test, cuts, chosen)  # of increasing cuts
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
-    many = np.array([below, rows.size - below])
-    good = many.min(axis=0) >= ROWS_PER_TAP * taps
+    many = np.array([below, chosen.size - below])
+    good = many.min(axis=0) >= SAMPLES_PER_TAP * taps
     gain = np.full(len(cuts), -np.inf)
     if good.any():
-        sums = _sums_below(sample, rows[order], below[good].tolist(), whole)
+        sums = _sums_below(site, chosen[order], below[good].tolist(), whole)
         left, right = _error(sums), _error(whole - sums)
         low, high = many[:, good]
-        gain[good] = before - left - right - taps * (left / low + right / high - before / rows.size)
+        gain[good] = before - left - right - taps * (left / low + right / high - before / chosen.size)
     return gain
 
 
-def _sums_below(sample: TreeSample, rows: Indices, ends: list[int], whole: Array) -> Array:
-    """Return the sums (end, column, column) of the rows before each of `ends`.
+def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
+    """Return the sums (end, column, column) of the samples before each of `ends`.
 
     The largest part is not summed up: its sums are `whole` less those of the other parts.
     """
-    parts = list(itertools.pairwise([0, *ends, rows.size]))
+    parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
     sums = np.zeros((len(parts), *whole.shape))
     for number, part in enumerate(parts):
         if number != largest:
-            sums[number] = _sums(sample, rows[slice(*part)])
+            sums[number] = _sums(site, chosen[slice(*part)])
     sums[largest] = whole - sums.sum(axis=0)
     for before, each in itertools.pairwise(sums):
         each += before
     return sums[:-1]
 
 
-def _sums(sample: TreeSample, rows: Indices) -> Array:
-    """Return the exact sums of products of columns (column, column) over rows."""
-    columns = sample.columns.take(rows, axis=0)
+def _sums(site: TreeSamples, chosen: Indices) -> Array:
+    """Return the exact sums of products of columns (column, column) over the chosen samples."""
+    columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
@@ -302,8 +302,8 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
-) -> list[dict[int, TreeSample]]:
-    """Sample the rows on which a tree is grown.
+) -> list[dict[int, TreeSamples]]:
+    """Choose the samples on which a tree is grown.
 
     Parameters
     ----------
@@ -315,30 +315,30 @@ def sample_tree(
 
     Returns
     -------
-    list of dict of int to TreeSample
-        For each frame, the sample of each canonical site.
+    list of dict of int to TreeSamples
+        For each frame, the samples of each canonical site.
     """
     side = min(layer.recipe.side, SPLIT_SIDE) if layer.learning.noise == "none" else layer.recipe.side
     see, reading, sampled = layer.seer(), layer.reading(side), []
     judged, turns = _judged(layer), layer.turns
-    rows = -(-layer.recipe.tree_rows // sum(layer.mosaics))
+    per_mosaic = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE))
     for index, frame in enumerate(frames, first):
         rng = layer.rng(index, 2)
-        parts: dict[int, list[TreeSample]] = {}
+        parts: dict[int, list[TreeSamples]] = {}
         mosaics = mosaics_of(frame, layer.mosaics[index], exposed, rng)
         for sheet in sheets_of(mosaics, layer.camera.cfa.shape[0]):
             seen = see(sheet)
             place = layer.rule.split(seen.label)
             site = np.broadcast_to(place.site, seen.label.shape).ravel()
-            weight = row_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
+            weight = sample_weights(seen, layer.basis, layer.white_point, layer.learning, layer.pictures).ravel()
             target = seen.target.reshape(-1, seen.target.shape[-1]) @ judged
             evidence = plane_evidence(seen.noisy, place.level, scale.gradient_factor, scale.gradient_shift)
             inner = seen.inner_pixels(layer.margin)
             free = inner[(layer.rule.lost(place.kind) == 0).ravel()[inner]]
             for canonical in np.unique(reading.canonical).tolist():
                 of_site = free[reading.canonical[site[free]] == canonical]
-                chosen = rng.choice(of_site, min(rows * sheet.count, of_site.size), replace=False)
+                chosen = rng.choice(of_site, min(per_mosaic * sheet.count, of_site.size), replace=False)
                 for one in np.unique(site[chosen]).tolist():
                     pixels = chosen[site[chosen] == one]
                     places = pixels[:, None] + reading.offsets(seen.label.shape[1])[one]
@@ -346,19 +346,19 @@ def sample_tree(
                     weights = weight[pixels, None]
                     columns = np.concatenate([taps, target[pixels]], axis=1) * weights
                     parts.setdefault(canonical, []).append(
-                        TreeSample(columns, *turned_evidence(evidence, turns[one], pixels))
+                        TreeSamples(columns, *turned_evidence(evidence, turns[one], pixels))
                     )
-        sampled.append({site: TreeSample.concatenated(several) for site, several in parts.items()})
+        sampled.append({site: TreeSamples.concatenated(several) for site, several in parts.items()})
     return sampled
 
 
 def tree_rule(
-    layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSample]], mapped: Mapped = map
+    layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
     """Grow a tree on the samples of all frames, in order, and return its class rule. `mapped` is as in `grow`."""
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
-        [TreeSample.concatenated([one[site] for one in samples if site in one]) for site in sites],
+        [TreeSamples.concatenated([one[site] for one in samples if site in one]) for site in sites],
         layer.recipe.leaves,
         mapped,
     )

@@ -1,4 +1,7 @@
-"""Rows of the equations of a refinement layer, and their sums (docs/method.md#layers)."""
+"""Samples of a refinement layer, and their sums (docs/method.md#learning-on-mosaics).
+
+A sample is an equation of the least squares: the taps of a window, and the outputs that a transform should make of them.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +20,7 @@ from l3cli.classes.windows import Integers
 from l3cli.errors import L3Error
 from l3cli.training.layers.mosaics import Floats, Seen
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.row_weighting import ERROR_FLOOR, TARGET_FLOOR, lab_error
+from l3cli.training.sample_weighting import ERROR_FLOOR, TARGET_FLOOR, lab_error
 from l3cli.training.sums import (
     EXACT,
     STEP,
@@ -32,7 +35,7 @@ from l3cli.training.sums import (
 )
 
 MEAN_FLOOR = 1e-5  # squared error in output units, added so that mosaics with tiny errors get similar weights
-MEAN_ERROR = 2.0**-10  # squared error that gives weight 1; weights stay below 10 and sums of 7 million rows exact
+MEAN_ERROR = 2.0**-10  # squared error that gives weight 1; weights stay below 10 and sums of 7 million samples exact
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Places of the columns in a row that stores four numbers per tap.
+        """Places of the columns in a sample that stores four numbers per tap.
 
         First come the taps of each plane. The ratio taps, the constant 1 and the outputs follow, stored in every fourth
         number.
@@ -80,7 +83,7 @@ class Reading:
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return the sums of a site before any row is added."""
+    """Return the sums of a site before any sample is added."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
@@ -101,13 +104,13 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
     if max(squares.max(), sums.noise[:, tap == other].max() / STEP) >= EXACT:
-        raise L3Error("a class has more rows than can be added exactly; lower layer.mosaics or layer.rows")
+        raise L3Error("a class has more samples than can be added exactly; lower layer.mosaics or layer.rows")
 
 
-def row_weights(
+def sample_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Return the weight of the row of every pixel (docs/method.md#row-weights, docs/method.md#second-pass).
+    """Return the weight of the sample of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
     Weights are relative to the level and lower where the previous layers make large errors. The error due to noise is
     averaged over 5 × 5 pixels. If the outputs are not a picture, the error is the mean of the whole mosaic.
@@ -157,31 +160,31 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(((error**2).reshape(seen.count, -1).mean(axis=1) + MEAN_FLOOR) / MEAN_ERROR)
 
 
-class _Rows(NamedTuple):
-    """Rows of one or more sheets of mosaics, with the planes that they are read from."""
+class _Samples(NamedTuple):
+    """Samples of one or more sheets of mosaics, with the planes that they are read from."""
 
     clean: Floats  # (pixel, 4) planes in output units and a zero, because 4 numbers are read as fast as one
     noise: Floats  # (pixel, 4) change of the planes due to noise, and a zero
-    pixel: Integers  # (row)
-    site: Integers  # (row)
-    label: Integers  # (row) class within its site
-    weight: Floats  # (row)
-    behind: Floats  # (row, column) ratio taps without noise, 1, outputs in the basis of the planes
-    noise_behind: Floats  # (row, column) change of ratio taps and corrected outputs due to noise
+    pixel: Integers  # (sample)
+    site: Integers  # (sample)
+    label: Integers  # (sample) class within its site
+    weight: Floats  # (sample)
+    behind: Floats  # (sample, column) ratio taps without noise, 1, outputs in the basis of the planes
+    noise_behind: Floats  # (sample, column) change of ratio taps and corrected outputs due to noise
 
 
-class GatheredRows:
-    """Rows of several mosaics on their way into the sums.
+class GatheredSamples:
+    """Samples of several mosaics on their way into the sums.
 
-    Multiplying many rows of a class costs little more than multiplying few, and one mosaic has few rows of each class. The
-    grouping of rows determines how float32 products are rounded. So it may depend only on the frames of a block.
+    Multiplying many samples of a class costs little more than multiplying few, and one mosaic has few of each class. The
+    grouping of samples determines how float32 products are rounded. So it may depend only on the frames of a block.
     """
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
         steps: NDArray[np.float64], noise: bool = True,
     ) -> None:  # fmt: skip
-        """Start with no rows.
+        """Start without samples.
 
         Parameters
         ----------
@@ -197,11 +200,11 @@ class GatheredRows:
         """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
-        self._sheets: list[_Rows] = []
+        self._sheets: list[_Samples] = []
         self._cols = 0  # columns of the sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Gather the rows of `pixels`, given the class and the weight of every pixel (row, col)."""
+        """Gather the samples of `pixels`, given the class and the weight of every pixel (row, col)."""
         if seen.label.shape[1] != self._cols:  # frames of another size
             self.add_up()
             self._cols = seen.label.shape[1]
@@ -219,7 +222,7 @@ class GatheredRows:
         behind = np.concatenate([light, np.ones((pixels.size, 1), np.float32), target], axis=1)
         site, within_site = self.rule.within_site(label.reshape(-1)[pixels])
         about = pixels, site, within_site, weight.reshape(-1)[pixels]
-        self._sheets.append(_Rows(clean, noise, *about, behind, spread))
+        self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
         """Return the ratio taps (pixel, tap) of planes (plane, row, col)."""
@@ -227,31 +230,31 @@ class GatheredRows:
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
-        """Add the gathered rows to the sums, and start again with no rows."""
+        """Add the gathered samples to the sums, and start again without any."""
         if not self._sheets:
             return
         starts = np.cumsum([0, *(len(sheet.clean) for sheet in self._sheets)])
         moved = (sheet._replace(pixel=sheet.pixel + start) for sheet, start in zip(self._sheets, starts, strict=False))
-        rows = _Rows(*(np.concatenate(each) for each in zip(*moved, strict=True)))
+        samples = _Samples(*(np.concatenate(each) for each in zip(*moved, strict=True)))
         self._sheets.clear()
-        learned_as = self.reading.canonical[rows.site]
+        learned_as = self.reading.canonical[samples.site]
         for site, sums in self.sums.items():
             chosen = np.flatnonzero(learned_as == site)
-            self._add_site(sums, rows, chosen[np.argsort(rows.label[chosen], kind="stable")])
+            self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
-    def _add_site(self, sums: LayerSums, rows: _Rows, order: Integers) -> None:
-        """Add the rows with the indices `order`, sorted by class, to the sums of a site."""
+    def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
+        """Add the samples with the indices `order`, sorted by class, to the sums of a site."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
-        rows = rows._replace(**{name: getattr(rows, name).take(order, axis=0) for name in _Rows._fields[2:]})
-        levels = self.rule.split(rows.label).level
+        samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
+        levels = self.rule.split(samples.label).level
         large, noise_large = list(rounding_number(self.steps)), rounding_number(STEP)
-        for piece in pieces_of(rows.label):
-            places = (rows.pixel[piece, None] + offsets[rows.site[piece]]).reshape(-1)
-            runs, weight = runs_of(rows.label[piece]), rows.weight[piece]
-            values = _weighted(rows.clean.take(places, axis=0), rows.behind[piece], weight)
+        for piece in pieces_of(samples.label):
+            places = (samples.pixel[piece, None] + offsets[samples.site[piece]]).reshape(-1)
+            runs, weight = runs_of(samples.label[piece]), samples.weight[piece]
+            values = _weighted(samples.clean.take(places, axis=0), samples.behind[piece], weight)
             add_products(sums.moments, values, runs, [large[levels[piece][first]] for _, first, _ in runs], columns)
             if self._noise:
-                values = _weighted(rows.noise.take(places, axis=0), rows.noise_behind[piece], weight)
+                values = _weighted(samples.noise.take(places, axis=0), samples.noise_behind[piece], weight)
                 add_products(sums.noise, values, runs, [noise_large] * len(runs), columns[: self.reading.noisy])
             for index, first, last in runs:
                 sums.count[index] += last - first
@@ -265,7 +268,10 @@ def _in_fours(planes: NDArray) -> Floats:
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted rows (row, 4 · tap) of windows (row · tap, 4), with `behind` (row, column) in every fourth number."""
+    """Return weighted samples (sample, 4 · tap) of windows (sample · tap, 4).
+
+    Every fourth number holds `behind` (sample, column).
+    """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
     values *= weight[:, None]

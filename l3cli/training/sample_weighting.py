@@ -13,7 +13,7 @@ from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
 DARKEST = 0.02  # fraction of the level; errors of darker targets are measured as if they had this brightness
-TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#row-weights)
+TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#sample-weights)
 ERROR_FLOOR = 0.25  # ΔE² or degrees²; smaller errors have about the same weight
 # Factors from errors of f(X), f(Y), f(Z) to errors of L*, a*, b*; those of chroma are reduced, as it is less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
@@ -93,10 +93,10 @@ class SpectralWeighting:
         return np.asarray((error + ERROR_FLOOR) ** np.float32(-self.power))
 
 
-RowWeighting = ColourWeighting | SpectralWeighting
+SampleWeighting = ColourWeighting | SpectralWeighting
 
 
-def row_weighting(table: TransformTable, site: int, power: float) -> RowWeighting:
+def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWeighting:
     """Return the weighting of a canonical site from the table of the first pass.
 
     Parameters
