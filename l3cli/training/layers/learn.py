@@ -102,7 +102,7 @@ def solve_layer(
             for site, one in enumerate(estimates):
                 transforms[site][index, :taps, of] = one[:, : len(of)].T
     if not solved.any():
-        raise L3Error("no class of the second layer has training samples at every CFA site; train on more, or larger, frames")
+        raise L3Error("no class of the second layer has samples at every CFA site; train on more, or larger, frames")
     fitting = solved & np.all([fits_between(one) for one in transforms], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in transforms]
