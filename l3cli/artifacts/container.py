@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.system.files import atomic_output, open_regular
 from l3cli.system.limits import require_values
-from l3cli.system.signals import uninterrupted
+from l3cli.system.signals import held_back_in
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5
 BLOCK = 512  # bytes of the user block, before the signature
@@ -46,24 +46,24 @@ class _Sink(io.RawIOBase):
         self._descriptor, self._position = descriptor, 0
         self.error: OSError | None = None
 
-    @uninterrupted
+    @held_back_in
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._position}.get(whence)
         self._position = offset + (os.fstat(self._descriptor).st_size if start is None else start)
         return self._position
 
-    @uninterrupted
+    @held_back_in
     def tell(self) -> int:
         return self._position
 
-    @uninterrupted
+    @held_back_in
     def readinto(self, buffer: Any) -> int:
         content = os.pread(self._descriptor, len(buffer), self._position)
         buffer[: len(content)] = content
         self._position += len(content)
         return len(content)
 
-    @uninterrupted
+    @held_back_in
     def write(self, content: Any) -> int:
         rest = memoryview(content).cast("B")
         length = len(rest)
@@ -77,7 +77,7 @@ class _Sink(io.RawIOBase):
         self._position += length
         return length
 
-    @uninterrupted
+    @held_back_in
     def truncate(self, size: int | None = None) -> int:
         size = self._position if size is None else size
         try:

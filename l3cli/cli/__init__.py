@@ -13,6 +13,7 @@ from l3cli.cli.results import Record, Result, begin
 from l3cli.cli.terminal import drop, prepare, to_stderr
 from l3cli.errors import L3Error, suggestion
 from l3cli.parallel import one_blas_thread, without_plots
+from l3cli.system import signals
 from l3cli.system.limits import require_address_space, require_settings
 from l3cli.system.signals import Terminated, heed, leave_to_python
 
@@ -157,8 +158,10 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
         drop(sys.stdout)  # the reader of the pipe has closed it
         return 1
     except (KeyboardInterrupt, click.Abort):
+        signals.ignore()
         return fail("interrupted", 130)
     except Terminated:
+        signals.ignore()
         return fail("terminated", 143)
     except MemoryError:
         return fail("out of memory; use fewer --jobs or smaller frames", 1)

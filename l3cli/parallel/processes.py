@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from l3cli.errors import L3Error
 from l3cli.parallel import without_plots
 from l3cli.system.limits import ONE_BLAS_THREAD, environment
-from l3cli.system.signals import uninterrupted
+from l3cli.system.signals import SIGNALS
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -49,14 +49,13 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             pool.shutdown(cancel_futures=True)
 
 
-@uninterrupted  # a half-started process would wait for its initial data, and the parent for the process
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
     """Submit an item to the pool, which may start a process.
 
-    SIGINT is blocked while the process starts and stays blocked in it, so that only the parent reacts to Ctrl-C, which goes
-    to the whole process group.
+    Signals are blocked while the process starts, because a half-started process would print a traceback. SIGINT stays
+    blocked in it, so that only the parent reacts to Ctrl-C, which goes to the whole process group.
     """
-    old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    old = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         with _script_left_alone(function):
             return pool.submit(function, item)
@@ -85,6 +84,7 @@ def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
 
 def _begin() -> None:
     """Set up a worker process."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     without_plots()
     _end_with_parent()
 

@@ -4,15 +4,13 @@ import contextlib
 import os
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from l3cli.system.signals import is_wanted, raise_pending, uninterrupted
-
 T = TypeVar("T")
 R = TypeVar("R")
-READ_SECONDS, WRITE_SECONDS = 1.0, 25.0  # time to finish the current item after an interrupt
-STEP_SECONDS = 0.5  # time between checks for an interrupt
+READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0  # time to finish the current item after an interrupt
 
 
 class _End(Exception):
@@ -90,9 +88,15 @@ class BackgroundTask:
     def __enter__(self) -> None:
         self._thread.start()
 
-    @uninterrupted  # as in WriteBehind
-    def __exit__(self, *exception: object) -> None:
-        self._thread.join()
+    def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
+        # After an interrupt, the wait keeps a thread inside a C library from crashing the program when it ends. It has a
+        # limit because the thread may wait for a module whose import was interrupted.
+        interrupted = kind is not None and not issubclass(kind, Exception)
+        try:
+            self._thread.join(WORK_SECONDS if interrupted else None)
+        except BaseException:
+            self._thread.join(WORK_SECONDS)
+            raise
 
     def _run(self) -> None:
         with contextlib.suppress(Exception):
@@ -124,22 +128,32 @@ class WriteBehind:
             raise self._error
         self._items.put(item)
 
-    @uninterrupted  # if the program ends while a thread is inside a C library, it aborts
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        interrupted = error is not None and not isinstance(error, Exception)
-        if interrupted:
-            self._error = self._error or error
         self._complete = True
+        if error is not None and not isinstance(error, Exception):
+            self._drop(error)
+            return
+        try:
+            self._wake_one()
+            for thread in self._threads:
+                thread.join()
+        except BaseException as interruption:
+            self._drop(interruption)
+            raise
+        if error is None and self._error is not None:
+            raise self._error
+
+    def _drop(self, interruption: BaseException) -> None:
+        """Drop waiting items, and wait for the current ones.
+
+        A thread inside a C library would crash the program when it ends. But writing to a pipe that nobody reads would never
+        end.
+        """
+        self._error = self._error or interruption
         self._wake_one()
-        left = WRITE_SECONDS
+        end = time.monotonic() + WRITE_SECONDS
         for thread in self._threads:
-            while thread.is_alive() and left > 0:  # writing to a pipe that nobody reads would never end
-                thread.join(STEP_SECONDS)
-                left -= STEP_SECONDS if interrupted or is_wanted() else 0
-        if error is None:
-            raise_pending()  # waiting items were dropped, so the output must not look complete
-            if self._error is not None:
-                raise self._error
+            thread.join(max(end - time.monotonic(), 0))
 
     def _wake_one(self) -> None:
         with contextlib.suppress(queue.Full):  # a thread that takes the last item sees `_complete`
@@ -148,7 +162,7 @@ class WriteBehind:
     def _work(self) -> None:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
-            if item is _End or self._error is not None or is_wanted():
+            if item is _End or self._error is not None:
                 continue  # empty the queue, so that `put` does not block
             try:
                 self._function(item)

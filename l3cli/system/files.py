@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
-from l3cli.system.signals import uninterrupted
 
 Dated = list[int]  # size in bytes, time of the last change in ns
 
@@ -151,7 +150,6 @@ def write_whole(path: Path, content: bytes | memoryview | str) -> None:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-@uninterrupted
 def _new_temporary(path: Path) -> tuple[Path, int]:
     """Return a new, empty, locked temporary file beside `path`, and the descriptor that holds its lock."""
     stem, suffix = _hidden_name(path)

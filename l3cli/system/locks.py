@@ -13,7 +13,6 @@ from pathlib import Path
 
 from l3cli.errors import L3Error
 from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refuse_protected, shortened, sweep
-from l3cli.system.signals import uninterrupted
 
 
 class ThreadLock:
@@ -99,7 +98,6 @@ def _busy(output: Path) -> L3Error:
     return L3Error(f"{output} is being written by another run; wait until it ends or name another output")
 
 
-@uninterrupted
 def _take(lock: Path, output: Path) -> int | None:
     """Return the descriptor that holds the lock; None where the storage knows no locks."""
     while True:
@@ -141,7 +139,6 @@ def _existing(lock: Path) -> int | None:
         raise L3Error(f"{lock} is not a lock file of l3's; remove it or name another output") from error
 
 
-@uninterrupted
 def _let_go(lock: Path, descriptor: int) -> None:
     with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
         lock.unlink()

@@ -1,7 +1,8 @@
-"""SIGINT and SIGTERM as exceptions, and the places where they must wait.
+"""SIGINT and SIGTERM as exceptions, after which the program cleans up and reports one line.
 
-Python raises the exception of a signal wherever it happens to be. In a callback from a C library this can crash the library
-or lose data. It can also leave a lock file behind, or a condition acquired for ever.
+Outputs are temporary files that are renamed when they are complete, so an exception may come at any moment. The only code
+that signals must not interrupt are the callbacks through which HDF5 writes: HDF5 forgets their exceptions together with the
+data, so the file would be incomplete and look complete.
 """
 
 import signal
@@ -13,68 +14,28 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # until a signal that came where it must wait is sent again
+RETRY_SECONDS = 0.05  # until a signal that came during a callback is sent again
 
-_uninterrupted: set[CodeType] = set()
-_waiting: type[BaseException] | None = None  # exception of the waiting signal
-
-
-def uninterrupted(function: F) -> F:
-    """Decorator: signals wait until `function` has returned. A function that takes long checks `is_wanted`."""
-    _uninterrupted.add(function.__code__)
-    return function
-
-
-def must_wait(frame: FrameType | None, ending: type[BaseException]) -> bool:
-    """Return whether a signal that arrived in `frame` must wait, and remember its exception `ending` if so."""
-    global _waiting
-    while frame is not None and frame.f_code not in _uninterrupted:
-        frame = frame.f_back
-    _waiting = ending if frame is not None else None
-    return _waiting is not None
-
-
-def is_wanted() -> bool:
-    """Return whether a signal is waiting, so that no new work should begin."""
-    return _waiting is not None
-
-
-def raise_pending() -> None:
-    """Raise the exception of a waiting signal, if there is one."""
-    global _waiting
-    if _waiting is not None:
-        ignore()
-        ending, _waiting = _waiting, None
-        raise ending
-
-
-def ignore() -> None:
-    """Ignore further signals, so that nothing interrupts the clean-up."""
-    for each in SIGNALS:
-        signal.signal(each, signal.SIG_IGN)
-
-
-# Queues, semaphores and futures use conditions. An exception while a condition is entered or left would leave it acquired or
-# release it twice, and during a notification the next notification would be lost.
-for _step in ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify"):
-    uninterrupted(getattr(threading.Condition, _step))
-# A compiled module reports an exception during its import as an ImportError, which callers may silently ignore.
-uninterrupted(sys.modules["_frozen_importlib"]._find_and_load)
-
-
-# ------------------------------------------------------------------------------------------------------ exceptions
+_callbacks: set[CodeType] = set()
 
 
 class Terminated(BaseException):
-    """Raised on SIGTERM. The program cleans up as after Ctrl-C."""
+    """Raised on SIGTERM, as KeyboardInterrupt is on SIGINT."""
 
 
 def heed() -> None:
-    """Make SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless they were ignored."""
+    """Make SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless they are ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
-        if signal.getsignal(each) is not signal.SIG_IGN:  # background jobs ignore Ctrl-C
+        if signal.getsignal(each) is not signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
             signal.signal(each, end)
+
+
+def ignore() -> None:
+    """Ignore further signals while the program reports the first one and ends."""
+    for each in SIGNALS:
+        if signal.getsignal(each) is end:
+            signal.signal(each, signal.SIG_IGN)
 
 
 def leave_to_python() -> None:
@@ -85,27 +46,30 @@ def leave_to_python() -> None:
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception, or send the signal again later if it must wait."""
-    ending = KeyboardInterrupt if number == signal.SIGINT else Terminated
-    if must_wait(frame, ending):
-        _come_again(number)
-        return
-    ignore()
-    raise ending
+    """Handle a signal: raise its exception, or send it again later if it came during a callback of HDF5."""
+    while frame is not None:
+        if frame.f_code in _callbacks:
+            _send_again(number)
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
-@uninterrupted  # otherwise a signal that arrives while its timer starts would be lost
+def held_back_in(callback: F) -> F:
+    """Decorator: signals wait until this callback of a C library has returned."""
+    _callbacks.add(callback.__code__)
+    return callback
+
+
 def repeat_lost(what: Any) -> None:
-    """Send a signal again whose exception Python cannot pass on, as in a finaliser."""
-    if what.exc_type not in (KeyboardInterrupt, Terminated):
+    """Send a signal again whose exception Python cannot pass on, as in the finalisers that run during imports."""
+    if what.exc_type in (KeyboardInterrupt, Terminated):
+        _send_again(signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM)
+    else:
         sys.__unraisablehook__(what)
-        return
-    number = signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM
-    signal.signal(number, end)
-    _come_again(number)  # later, because an exception raised here would be lost, too
 
 
-def _come_again(number: int) -> None:
+def _send_again(number: int) -> None:
     """Send a signal to the main thread after a short delay."""
     main_thread = threading.main_thread().ident
     assert main_thread is not None

@@ -3,9 +3,7 @@ and every other file left to it; ENVI cubes as the package spectral writes and r
 
 import math
 import os
-import signal
 import struct
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +18,9 @@ from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.pictures.registry import format_of, write_picture
 from l3cli.io.raw import files, tiff
 from l3cli.io.scenes import envi
-from l3cli.system import signals
 from l3cli.system.limits import MEGAPIXELS, TRUST
 from tests.helpers.cubes import WAVELENGTH, a_cube
 from tests.helpers.tables import XYZ
-
-ENDING = (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif", "a.TIFF", "a.jxl"])
@@ -68,27 +63,6 @@ def test_pictures_state_that_they_are_srgb(tmp_path: Path) -> None:
         source = oiio.ImageInput.open(str(tmp_path / name))
         assert source is not None
         assert "srgb" in str(source.spec()["oiio:ColorSpace"]).lower()
-
-
-def test_an_interrupted_picture_leaves_no_complaints(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """A signal at any moment: the PNG library would print on stderr that half a picture is one."""
-    picture, before = np.zeros((2, 2, 3), np.uint8), {each: signal.getsignal(each) for each in ENDING}
-    ends = 0
-    try:
-        for moment in np.linspace(2e-6, 2e-4, 100):
-            for each in ENDING:
-                signal.signal(each, signals.end)
-            try:
-                signal.setitimer(signal.ITIMER_REAL, moment)
-                write_picture(tmp_path / "picture.png", picture)
-                time.sleep(0.2)  # it may have had to wait
-            except signals.Terminated:
-                ends += 1
-    finally:
-        for each in ENDING:
-            signal.signal(each, before[each])
-    assert ends == 100
-    assert capfd.readouterr().err == ""
 
 
 def test_formats_that_cannot_be_are_refused() -> None:

@@ -90,19 +90,6 @@ def test_a_worker_that_is_killed_is_reported_and_not_waited_for(size: int) -> No
         list(ordered_map(dying, [(number, bytes(size)) for number in range(6)], 2))
 
 
-@pytest.mark.parametrize(
-    ("number", "code", "word"),
-    [pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.soak), (signal.SIGTERM, 143, "terminated")],
-)
-def test_an_ended_run_leaves_one_line_and_nobody(tmp_path: Path, number: int, code: int, word: str) -> None:
-    run = _simulation(tmp_path)
-    (os.killpg if number == signal.SIGINT else os.kill)(run.pid, number)  # a terminal sends Ctrl-C to the whole group
-    out, err = run.communicate(timeout=PATIENCE)
-    assert (run.returncode, out, err.lstrip("\n")) == (code, "", f"l3: {word}\n")  # click ends the line of ^C
-    assert {path.name for path in tmp_path.iterdir()} == {"training.h5.parts"}  # what --resume goes on from
-    _wait_until(lambda: not _workers(run.pid))
-
-
 def test_a_signal_that_falls_into_a_finaliser_is_not_lost() -> None:
     program = """
 import signal, time

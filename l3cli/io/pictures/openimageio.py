@@ -21,7 +21,6 @@ from l3cli.io.tags import SHOT, shot_entries
 from l3cli.physics.spaces import SRGB
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import atomic_output, write_whole
-from l3cli.system.signals import uninterrupted
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
 # Noise hardly compresses. The strongest compression takes seven times as long and saves a tenth of the size.
@@ -126,12 +125,11 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return encoded("picture.jpg", spec, picture)
 
 
-@uninterrupted
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """Return the bytes of a file. Raises L3Error if it cannot be encoded.
 
     The file is encoded in memory. On a full disk, the JPEG library would end the whole program, and the PNG library would
-    report nothing. If a signal interrupted it, the PNG library would write to stderr.
+    report nothing.
     """
     spec.attribute("DateTime", "")  # prevents a timestamp, since the same input must give the same bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
