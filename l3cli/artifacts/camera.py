@@ -1,5 +1,6 @@
 """The camera model, which calibration writes and simulation reads (docs/method.md#camera-model)."""
 
+import dataclasses
 import functools
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -127,9 +128,18 @@ class Noise:
     )
 
     def __post_init__(self) -> None:
-        figures = (self.read_noise, self.dark_current, self.dsnu, self.prnu, self.column_noise)
-        if not (min(figures) >= 0 and self.well_capacity > 0):
+        if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
             raise ValueError("noise figures must not be negative, and the well capacity must be above zero")
+
+    @property
+    def temporal(self) -> float:
+        """Variance in e-² of the noise in the dark that differs between frames: read noise."""
+        return self.read_noise**2
+
+    @property
+    def fixed(self) -> float:
+        """Variance in e-² of the pattern in the dark that all frames share: DSNU and column offsets."""
+        return self.dsnu**2 + self.column_noise**2
 
 
 @dataclass(frozen=True)
@@ -485,12 +495,12 @@ class CameraModel(Artifact):
             raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
         stretch, prnu = span / (span - dark), noise.prnu**2
         gain: Any = self.gain
-        read_noise: Any = noise.read_noise
+        temporal: Any = noise.temporal
         channel_dark: Any = dark
         if self.readout is not None and channel is not None:
             gain = self.gain * self.readout.channel_gain[channel]
-            read_noise = self.readout.channel_read_noise[channel]
+            temporal = self.readout.channel_read_noise[channel] ** 2
             channel_dark = dark * (self.readout.channel_exposure * self.readout.channel_gain)[channel]
-        constant = gain**2 * (left * read_noise**2 + noise.dsnu**2 + noise.column_noise**2) + QUANTISATION
+        constant = gain**2 * (left * temporal + noise.fixed) + QUANTISATION
         constant += (left * gain + prnu * channel_dark) * channel_dark
         return stretch**2 * constant, stretch * (left * gain + 2 * prnu * channel_dark), prnu

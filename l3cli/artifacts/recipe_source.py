@@ -1,5 +1,6 @@
 """A recipe file while it is checked: what the checks need, and the key that an error message is about."""
 
+import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -35,6 +36,14 @@ class RecipeSource:
         except (L3Error, OSError) as error:  # OSError: a name that is too long, or a folder without read permission
             message = self.plain(error)
             yield Fault(message, (key_in(message, self.content) if key is None else key,))
+
+    @contextlib.contextmanager
+    def noting(self, faults: list[Fault], *keys: KeyPath) -> Iterator[None]:
+        """Append a fault of the `keys` to `faults` if the block fails. It is reported at the first key."""
+        try:
+            yield
+        except (L3Error, OSError) as error:
+            faults.append(Fault(self.plain(error), keys))
 
     def plain(self, error: L3Error | OSError) -> str:
         """Return the message of an error without the name of this file."""

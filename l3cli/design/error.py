@@ -163,7 +163,7 @@ class Noise:
 def noise_of(camera: CameraModel) -> Noise:
     """Return the noise of a camera's pixels, assuming that all channels have the same exposure and gain."""
     noise = camera.noise
-    floor = noise.read_noise**2 + noise.dsnu**2 + noise.column_noise**2 + QUANTISATION / camera.gain**2
+    floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
 
 

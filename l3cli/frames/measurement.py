@@ -143,6 +143,11 @@ class Chart:
     wavelength: NDArray[np.float64]  # (wavelength) nm
     reflectance: NDArray[np.float64]  # (patch, wavelength), row by row
 
+    def __post_init__(self) -> None:
+        patches, (rows, cols) = len(self.reflectance), self.grid
+        if patches != rows * cols:
+            raise ValueError(f"{self.name} has {patches} patches, but layout = [{rows}, {cols}] has {rows * cols}")
+
 
 @dataclass(frozen=True)
 class PhotoCapture:
@@ -157,6 +162,12 @@ class PhotoCapture:
     corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if they have to be found
     darks: tuple[RawFrame, ...] = ()  # without light, at the same exposure
     whites: tuple[RawFrame, ...] = ()  # a uniform white in place of the chart, under the same light
+
+    def __post_init__(self) -> None:
+        first, *others = (*self.frames, *self.darks, *self.whites)
+        for frame in others:
+            if frame.values.shape != first.values.shape or frame.phase != first.phase:
+                raise ValueError(f"{frame.name} has another size or phase than {first.name}; give frames of one camera")
 
 
 @dataclass(frozen=True)

@@ -205,6 +205,10 @@ class MeasurementRecipe(Recipe):
         """The entries of [photo] or [[photo]]."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
+    def photo_key(self, number: int) -> KeyPath:
+        """Return the key of a photo."""
+        return ("photo", number) if isinstance(self.photo, list) else ("photo",)
+
 
 class CorrectionRecipe(Recipe):
     """A measurement file for a camera that is known except for its defects and flat field."""
@@ -321,10 +325,17 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
 # -------------------------------------------------------------------------------------------- files that are named
 
 
-def frame_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all frames in a measurement file, in order."""
-    names = [name for _, _, capture in captures_of(recipe) for name in capture.frames]
-    return names + [name for photo in recipe.photos for name in (*photo.frames, *photo.dark, *photo.white)]
+def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[KeyPath, str]]:
+    """Yield the key and name of every frame in a measurement file, in order."""
+    for section, number, capture in captures_of(recipe):
+        for position, name in enumerate(capture.frames):
+            yield (section, number, "frames", position), name
+    if isinstance(recipe, CorrectionRecipe):
+        return
+    for number, photo in enumerate(recipe.photos):
+        for key in ("frames", "dark", "white"):
+            for position, name in enumerate(getattr(photo, key)):
+                yield (*recipe.photo_key(number), key, position), name
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:

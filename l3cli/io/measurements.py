@@ -1,36 +1,27 @@
-"""Load the measurements that a measurement file names: captures with frames, spectra and figures
-(docs/method.md#calibration).
+"""Read a measurement file and everything that it names into one value (docs/architecture.md#the-path-of-a-measurement).
 
-Also photographs of charts, and measurements from raw files that state everything that is needed
-(docs/method.md#charts-in-photographs).
+The file's keys are read first (measurement_recipe.py), then the tables of spectra that it names, then the photos. Other
+frames are read later, one by one, because a lab takes more of them than fit into memory.
 """
 
+import contextlib
+import functools
 import math
+import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import MAX_BITS, MAX_CFA, Optics
-from l3cli.artifacts.camera_recipe import (
-    F_NUMBER,
-    FOCAL_MM,
-    PITCH_UM,
-    CfaRecipe,
-    OpticsRecipe,
-    camera_files,
-    load_camera,
-    noise_of,
-    parse_cfa,
-    settings_from,
-)
+from l3cli.artifacts.camera import CameraModel, Optics
+from l3cli.artifacts.camera_recipe import camera_files, load_camera, noise_of, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
-from l3cli.errors import InputFileError, RecipeError, raised_as
-from l3cli.frames.frame import RawFrame
+from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (
     PATCH_NAMES,
     PATCHES,
@@ -44,16 +35,15 @@ from l3cli.frames.measurement import (
     GainCaptures,
     Measurements,
     MonoCapture,
-    PhotoCapture,
     SensorFigures,
     SweepTable,
 )
+from l3cli.io.chart_photos import Illuminant, Levels, capture_of, chart_of, illuminant_of, recipe_of_photos
 from l3cli.io.curves import prior_files, read_cameras, read_finished, read_sweep, shipped_statistics
-from l3cli.io.frames import FrameFiles, WholeFrames, phase_of, raw_content
+from l3cli.io.frames import FrameFiles, WholeFrames, raw_content
 from l3cli.io.measurement_recipe import (
     MOST_MONITOR,
     MOST_UNREFERENCED,
-    BodyRecipe,
     CaptureRecipe,
     ChartRecipe,
     CorrectionRecipe,
@@ -61,169 +51,58 @@ from l3cli.io.measurement_recipe import (
     MeasurementRecipe,
     MonitorRecipe,
     MonoRecipe,
-    PhotoRecipe,
     SensorCaptureRecipe,
-    frame_names,
+    frames_named,
     key_faults,
     spectrum_names,
 )
-from l3cli.io.raw.cfa_codes import FREE_CODE, LETTERS, neutral_of_channels
-from l3cli.physics import charts, spectra
-from l3cli.physics.mosaic import least_period
+from l3cli.io.raw import RawContent
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import parse_recipe, parse_toml, read_text
+from l3cli.recipes.toml import KeyPath, parse_recipe, parse_toml, read_text
 from l3cli.spectra import units
-from l3cli.spectra.file import names_file, read_table
-from l3cli.spectra.table import RELATIVE, CurveTable, without_noise
+from l3cli.spectra.file import read_table
+from l3cli.spectra.table import RELATIVE, CurveTable
 from l3cli.system.files import sha256, stamp
 
-SEEN = (400.0, 700.0)  # nm, range that a measured light must cover
-GRID = np.arange(380.0, 781.0, 5.0)  # nm, grid of named lights and charts
 Array = NDArray[np.float64]
+ReadTable = Callable[[Path], CurveTable]
+AnyRecipe = MeasurementRecipe | CorrectionRecipe
+At = Callable[..., AbstractContextManager[None]]  # at(*keys): a block whose errors are about these keys
 
 
-# Facts about raw files that do not state them: "black_level" and "white_level" in DN. "opcodes": "leave" ignores the opcodes
-# of a DNG that l3 does not support.
-Levels = Mapping[str, Any]
+@dataclass(frozen=True)
+class MeasurementFiles:
+    """Measurements, and the files that they come from with the state that these had before any was read."""
+
+    measurements: Measurements
+    recipe: str  # text of the measurement file; "" for photos without one
+    files: dict[str, list[Path]]  # role → its files
+    stamps: dict[Path, tuple[int, ...]]  # size, times and inode of each file
+
+    def history(self, options: dict[str, Any]) -> Stage:
+        """Return the history stage of a calibration: options, measurement file and the SHA-256 of all its files.
+
+        Raises InputFileError if a file has changed since, so that the digests always describe what was read.
+        """
+        digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
+        for file, before in self.stamps.items():
+            if stamp(file) != before:
+                raise InputFileError(f"{file} has changed while it was read; run again when nothing writes to it")
+        return Stage("calibrate", options, self.recipe, digests)
 
 
-def load_photos(photos: Sequence[PhotoRecipe], body: Body, levels: Levels, path: Path) -> tuple[PhotoCapture, ...]:
-    """Load the photos of a measurement file.
-
-    Raises RecipeError for invalid requests, and InputFileError if a file is not a raw file of this camera, a light or a
-    chart.
-    """
-    captures = []
-    for photo in photos:
-        wavelength, radiance = _light(photo, path)
-        known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames will give the black level
-        frames, darks, whites = (
-            tuple(_frame(path.parent / name, body, known) for name in names)
-            for names in (photo.frames, photo.dark, photo.white)
-        )
-        _check_alike(frames, darks, whites)
-        corners = None if photo.corners is None else np.array(photo.corners, dtype=np.float64)
-        chart = _chart_of_photo(photo, path)
-        captures.append(
-            PhotoCapture(
-                Path(photo.frames[0]).name, frames, chart, photo.light, wavelength, radiance, corners, darks, whites
-            )
-        )
-    return tuple(captures)
-
-
-def _check_alike(frames: Sequence[RawFrame], darks: Sequence[RawFrame], whites: Sequence[RawFrame]) -> None:
-    """Raise InputFileError unless all frames of a photo have the same size and phase."""
-    first = frames[0]
-    for frame in (*frames, *darks, *whites):
-        if frame.values.shape != first.values.shape or frame.phase != first.phase:
-            raise InputFileError(f"{frame.name} has another size or phase than {first.name}; give frames of one camera")
-
-
-def _frame(path: Path, body: Body, levels: Levels) -> RawFrame:
-    """Read a raw file as it is, with its own levels."""
-    content: Mapping[str, Any] = {**levels, **raw_content(path, levels)}
-    if "black_level" not in content:
-        raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
-    pattern = content.get("pattern")
-    phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
-    values, white = np.ascontiguousarray(content["values"], np.uint16), content.get("white_level", 2**body.bits - 1)
-    try:
-        neutral = neutral_of_channels(content.get("neutral"), pattern, phase, body)
-        return RawFrame(str(path), values, float(content["black_level"]), float(white), phase, neutral=neutral)
-    except ValueError as error:
-        raise InputFileError(str(error)) from error
-
-
-def _light(photo: PhotoRecipe, path: Path) -> tuple[Array, Array]:
-    """Return wavelength (nm) and relative photon radiance of the light. A light that is to be guessed is equal-energy for
-    now.
-    """
-    if photo.light is None:
-        return GRID, np.ones_like(GRID)
-    if not names_file(photo.light):
-        with raised_as(RecipeError, path, RecipeError):
-            return GRID, np.asarray(spectra.illuminant(photo.light, GRID), np.float64)
-    file = path.parent / photo.light
-    table = read_table(file).column(photo.column)
-    unit = None if any(table.units) else photo.unit
-    radiance = without_noise(table.photons(unit, absolute=False))[0]
-    if radiance.min() < 0:
-        raise InputFileError(f"{file}: the light is negative by more than noise; subtract the dark spectrum again")
-    if table.wavelength[0] > SEEN[0] or table.wavelength[-1] < SEEN[1]:
-        raise InputFileError(
-            f"{file}: its {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm do not cover {SEEN[0]:g}…{SEEN[1]:g} nm; "
-            "measure the light over what a camera sees"
-        )
-    if radiance.max() <= 0:
-        raise InputFileError(f"{file}: the light is dark; measure it again")
-    return table.wavelength, radiance
-
-
-def _chart_of_photo(photo: PhotoRecipe, path: Path) -> Chart:
-    rows, cols = photo.layout
-    if names_file(photo.chart):
-        table = read_table(path.parent / photo.chart)
-        shares = table.shares()
-        wavelength, name = table.wavelength, Path(photo.chart).stem
-    else:
-        name, wavelength = photo.chart, GRID
-        with raised_as(RecipeError, path, RecipeError):
-            shares = np.asarray(charts.chart(photo.chart, GRID)[1], np.float64)
-    if len(shares) != rows * cols:
-        raise RecipeError(f"{path}: {photo.chart} has {len(shares)} patches, layout = [{rows}, {cols}] {rows * cols}")
-    return Chart(name, (rows, cols), wavelength, shares)
-
-
-# -------------------------------------------------------------------------- a raw file without a measurement file
-
-
-def recipe_of_photos(paths: Sequence[Path], light: str | None, levels: Levels | None = None) -> MeasurementRecipe:
-    """Return a measurement file for raw files that state their array, levels and size.
-
-    All files are from one camera under one light, and each is a photo. Pixel pitch and optics are placeholders, because
-    responsivities do not depend on them. Raises InputFileError if a file does not state enough.
-    """
-    levels = levels or {}
-    content = {**levels, **raw_content(paths[0], levels)}
-    stated, white = content.get("pattern"), content.get("white_level")
-    if stated is None or white is None or "black_level" not in content:
-        raise InputFileError(
-            f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [[photo]] "
-            '(documentation, "A camera from one photo of a chart")'
-        )
-    cfa = array_of(stated)
-    if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
-        raise InputFileError(f"{paths[0]}: its colour filter array is larger than {MAX_CFA}×{MAX_CFA}")
-    rows, cols = content["values"].shape
-    return MeasurementRecipe(
-        name=paths[0].stem,
-        sensor=BodyRecipe(rows, cols, PITCH_UM, bits_of(white)),
-        cfa=cfa,
-        optics=OpticsRecipe(FOCAL_MM, F_NUMBER),
-        photo=[PhotoRecipe(frames=[str(path.absolute())], light=light) for path in paths],
-    )
-
-
-def bits_of(white_level: float) -> int:
-    """Return the bits of a sensor with a given white level (DN)."""
-    return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
-
-
-def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Return the colour filter array from the codes (row, col) in a raw file. Channels are named by letters."""
-    pattern = least_period(codes)
-    names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
-    return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])
-
-
-def load_measurements(path: Path) -> Measurements:
-    """Load the measurements that a measurement file names. Frames are read later, one by one.
+def read_measurements(path: Path) -> MeasurementFiles:
+    """Read a measurement file and everything that it names.
 
     Parameters
     ----------
     path : Path
         The measurement file.
+
+    Returns
+    -------
+    MeasurementFiles
+        Its measurements. Frames other than photos are read later, one by one.
 
     Raises
     ------
@@ -232,106 +111,192 @@ def load_measurements(path: Path) -> Measurements:
     InputFileError
         If a spectrum or a frame is missing or damaged.
     """
-    recipe = _load(path)
-    return _corrections(recipe, path) if isinstance(recipe, CorrectionRecipe) else measurements_of(recipe, path)
-
-
-def _load(path: Path) -> MeasurementRecipe | CorrectionRecipe:
+    before = stamp(path)
     text = read_text(path, MeasurementRecipe.title)
-    if "base" in parse_toml(text, str(path)):
-        return parse_recipe(text, CorrectionRecipe, str(path))
-    return parse_recipe(text, MeasurementRecipe, str(path))
+    recipe = parse_measurements(text, path)
+    files = {"measurements": [path], **_files_named(recipe, path)}
+    stamps = {file: stamp(file) for named in files.values() for file in named} | {path: before}
+    return MeasurementFiles(measurements_of(recipe, path), text, files, stamps)
 
 
-def _corrections(recipe: CorrectionRecipe, path: Path) -> Measurements:
-    """Return the dark and white frames of a known camera."""
-    refuse_first(key_faults(recipe), path)
-    camera = load_camera(path.parent / recipe.base)
-    body = Body(
-        camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
-    )
-
-    def captures(listed: list[CaptureRecipe]) -> tuple[Capture, ...]:
-        files = [WholeFrames(tuple(path.parent / name for name in each.frames), camera) for each in listed]
-        return tuple(Capture(each.frames[0], each.seconds or 0.0, of) for each, of in zip(listed, files, strict=True))
-
-    return Measurements(body=body, darks=captures(recipe.dark), whites=captures(recipe.white), base=camera)
-
-
-def measurements_of(recipe: MeasurementRecipe, path: Path, levels: Levels | None = None) -> Measurements:
-    """Load the measurements of a recipe.
+def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None = None) -> MeasurementFiles:
+    """Read raw files of a chart under one illuminant, without a measurement file.
 
     Parameters
     ----------
-    recipe : MeasurementRecipe
-        Contents of the measurement file.
+    photos : sequence of Path
+        The raw files.
+    light : str or None
+        Name of the illuminant, or None to estimate it.
+    levels : mapping, optional
+        Levels that the files do not state.
+
+    Raises
+    ------
+    InputFileError
+        If neither the files nor `levels` state everything that is needed.
+    """
+    levels = levels or {}
+    stamps = {file: stamp(file) for file in photos}
+    first = raw_content(photos[0], levels)
+
+    def read(path: Path, known: Levels) -> RawContent:
+        return first if path == photos[0].absolute() else raw_content(path, known)
+
+    recipe = recipe_of_photos(photos, first, light, levels)
+    measurements = _assembled(recipe, photos[0], read_contents(recipe, photos[0]), levels, read)
+    return MeasurementFiles(measurements, "", {"frames": list(photos)}, stamps)
+
+
+def parse_measurements(text: str, path: Path) -> AnyRecipe:
+    """Return the content of a measurement file. Raises RecipeError, beginning with `path`, if a key is wrong."""
+    name, based = str(path), "base" in parse_toml(text, str(path))
+    recipe = parse_recipe(text, CorrectionRecipe, name) if based else parse_recipe(text, MeasurementRecipe, name)
+    refuse_first(key_faults(recipe), path)
+    return recipe
+
+
+def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
+    """Read what a measurement file names.
+
+    Parameters
+    ----------
+    recipe : MeasurementRecipe or CorrectionRecipe
+        Its content, as `parse_measurements` returns it.
     path : Path
         Its path. The file need not exist, but file names are relative to its folder.
-    levels : mapping, optional
-        Levels of photos that state none. [default: from [datasheet]]
 
     Raises
     ------
     RecipeError, InputFileError
-        As in `load_measurements`.
+        As in `read_measurements`.
     """
-    refuse_first(key_faults(recipe), path)
-    body = _body(recipe, path)
-    for name in frame_names(recipe):
-        if not (path.parent / name).is_file():
-            raise InputFileError(f"{path.parent / name} does not exist; {path.name} names it as a frame")
-    stated = sorted({each.iso for each in recipe.dark if each.iso})
-    darks, whites = (_by_speed(each, body, path) for each in (recipe.dark, recipe.white))
-    lowest = stated[0] if stated else None
-    return Measurements(
-        body=body,
-        mono=_mono(recipe, body, path),
-        charts=tuple(ChartCapture(**_chart(chart, "chart", body, path)) for chart in recipe.chart),
-        darks=darks.get(lowest, ()),
-        whites=whites.get(lowest, ()),
-        iso=lowest,
-        gains=tuple(GainCaptures(iso, darks[iso], whites.get(iso, ())) for iso in stated[1:]),
-        bands=tuple(BandCapture(**_chart(band, "band", body, path)) for band in recipe.band),
-        curve=curve_of(recipe, path),
-        photos=load_photos(recipe.photos, body, _levels(recipe) if levels is None else levels, path),
-        cameras=_cameras(recipe, path),
-        datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
-        lamp_drift=math.hypot(recipe.uncertainty.lamp_drift, recipe.uncertainty.photodiode),
-        wavelength_uncertainty=recipe.uncertainty.wavelength_nm,
+    return _assembled(recipe, path, read_contents(recipe, path), None, raw_content)
+
+
+def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
+    """Return the files that a measurement file names, by role."""
+    folder = path.parent
+    if isinstance(recipe, CorrectionRecipe):
+        frames = [folder / name for capture in (*recipe.dark, *recipe.white) for name in capture.frames]
+        return {"frames": frames, "camera": camera_files(folder / recipe.base)}
+    frames = [folder / name for _, name in frames_named(recipe)]
+    priors = [] if recipe.prior is None else prior_files(folder / recipe.prior)
+    return {"frames": frames, "spectra": [folder / name for name in spectrum_names(recipe)] + priors}
+
+
+# ---------------------------------------------------------------------------------------- tables that a file names
+
+
+class MonoLight(NamedTuple):
+    """Measured light of a monochromator step."""
+
+    wavelength: Array  # (wavelength) nm
+    radiance: Array  # (wavelength) photons/s/sr/m²/nm
+    absolute: bool  # whether the scale of the radiance is known
+    monitor: float  # light of the lamp during the capture, relative to this spectrum
+
+
+class PatchRadiances(NamedTuple):
+    """Measured radiances of the patches of a chart."""
+
+    wavelength: Array  # (wavelength) nm
+    radiance: Array  # (24, wavelength) photons/s/sr/m²/nm
+
+
+@dataclass(frozen=True)
+class Contents:
+    """Contents of the files that a measurement file names, except frames; each tuple in the order of the file."""
+
+    base: CameraModel | None = None
+    mono: tuple[MonoLight, ...] = ()
+    charts: tuple[PatchRadiances, ...] = ()
+    bands: tuple[PatchRadiances, ...] = ()
+    curve: SweepTable | FinishedCurves | None = None
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None
+    photos: tuple[tuple[Illuminant, Chart], ...] = ()
+
+
+def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
+    """Let errors of a block end the reading, whatever they are about."""
+    return contextlib.nullcontext()
+
+
+def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
+    """Read the files that a measurement file names, except frames, of which it only checks that they exist.
+
+    Parameters
+    ----------
+    recipe : MeasurementRecipe or CorrectionRecipe
+        Content of the measurement file.
+    path : Path
+        Its path, which names are relative to.
+    at : callable
+        Returns a context manager for the block that reads what some keys state. `l3 check` gives one that collects errors.
+        What is wrong is then missing from the result. By default the first error ends the reading.
+
+    Raises
+    ------
+    RecipeError
+        If a column number or a name does not exist.
+    InputFileError
+        If a file is missing or does not contain what is needed.
+    """
+    folder, read = path.parent, functools.cache(read_table)  # many captures share a table
+    for key, name in frames_named(recipe):
+        with at(key):
+            if not os.path.isfile(folder / name):
+                raise InputFileError(f"{folder / name} does not exist; it is named as a frame")
+    if isinstance(recipe, CorrectionRecipe):
+        with at(("base",)):
+            return Contents(base=load_camera(folder / recipe.base))
+        return Contents()
+    curve: SweepTable | FinishedCurves | None = None
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None
+    with at(("sweep", "table") if recipe.sweep is not None else ("curves", "file")):
+        curve = _curve(recipe, folder)
+    with at(("prior",)):
+        cameras = _cameras(recipe, folder)
+    photos = []
+    for number, photo in enumerate(recipe.photos):
+        key, lights = recipe.photo_key(number), list[Illuminant]()
+        with at((*key, "light")):
+            lights.append(illuminant_of(photo, path))
+        with at((*key, "chart"), (*key, "layout")):
+            chart = chart_of(photo, path)
+            photos += [(illuminant, chart) for illuminant in lights]
+    return Contents(
+        mono=_mono_lights(recipe.mono, path, read, at),
+        charts=_patch_radiances("chart", recipe.chart, folder, read, at),
+        bands=_patch_radiances("band", recipe.band, folder, read, at),
+        curve=curve,
+        cameras=cameras,
+        photos=tuple(photos),
     )
 
 
-def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, path: Path) -> dict[float | None, tuple[Capture, ...]]:
-    """Return the captures by ISO speed; None if not stated."""
-    found: dict[float | None, tuple[Capture, ...]] = {}
-    for each in recipes:
-        found[each.iso] = (*found.get(each.iso, ()), Capture(**_common(each, body, path)))
-    return found
+def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: At) -> tuple[MonoLight, ...]:
+    """Return the light of each monochromator step."""
+    lights = []
+    for number, step in enumerate(steps):
+        with at(("mono", number, "spectrum"), ("mono", number, "column")):
+            table = read(path.parent / step.spectrum)
+            if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
+                raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
+            light = table.column(step.column)
+            radiance = light.photons(step.unit)[0]
+            if radiance.max() <= 0:
+                raise InputFileError(f"{table.path}: column {step.column} is dark; measure the light again")
+            monitor, nm = step.monitor, float(light.wavelength[radiance.argmax()])
+            with at(("mono", number, "monitor")):
+                ratio = monitor_at(monitor, nm, path.parent, read) if isinstance(monitor, MonitorRecipe) else monitor
+                absolute = not {step.unit, *light.units} & set(RELATIVE)
+                lights.append(MonoLight(light.wavelength, radiance, absolute, ratio))
+    return tuple(lights)
 
 
-def _common(capture: CaptureRecipe, body: Body, path: Path) -> dict[str, Any]:
-    """Return the keyword arguments that are common to all captures."""
-    files = FrameFiles(tuple(path.parent / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
-    # A table of readings is read together with the spectrum.
-    monitor = 1.0 if isinstance(capture.monitor, MonitorRecipe) else capture.monitor
-    return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": monitor}
-
-
-def _mono(recipe: MeasurementRecipe, body: Body, path: Path) -> tuple[MonoCapture, ...]:
-    tables = {name: read_table(path.parent / name) for name in {step.spectrum for step in recipe.mono}}
-    mono = []
-    for step in recipe.mono:
-        light, radiance = step_radiance(tables[step.spectrum], step, path)
-        common = _common(step, body, path)
-        if isinstance(step.monitor, MonitorRecipe):
-            common["monitor"] = monitor_at(step.monitor, float(light.wavelength[radiance.argmax()]), path)
-        absolute = not {step.unit, *light.units} & set(RELATIVE)
-        mono.append(MonoCapture(**common, wavelength=light.wavelength, radiance=radiance, absolute=absolute))
-    return tuple(mono)
-
-
-def monitor_at(monitor: MonitorRecipe, nm: float, path: Path) -> float:
-    """Read what the lamp gave during a capture over what it gave when its spectrum was measured.
+def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
+    """Return what the lamp gave during a capture, relative to what it gave when its spectrum was measured.
 
     Parameters
     ----------
@@ -339,8 +304,10 @@ def monitor_at(monitor: MonitorRecipe, nm: float, path: Path) -> float:
         The table of readings.
     nm : float
         Wavelength in nm at which the spectrum of the capture peaks.
-    path : Path
-        The measurement file, which the table is named relative to.
+    folder : Path
+        Folder of the measurement file, which the table is named relative to.
+    read : callable
+        Reads a table.
 
     Returns
     -------
@@ -353,7 +320,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, path: Path) -> float:
         If the table does not reach the wavelength, the ratio is that of another lamp, or a column without reference holds
         readings instead of ratios.
     """
-    table = read_table(path.parent / monitor.file)
+    table = read(folder / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
         raise InputFileError(f"{table.path} holds {first:g}…{last:g} nm, and a capture is at {nm:g} nm; add its reading")
@@ -387,45 +354,22 @@ def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, di
     return (value, {}) if unit is None else (value * unit.scale, unit.powers)
 
 
-def step_radiance(table: CurveTable, step: MonoRecipe, path: Path) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the column of a table that a monochromatic step names, and its radiance (wavelength).
-
-    `path` is the recipe, for messages. Raises RecipeError if the column number does not exist, and InputFileError if the
-    name does not exist or if the light is dark.
-    """
-    if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
-        raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
-    light = table.column(step.column)
-    radiance = light.photons(step.unit)
-    if radiance.max() <= 0:
-        raise InputFileError(f"{table.path}: column {step.column} is dark; measure the light again")
-    return light, radiance[0]
-
-
-def _chart(chart: ChartRecipe, table: str, body: Body, path: Path) -> dict[str, Any]:
-    """Return a chart capture as keyword arguments."""
-    measured, radiance = chart_radiance(path.parent / chart.radiance, chart, table)
-    return {
-        **_common(chart, body, path),
-        "illuminant": chart.illuminant,
-        "corners": np.array(chart.corners, dtype=np.float64),
-        "wavelength": measured.wavelength,
-        "radiance": radiance,
-    }
-
-
-def chart_radiance(file: Path, chart: ChartRecipe, table: str) -> tuple[CurveTable, NDArray[np.float64]]:
-    """Return the patches of a [[chart]] or [[band]] in order, and their radiances (patch, wavelength).
-
-    Raises InputFileError if the table does not contain radiances of the patches.
-    """
-    measured = read_table(file).ordered(PATCH_NAMES, patch_name)
-    if table == "chart" and {chart.unit, *measured.units} & set(RELATIVE):
-        raise InputFileError(f"{file}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
-    radiance = measured.photons(chart.unit, absolute=table == "chart")
-    if radiance.max(axis=1).min() <= 0:
-        raise InputFileError(f"{file}: a patch without light; measure the chart again")
-    return measured, radiance
+def _patch_radiances(
+    section: str, captures: Sequence[ChartRecipe], folder: Path, read: ReadTable, at: At
+) -> tuple[PatchRadiances, ...]:
+    """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker."""
+    radiances = []
+    for number, capture in enumerate(captures):
+        with at((section, number, "radiance")):
+            file = folder / capture.radiance
+            measured = read(file).ordered(PATCH_NAMES, patch_name)
+            if section == "chart" and {capture.unit, *measured.units} & set(RELATIVE):
+                raise InputFileError(f"{file}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
+            radiance = measured.photons(capture.unit, absolute=section == "chart")
+            if radiance.max(axis=1).min() <= 0:
+                raise InputFileError(f"{file}: a patch without light; measure the chart again")
+            radiances.append(PatchRadiances(measured.wavelength, radiance))
+    return tuple(radiances)
 
 
 def patch_name(heading: str) -> str:
@@ -436,35 +380,86 @@ def patch_name(heading: str) -> str:
     return re.sub(r"\s*\(.*\)$", "", heading).strip().lower()
 
 
-def curve_of(recipe: MeasurementRecipe, path: Path) -> SweepTable | FinishedCurves | None:
-    """Return the [sweep] or the [curves] of a measurement file. Raises InputFileError if the files do not contain them."""
+def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurves | None:
+    """Return the curves in [sweep] or [curves], if there are any."""
     if recipe.sweep is not None:
-        sweep = recipe.sweep
-        response = sweep.response
-        paths = path.parent / sweep.table, path.parent / response.file
-        return read_sweep(*paths, recipe.cfa.channels, response.column)
+        response = recipe.sweep.response
+        return read_sweep(folder / recipe.sweep.table, folder / response.file, recipe.cfa.channels, response.column)
     if recipe.curves is not None:
         curves = recipe.curves
-        return read_finished(path.parent / curves.file, recipe.cfa.channels, curves.per_energy, curves.columns)
+        return read_finished(folder / curves.file, recipe.cfa.channels, curves.per_energy, curves.columns)
     return None
 
 
-def _levels(recipe: MeasurementRecipe) -> Levels:
-    declared = recipe.datasheet
-    return {} if declared is None else {"black_level": declared.black_level_dn, "white_level": declared.white_level_dn}
-
-
-def _cameras(recipe: MeasurementRecipe, path: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the prior knowledge about curves for photos."""
+def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
+    """Return the prior knowledge about curves, which photos need."""
     if not recipe.photos:
         return None
-    return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(path.parent / recipe.prior))
+    return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(folder / recipe.prior))
 
 
-def _figures(declared: DatasheetRecipe) -> SensorFigures:
-    black_level, white_level, gain = declared.black_level_dn, declared.white_level_dn, declared.gain_dn_per_e
-    gain = (white_level - black_level) / declared.well_capacity_e if gain is None else gain
-    return SensorFigures(gain, black_level, white_level, noise_of(declared))
+# ------------------------------------------------------------------------------------------------- measurements
+
+
+def _assembled(
+    recipe: AnyRecipe,
+    path: Path,
+    contents: Contents,
+    levels: Levels | None,
+    read: Callable[[Path, Levels], RawContent],
+) -> Measurements:
+    """Return the measurements of a recipe whose files have been read, and read its photos.
+
+    `levels` are those that photos do not state; None: those of [datasheet].
+    """
+    if isinstance(recipe, CorrectionRecipe):
+        assert contents.base is not None
+        return _corrections(recipe, contents.base, path.parent)
+    body = _body(recipe, path)
+    speeds = sorted({each.iso for each in recipe.dark if each.iso})
+    darks, whites = (_by_speed(each, body, path.parent) for each in (recipe.dark, recipe.white))
+    lowest = speeds[0] if speeds else None
+    uncertainty = recipe.uncertainty
+    known = _levels(recipe.datasheet) if levels is None else levels
+    return Measurements(
+        body=body,
+        mono=tuple(
+            MonoCapture(**_frames(step, body, path.parent) | light._asdict())
+            for step, light in zip(recipe.mono, contents.mono, strict=True)
+        ),
+        charts=tuple(
+            ChartCapture(**_chart(*each, body, path.parent)) for each in zip(recipe.chart, contents.charts, strict=True)
+        ),
+        darks=darks.get(lowest, ()),
+        whites=whites.get(lowest, ()),
+        iso=lowest,
+        gains=tuple(GainCaptures(iso, darks[iso], whites.get(iso, ())) for iso in speeds[1:]),
+        bands=tuple(
+            BandCapture(**_chart(*each, body, path.parent)) for each in zip(recipe.band, contents.bands, strict=True)
+        ),
+        curve=contents.curve,
+        photos=tuple(
+            capture_of(photo, *scene, body, known, path, read)
+            for photo, scene in zip(recipe.photos, contents.photos, strict=True)
+        ),
+        cameras=contents.cameras,
+        datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
+        lamp_drift=math.hypot(uncertainty.lamp_drift, uncertainty.photodiode),
+        wavelength_uncertainty=uncertainty.wavelength_nm,
+    )
+
+
+def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
+    """Return the dark and white frames of a known camera."""
+    body = Body(
+        camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
+    )
+
+    def captures(listed: list[CaptureRecipe]) -> tuple[Capture, ...]:
+        files = [WholeFrames(tuple(folder / name for name in each.frames), camera) for each in listed]
+        return tuple(Capture(each.frames[0], each.seconds or 0.0, of) for each, of in zip(listed, files, strict=True))
+
+    return Measurements(body=body, darks=captures(recipe.dark), whites=captures(recipe.white), base=camera)
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:
@@ -482,61 +477,33 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
     )
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """The files of a calibration, with their state before any of them was read."""
-
-    recipe: str  # text of the measurement file
-    files: dict[str, list[Path]]  # role → its files
-    stamps: dict[Path, tuple[int, ...]]  # size, times and inode of each file
-
-    def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history stage of a calibration: options, measurement file and the SHA-256 of all its files.
-
-        Raises InputFileError if a file has changed since, so that the digests always describe what was read.
-        """
-        digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
-        for file, before in self.stamps.items():
-            if stamp(file) != before:
-                raise InputFileError(f"{file} has changed while it was read; run again when nothing writes to it")
-        return Stage("calibrate", options, self.recipe, digests)
+def _levels(datasheet: DatasheetRecipe | None) -> Levels:
+    if datasheet is None:
+        return {}
+    return {"black_level": datasheet.black_level_dn, "white_level": datasheet.white_level_dn}
 
 
-def inputs_of(path: Path) -> Inputs:
-    """Return the measurement file and all files that it names. Call this before reading them."""
-    first, recipe = stamp(path), _load(path)
-    if isinstance(recipe, CorrectionRecipe):
-        refuse_first(key_faults(recipe), path)
-        frames = [name for capture in [*recipe.dark, *recipe.white] for name in capture.frames]
-        others = {"camera": camera_files(path.parent / recipe.base)}
-    else:
-        frames, priors = frame_names(recipe), [] if recipe.prior is None else prior_files(path.parent / recipe.prior)
-        others = {"spectra": [path.parent / name for name in spectrum_names(recipe)] + priors}
-    files = {"measurements": [path], "frames": [path.parent / name for name in frames]} | others
-    stamps = {file: stamp(file) for named in files.values() for file in named} | {path: first}
-    return Inputs(read_text(path), files, stamps)
+def _figures(declared: DatasheetRecipe) -> SensorFigures:
+    black_level, white_level, gain = declared.black_level_dn, declared.white_level_dn, declared.gain_dn_per_e
+    gain = (white_level - black_level) / declared.well_capacity_e if gain is None else gain
+    return SensorFigures(gain, black_level, white_level, noise_of(declared))
 
 
-def inputs_of_photos(photos: Sequence[Path]) -> Inputs:
-    """Return the raw files of a calibration without a measurement file. Call this before reading them."""
-    return Inputs("", {"frames": list(photos)}, {file: stamp(file) for file in photos})
+def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) -> dict[float | None, tuple[Capture, ...]]:
+    """Return the captures by ISO speed; None if not stated."""
+    found: dict[float | None, tuple[Capture, ...]] = {}
+    for each in recipes:
+        found[each.iso] = (*found.get(each.iso, ()), Capture(**_frames(each, body, folder)))
+    return found
 
 
-def photo_measurements(photos: Sequence[Path], light: str | None, levels: Levels | None = None) -> Measurements:
-    """Return the measurements of raw files of a chart under one light, without a measurement file.
+def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
+    """Return the keyword arguments that all captures have in common, with frames that are read later."""
+    files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
+    return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
-    Parameters
-    ----------
-    photos : sequence of Path
-        The raw files.
-    light : str or None
-        Name of the light, or None to estimate it.
-    levels : mapping, optional
-        Levels that the files do not state.
 
-    Raises
-    ------
-    InputFileError
-        If neither the files nor `levels` state everything that is needed.
-    """
-    return measurements_of(recipe_of_photos(photos, light, levels), photos[0], levels or {})
+def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
+    """Return a chart capture as keyword arguments."""
+    corners = np.array(chart.corners, dtype=np.float64)
+    return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

@@ -21,19 +21,11 @@ from l3cli.calibration.draft.names import natural, read_name
 from l3cli.calibration.draft.sorting import Spectra
 from l3cli.errors import L3Error, RecipeError
 from l3cli.frames.measurement import CaptureFolder, FinishedCurves, SweepTable
+from l3cli.io.chart_photos import array_of
 from l3cli.io.frames import list_captures, read_capture, read_spectra
-from l3cli.io.measurement_recipe import MeasurementRecipe
-from l3cli.io.measurements import (
-    array_of,
-    inputs_of,
-    inputs_of_photos,
-    load_measurements,
-    measurements_of,
-    photo_measurements,
-)
+from l3cli.io.measurements import measurements_of, parse_measurements, read_measurements, read_photos
 from l3cli.options.commands import CalibrateOptions, DraftOptions
 from l3cli.parallel import ordered_map
-from l3cli.recipes.toml import parse_recipe
 from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
@@ -76,11 +68,11 @@ def calibrate(
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))
         guard.guard_file(output, force)
-        inputs = inputs_of_photos(photos) if measurements is None else inputs_of(measurements)
-        guard.protect(*itertools.chain(*inputs.files.values()), *(camera_files(truth) if truth else ()))
+        given = read_photos(photos, light) if measurements is None else read_measurements(measurements)
+        measured = given.measurements
+        files = files_to_read(given.files | {"camera to compare with": camera_files(truth) if truth else []})
+        guard.protect(*itertools.chain(*files.read.values()))
         true = load_camera(truth) if truth else None
-        measured = photo_measurements(photos, light) if measurements is None else load_measurements(measurements)
-        files = files_to_read(inputs.files | {"camera to compare with": camera_files(truth) if truth else []})
 
         def each(function: Callable[[Any], Any], captures: Iterable[Any]) -> Iterator[Any]:
             captures = list(captures)
@@ -92,7 +84,7 @@ def calibrate(
         if shortfall and not options.accept:
             culprit = "" if measurements is None else f"{measurements}: "
             raise L3Error(f"{culprit}{shortfall}, or add ‹accept›")
-        history = inputs.history(({"light": None} if photos else {}) | options.chosen())
+        history = given.history(({"light": None} if photos else {}) | options.chosen())
         camera = replace(camera, history=(*earlier, history))
         result: dict[str, Any] = figures.figures(camera)
         if true is not None:
@@ -187,7 +179,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
 def _problem(text: str, output: Path) -> str:
     """Return the error with which calibration would refuse a complete draft, or ""."""
     try:
-        measurements_of(parse_recipe(text, MeasurementRecipe, str(output)), output)
+        measurements_of(parse_measurements(text, output), output)
     except L3Error as error:
         return str(error)
     return ""

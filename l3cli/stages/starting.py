@@ -27,9 +27,10 @@ from l3cli.errors import InputFileError, RecipeError, suggestion
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body, Measurements, Stated
 from l3cli.frames.raw_sanity import BELOW, ArrayDoubt, PhaseDoubt, array_doubt, black_doubt, phase_doubt, share_below_black
+from l3cli.io.chart_photos import bits_of
 from l3cli.io.curves import shipped_statistics
 from l3cli.io.known_cameras import ROLES, known_as, known_cameras, known_curves
-from l3cli.io.measurements import bits_of, photo_measurements
+from l3cli.io.measurements import read_photos
 from l3cli.io.raw.cfa_codes import LETTERS, code_of
 from l3cli.io.raw.files import BY_SUFFIX, is_photo
 from l3cli.io.raw.libraw import stated
@@ -417,7 +418,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     """
     try:
         answers = {name: value for name in ANSWERS if (value := getattr(options, name)) is not None}
-        measured = photo_measurements([path], options.light, answers)
+        measured = read_photos([path], options.light, answers).measurements
     except InputFileError as error:
         reason, other_cure, _ = str(error).partition("; write a measurement file")
         cure = '; start from a recipe instead, such as "l3 init bayer DIR"' if other_cure else ""

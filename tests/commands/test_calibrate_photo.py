@@ -193,7 +193,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["d65.npy"]\nlight = "D66"', 2, '"D66" is unknown'),
         ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "do not cover 400…700 nm"),
         ('frames = ["d65.npy"]\nchart = "clasic"', 2, 'did you mean "classic"'),
-        ('frames = ["d65.npy"]\nlayout = [10, 14]', 2, "layout = [10, 14] 140"),
+        ('frames = ["d65.npy"]\nlayout = [10, 14]', 2, "layout = [10, 14] has 140"),
         ('frames = ["d65.npy"]\ncorners = [[1, 2], [3, 4]]', 2, "corners has 2 values; the least is 4"),
         ('frames = ["d65.npy"]\ncorners = [[0, 0], [900, 0], [900, 500], [0, 500]]', 3, "outside the photo"),
         ('frames = ["d65.npy"]\ncorners = [[10, 10], [20, 20], [30, 30], [40, 40]]', 3, "on a line"),

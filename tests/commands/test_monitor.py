@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from l3cli.errors import InputFileError
-from l3cli.io.measurements import inputs_of, load_measurements
+from l3cli.io.measurements import read_measurements
 from tests.helpers.calls import Refused
 
 NUMBER = re.compile(r"^monitor = .*\n", re.MULTILINE)
@@ -34,7 +34,7 @@ def with_monitor(lab: Path, stated: str) -> Path:
 
 
 def test_a_table_of_readings_gives_the_ratio_at_each_step(lab: Path) -> None:
-    mono = load_measurements(lab / "MEASUREMENTS.toml").mono
+    mono = read_measurements(lab / "MEASUREMENTS.toml").measurements.mono
     peaks = [float(step.wavelength[step.radiance.argmax()]) for step in mono]
     assert {step.monitor for step in mono} == {1.0}
     ratios = np.array(peaks) / 500
@@ -45,13 +45,13 @@ def test_a_table_of_readings_gives_the_ratio_at_each_step(lab: Path) -> None:
         '{ file = "power.csv", column = "power", reference = "before" }',
     ):
         path = with_monitor(lab, stated)
-        np.testing.assert_allclose([step.monitor for step in load_measurements(path).mono], ratios, rtol=1e-6)
-        assert lab / "power.csv" in inputs_of(path).files["spectra"]
+        np.testing.assert_allclose([step.monitor for step in read_measurements(path).measurements.mono], ratios, rtol=1e-6)
+        assert lab / "power.csv" in read_measurements(path).files["spectra"]
     with pytest.raises(InputFileError, match=r"power\.csv"):  # readings in watts are no ratio
-        load_measurements(with_monitor(lab, '{ file = "power.csv", column = "power" }'))
+        read_measurements(with_monitor(lab, '{ file = "power.csv", column = "power" }'))
     (lab / "power.csv").write_text("nm,ratio\n400,1\n410,1\n420,1\n")
     with pytest.raises(InputFileError, match=r"power\.csv"):
-        load_measurements(with_monitor(lab, '{ file = "power.csv" }'))
+        read_measurements(with_monitor(lab, '{ file = "power.csv" }'))
 
 
 @pytest.mark.parametrize(
@@ -76,9 +76,9 @@ def test_readings_are_ratios_or_have_a_reference(
     path = with_monitor(lab, f'{{ file = "power.csv", {named} }}')
     if ratio is None:
         with pytest.raises(InputFileError, match=r"power\.csv.*reference|power\.csv.*detector"):
-            load_measurements(path)
+            read_measurements(path)
         return
-    np.testing.assert_allclose([step.monitor for step in load_measurements(path).mono], ratio, rtol=1e-9)
+    np.testing.assert_allclose([step.monitor for step in read_measurements(path).measurements.mono], ratio, rtol=1e-9)
 
 
 def test_a_table_is_for_monochromatic_captures(lab: Path, refused: Refused) -> None:

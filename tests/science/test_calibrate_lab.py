@@ -19,7 +19,7 @@ from l3cli.calibration.responsivity import Curves, efficiency
 from l3cli.cli import run
 from l3cli.frames.measurement import Body
 from l3cli.io.curves import write_curves
-from l3cli.io.measurements import load_measurements
+from l3cli.io.measurements import read_measurements
 from l3cli.physics import spectra
 from l3cli.simulation import lab
 from l3cli.simulation.lab import LabRecipe
@@ -201,7 +201,7 @@ def measured_without_monitor(folder: Path, recipe: Path, seed: int, lamp_drift: 
     assert run(["lab", str(recipe), "-o", str(path), "--recipe", str(lab_recipe), "--seed", str(seed), "--quiet"]) == 0
     text = (path / "MEASUREMENTS.toml").read_text()
     (path / "LOST.toml").write_text("\n".join(line for line in text.splitlines() if not line.startswith("monitor")))
-    return calibrate(load_measurements(path / "LOST.toml"))
+    return calibrate(read_measurements(path / "LOST.toml").measurements)
 
 
 FEW = "[white]\nlevels = [0.1, 0.5, 0.8, 1.6]\ntrials = 2\n[dark]\nexposures_s = [0.01, 1.0]\ntrials = 2\n"

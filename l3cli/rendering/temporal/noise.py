@@ -118,7 +118,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     protect = DEEP - int(white_level).bit_length()
     unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
     constant, linear, uneven = camera.noise_terms()
-    fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2)
+    fixed = camera.gain**2 * camera.noise.fixed
     black = round(black_level * 2**protect)
     signal = np.maximum((np.arange(LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
     variance = (constant - fixed) * unit**2 + linear * unit * signal
@@ -143,7 +143,7 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
     constant, linear, quadratic = camera.noise_terms()
-    fixed = camera.gain**2 * (camera.noise.dsnu**2 + camera.noise.column_noise**2) + quadratic * signal**2
+    fixed = camera.gain**2 * camera.noise.fixed + quadratic * signal**2
     whole = constant + (linear + quadratic * signal) * signal
     share = (fixed + left * (whole - fixed)) / whole
     return min((each for each in SHARES if each >= share), default=1.0)
