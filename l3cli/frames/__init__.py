@@ -1,1 +1,1 @@
-"""Raw frames and scenes, and what corrects them."""
+"""Raw frames, scenes and lab measurements as data, with the corrections and checks of raw frames."""

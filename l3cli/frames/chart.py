@@ -1,8 +1,8 @@
-"""A colour chart in a mosaic: finding it, and measuring its patches (docs/method.md#charts-in-photographs).
+"""Finds a colour chart in a mosaic and measures its patches (docs/method.md#charts-in-photographs).
 
-A chart is a set of uniform regions that lie on a grid and follow the reflectances of its patches. The channels'
-responsivities need not be known. The values of each channel are compared with all values that the reflectances allow, which
-also determines the order of the patches.
+A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. The
+responsivities need not be known: the values of each channel are compared with all values that the reflectances permit. This
+comparison also determines the orientation of the chart.
 """
 
 import itertools
@@ -15,28 +15,36 @@ from numpy.typing import NDArray
 
 from l3cli.physics.mosaic import tiled
 
-CORE = 0.25  # half the side of a patch's core, in cells, which excludes frames of patches and blurred edges
-OUTLIER = 5.0  # robust standard deviations from which a pixel is dust, a scratch or hot
-DUSTY = 0.2  # fraction of a patch's pixels that may be outliers
-CLIPPED = 1e-3  # fraction of saturated pixels from which a patch is not used
-MIN_PIXELS = 12  # of a channel in a patch
-PRECISION = 0.002  # relative error due to texture and gloss, which more pixels do not reduce
-MIN_POINTS = 6  # patches and channels for a photon-transfer line
-MAD = 1.4826  # standard deviation of a Gaussian / its median absolute deviation
+CORE = 0.25  # half the side of the measured core of a patch, in cells; the core excludes borders and blurred edges
+OUTLIER = 5.0  # robust standard deviations; a pixel farther from the median is assumed to be dust, a scratch or hot
+DUSTY = 0.2  # largest fraction of outliers in a usable patch
+CLIPPED = 1e-3  # largest fraction of saturated pixels in a usable patch
+MIN_PIXELS = 12  # smallest number of pixels of one channel in a patch
+PRECISION = 0.002  # relative error due to texture and gloss, which does not decrease with more pixels
+MIN_POINTS = 6  # smallest number of points (patches × channels) for a photon transfer line
+MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a Gaussian
 Array = NDArray[np.floating]
 
 
 def homography(cells: Array, pixels: Array) -> Array:
-    """Return the homography (3, 3) from chart cells to pixels, by least squares.
-
-    Applied to (x, y, 1) it gives col and row times a scale. LinAlgError if four points lie on a line.
+    """Fit the homography from chart cells to pixels by least squares.
 
     Parameters
     ----------
     cells : ndarray, (point, 2)
-        x, y of four or more points.
+        x and y of at least four points.
     pixels : ndarray, (point, 2)
-        col, row of the same points.
+        Column and row of the same points.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        The homography. Its product with (x, y, 1) is (column, row, 1) up to a common factor.
+
+    Raises
+    ------
+    LinAlgError
+        If four points lie on a line.
     """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
@@ -48,8 +56,9 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def _equations(cells: Array, pixels: Array) -> Array:
-    """Return the matrix (…, 2 · point, 8) that, times a homography without its last element 1, gives the pixels'
-    coordinates.
+    """Return the matrix (…, 2 · point, 8) of the linear equations for a homography.
+
+    Its product with the first eight elements of the homography gives the coordinates of the pixels. The ninth element is 1.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -58,19 +67,24 @@ def _equations(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """Return x, y (4, 2) of the outer corners of a grid of patches, clockwise from the first patch."""
+    """Return the coordinates x, y (4, 2) of the outer corners of a grid of patches, clockwise from the first patch."""
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Return points (…, 2) transformed by a homography, or (grid, point, 2) by several; infinite if there is no image."""
+    """Transform points (…, 2) by a homography, or by several homographies, which gives (grid, point, 2).
+
+    Points without an image become infinite.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
         return np.asarray(moved[..., :2] / moved[..., 2:])
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Return the index (row, col) of the patch whose core contains each pixel, and rows · cols of the grid elsewhere.
+    """Return a map (row, col) with the index of the patch whose core contains each pixel.
+
+    Pixels outside all cores have the index rows · cols of the grid.
 
     Parameters
     ----------
@@ -99,10 +113,10 @@ class PatchValues:
     """Values of the patches of a chart in a mosaic."""
 
     mean: Array  # (patch, channel) DN above black
-    deviation: Array  # (patch, channel) DN, standard deviation of the mean
-    variance: Array  # (patch, channel) DN² of a pixel's noise, from neighbours of the same site, without texture and slopes
-    used: NDArray[np.bool_]  # (patch, channel)
-    left_out: tuple[tuple[int, int, str], ...]  # patch, channel, reason
+    deviation: Array  # (patch, channel) DN; standard deviation of the mean
+    variance: Array  # (patch, channel) DN²; noise variance of a pixel, without texture and gradients
+    used: NDArray[np.bool_]  # (patch, channel) whether the value is usable
+    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason of each value that is not usable
 
 
 def patch_values(
@@ -113,14 +127,15 @@ def patch_values(
     Parameters
     ----------
     frames : sequence of ndarray, (row, col)
-        Frames of one scene in DN above black, whose first pixel is the CFA's.
+        Frames of one scene in DN above black. Their first pixel is CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
     to_pixels : ndarray, (3, 3)
         Homography from cells to pixels.
     grid : tuple of int
         Rows and columns of patches.
     saturation : float
-        DN above black from which a pixel is clipped.
+        DN above black at which a pixel is clipped.
 
     Raises
     ------
@@ -136,7 +151,7 @@ def patch_values(
     used, left_out = np.ones((patches, channels), dtype=bool), []
     for (index, channel), part in _pixels(patch, patches, cfa):
         if part.size < MIN_PIXELS:
-            raise ValueError(f"patch {index + 1} holds {part.size} pixels of channel {channel}")
+            raise ValueError(f"patch {index + 1} contains only {part.size} pixels of channel {channel}")
         values = mean_frame.ravel()[part]
         clean = _typical(values, 0.5)
         mean[index, channel] = values[clean].mean()
@@ -146,14 +161,14 @@ def patch_values(
         if clipped.ravel()[part].mean() > CLIPPED:
             left_out.append((index, channel, "clipped"))
         elif clean.mean() < 1 - DUSTY:
-            left_out.append((index, channel, "dusty or not plain"))
+            left_out.append((index, channel, "dusty or not uniform"))
     for index, channel, _ in left_out:
         used[index, channel] = False
     return PatchValues(mean, deviation, variance, used, tuple(left_out))
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield (patch, channel) and the flat indices of its pixels, from a map (row, col) of patches."""
+    """Yield each (patch, channel) with the flat indices of its pixels. `patch` (row, col) is the map of patches."""
     channels = int(cfa.max()) + 1
     label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
@@ -164,18 +179,19 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 
 
 def _typical(values: Array, least: float) -> NDArray[np.bool_]:
-    """Return which values are no outliers, such as dust or hot pixels. Their standard deviation is assumed to be at least
-    `least`.
+    """Return a mask that is false for outliers, such as dust or hot pixels.
+
+    The standard deviation of the values is assumed to be at least `least`.
     """
     off = np.abs(values - np.median(values))
     return np.asarray(off <= OUTLIER * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return differences (row, col) whose variance is a pixel's noise variance; NaN at the edge.
+    """Return differences (row, col) whose variance equals the noise variance of a pixel. They are NaN at the edges.
 
-    They are differences of two frames. For a single frame they are mixed second differences between neighbours of the same
-    site, which cancel slopes and the differences between patches.
+    With two or more frames, they are differences between frames. With a single frame, they are mixed second differences
+    between neighbouring pixels of the same CFA site, in which gradients and differences between patches cancel.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -195,10 +211,10 @@ def _robust_variance(values: Array) -> float:
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
-    """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon-transfer line, or None if there is none.
+    """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon transfer line.
 
-    The line is fitted through the patches and channels of all shots. Processed files and files with almost no noise have no
-    such line.
+    The line is fitted to the patches and channels of all shots. Processed files and files with almost no noise have no such
+    line, and the result is None.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -207,7 +223,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # reweighted, because the error of a variance is proportional to the variance
+    for _ in range(3):  # the fit is reweighted, because the error of a variance is proportional to the variance
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -215,32 +231,32 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
     return float(slope), float(np.sqrt(max(constant - 1.0 / 12.0, 0.0)))
 
 
-SEARCHED = 480  # pixels, longest side of the reduced picture in which charts are searched
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # relative change from pixel to pixel, below which an area is uniform
-DARK = 0.02  # of the brightest value; slopes of darker pixels are noise
-MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: at least in pixels, at most as a fraction of the picture
-LONG, FILLED = 2.2, (0.75, 1.25)  # of a patch: largest aspect ratio; range of its area / that of a parallelogram
-NEIGHBOURS, SEEDS = 8, 160  # neighbours of a region from which grid steps are taken; regions that start a grid
+SEARCHED = 480  # pixels; longer side of the reduced picture in which charts are searched
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # largest relative change between adjacent pixels of a uniform area; tried in this order
+DARK = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
+MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: smallest in pixels, and largest as a fraction of the picture
+LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: largest aspect ratio, and range of its area relative to a parallelogram
+NEIGHBOURS, SEEDS = 8, 160  # number of neighbours that may define the grid steps, and of regions from which grids start
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # of two grid steps: largest cosine of their angle, largest ratio of their lengths
-OFF = 0.22  # of a step, largest distance of a region from its grid point
-REFINED = (0.25, 0.15, 0.1, 0.1)  # of a cell, largest distance of a region from its patch, in each refinement
-MIN_SHARE, MIN_REGIONS = 0.4, 5  # fraction of the patches that must be found as regions; fewest regions
-GROWN, TRIED = 200, 20  # number of grids that are extended; number whose reflectances are compared
-COMPONENTS = 6  # principal components of the reflectances, which explain the values of every channel to a few percent
-MIN_FIT = 0.9  # R² of the values explained by the components
+ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: largest cosine of the angle between them, and largest ratio of their lengths
+OFF = 0.22  # largest distance of a region from its grid point, in grid steps
+REFINED = (0.25, 0.15, 0.1, 0.1)  # largest distance of a region from its patch in each refinement, in cells
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # smallest fraction of the patches, and smallest number, that must be found as regions
+GROWN, TRIED = 200, 20  # number of grids that are extended, and of grids whose values are compared with the reflectances
+COMPONENTS = 6  # number of principal components of the reflectances; they explain every channel within a few percent
+MIN_FIT = 0.9  # smallest R² of the fit of the components to the values
 
 
 @dataclass(frozen=True)
 class Located:
     """Position of a chart in a picture."""
 
-    to_pixels: Array  # (3, 3) homography from cells x, y to pixels col, row of the mosaic
-    fit: float  # R² of its values explained by its reflectances, mean over channels
+    to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row) of the mosaic
+    fit: float  # R² with which the reflectances explain the values, mean over channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the channel means (row, col, channel) over whole super-pixels of a mosaic whose first pixel is the CFA's."""
+    """Return the channel means (row, col, channel) over complete super-pixels of a mosaic that begins at CFA site (0, 0)."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -255,8 +271,9 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     Parameters
     ----------
     mosaic : ndarray, (row, col)
-        DN above black, whose first pixel is the CFA's.
+        Mosaic in DN above black. Its first pixel is CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
     reflectance : ndarray, (patch, wavelength)
         Reflectances of the patches, row by row.
     grid : tuple of int
@@ -265,7 +282,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     Returns
     -------
     Located or None
-        None if no chart is found.
+        Position of the chart, or None if no chart is found.
     """
     from scipy import ndimage
 
@@ -284,7 +301,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
         return None
     best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
     scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
-    shift = (scale - 1) / 2  # centre of a reduced pixel
+    shift = (scale - 1) / 2  # pixels; centre of the first reduced pixel
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 
@@ -299,7 +316,7 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative slope (row, col) of a picture, of the channel with the largest."""
+    """Return the relative gradient (row, col) of a picture, as the largest over the channels."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
@@ -312,7 +329,7 @@ def _steepest(picture: Array) -> Array:
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2) col, row and the areas (region) of uniform regions that may be patches."""
+    """Return the centres (region, 2), as column and row, and the areas (region) of uniform regions that may be patches."""
     from scipy import ndimage
 
     label, count = ndimage.label(steepest < slope)
@@ -338,8 +355,9 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Return homographies from grid points to pixels, for the grids on which most regions lie. (0, 0) is the first
-    region.
+    """Return homographies from grid points to pixels for the grids that contain most regions.
+
+    Grid point (0, 0) is the region from which a grid starts.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -364,8 +382,9 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return which pairs (pair, 2, 2) of offsets may be the steps along a row and down a column of a chart seen from the
-    front.
+    """Return a mask of the pairs (pair, 2, 2) of offsets that may be grid steps along the rows and columns of a chart.
+
+    The chart must be seen from the front.
     """
     one, other = np.hypot(*steps.T)
     turn = np.linalg.det(steps)  # positive unless the chart is mirrored
@@ -377,7 +396,7 @@ def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     """Return the region nearest to each grid point (grid, y, x) from -reach to reach, or -1 if none is near.
 
-    `coordinates` (grid, region, 2) are x, y of the regions on each grid.
+    `coordinates` (grid, region, 2) are x and y of the regions in each grid.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -386,12 +405,12 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # sorted such that the nearest region is assigned last
+    on[grids, y, x] = regions  # sorted by distance, so that the nearest region is assigned last
     return on
 
 
 def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the number of regions on each grid, and its homography, fitted to regions at increasing distances."""
+    """Extend grids step by step, and return the number of regions on each grid and its homography."""
     counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
         growing = growing[np.linalg.det(matrices[growing]) != 0]
@@ -406,7 +425,7 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Return the homographies (grid, 3, 3) from grid points to the centres of the regions (grid, y, x) on them."""
+    """Return the homographies (grid, 3, 3) from grid points to the centres of their regions (grid, y, x)."""
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
     shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
@@ -425,7 +444,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Return the position fitted only to the regions on its patches, with those found at any slope."""
+    """Fit the position again, only to regions that lie on patches. Regions found with any of the SLOPES are used."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -443,7 +462,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Return the position of the chart on a grid, of all shifts and turns, that fits its reflectances best."""
+    """Return the position of the chart on a grid whose values fit the reflectances best, among all shifts and rotations."""
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
     index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
@@ -462,7 +481,7 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values (…, channel) of a picture at points (…, 2) col, row; NaN outside."""
+    """Return the values (…, channel) of a picture at points (…, 2), given as column and row. They are NaN outside."""
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
@@ -472,7 +491,10 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Return the R² (…) of values (…, patch, channel) explained by the reflectances' `components`, mean over channels."""
+    """Return the R² (…) with which the `components` of the reflectances explain values (…, patch, channel).
+
+    It is the mean over the channels.
+    """
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

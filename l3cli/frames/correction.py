@@ -1,6 +1,6 @@
 """Corrections of raw frames: bad and hot pixels, shading, dark frames (docs/method.md#corrections).
 
-They also read the corrections that the file of a camera model holds, and check them against the table.
+This module also reads corrections from the file of a camera model and checks that they fit a table.
 """
 
 import functools
@@ -24,27 +24,27 @@ from l3cli.system.files import require_same
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
-NEIGHBOURS = 4  # that replace a bad pixel, by the mean of the middle two
-FARTHEST = 16  # rows and columns to each side in which neighbours are searched
-MAX_BAD = 0.1  # fraction of the pixels; a map with more does not show defects
-MIN_EXCESS = 8.0  # standard deviations by which a hot pixel exceeds the brightest of its neighbours
-RANGE = 2.0  # by which multiple of its neighbours' range it exceeds the brightest of them
-NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # largest excess of the adjacent pixels: in standard deviations, as fraction of its own
+NEIGHBOURS = 4  # number of neighbours of a bad pixel; the mean of the middle two replaces it
+FARTHEST = 16  # pixels; neighbours are searched up to this distance in rows and columns
+MAX_BAD = 0.1  # largest fraction of bad pixels; a map with more is probably not a map of defects
+MIN_EXCESS = 8.0  # standard deviations of noise by which a hot pixel exceeds its brightest neighbour
+RANGE = 2.0  # a hot pixel exceeds its brightest neighbour by more than this multiple of the range of its neighbours
+NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # largest excess of adjacent pixels: in standard deviations; relative to the hot pixel
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-HOT = 5.0  # standard deviations from which a pixel of a dark frame is left out of its mean
-MAD = 1.4826  # standard deviation of a normal distribution / its median absolute deviation
+HOT = 5.0  # standard deviations; pixels of a dark frame that deviate more are left out of its mean
+MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True, eq=False)
 class BadPixelCorrection:
-    """The pixels that are replaced, and the pixels that replace them."""
+    """The bad pixels of a sensor, and the pixels by which they are replaced."""
 
     target: NDArray[np.int64]  # (defect) flat index in a frame
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) with every defect replaced by the mean of its middle two neighbours, rounded up."""
+        """Return values (row, col) in which the mean of the middle two neighbours, rounded up, replaces each bad pixel."""
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
         result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
@@ -52,20 +52,22 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Return the correction of a sensor's bad pixels by the nearest good pixels of the same channel.
+    """Find the pixels that replace the bad pixels of a sensor: the nearest good pixels of the same channel.
 
     Parameters
     ----------
     bad : ndarray of bool, (row, col)
+        Mask of bad pixels.
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
 
     Raises
     ------
     InputFileError
-        If a pixel has no good neighbour within FARTHEST, or too many pixels are bad.
+        If a pixel has no good neighbour within FARTHEST, or if too many pixels are bad.
     """
     if bad.mean() > MAX_BAD:
-        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked defective, too many to correct; map fewer")
+        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked as defective, too many to correct; mark fewer")
     shape, period = bad.shape, cfa.shape
     targets, sources = [], []
     places = np.argwhere(bad)
@@ -88,8 +90,8 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
             count[found] += 1
         if not count.all():
             row, col = defects[int(count.argmin())]
-            raise InputFileError(f"pixel ({row}, {col}) has no sound neighbour within {FARTHEST} pixels; map fewer defects")
-        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats neighbours if there are fewer
+            raise InputFileError(f"pixel ({row}, {col}) has no good neighbour within {FARTHEST} pixels; mark fewer defects")
+        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats the neighbours if there are too few
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
     if not targets:
@@ -98,9 +100,9 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 
 
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the offsets (offset, 2) to the pixels with the channel of a CFA site, the nearest first.
+    """Return the offsets (offset, 2) from a CFA site to other pixels of its channel, sorted by distance.
 
-    Of equally near pixels, opposite ones follow each other.
+    Among pixels at equal distance, opposite pixels are adjacent in the list.
     """
     down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
@@ -115,25 +117,25 @@ def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int6
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The correction of a camera's frames."""
+    """The corrections for the frames of one camera."""
 
-    camera: str  # its name
-    shape: tuple[int, int]  # rows, columns of its frames
+    camera: str  # name of the camera
+    shape: tuple[int, int]  # rows and columns of its frames
     bad_pixels: BadPixelCorrection | None
     shading: Shading | None
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that the correction changes in a picture."""
+        """SHA-256 of everything in the correction that affects pictures."""
         parts = (self.bad_pixels.target, self.bad_pixels.source) if self.bad_pixels else ()
         gains = (self.shading.gain, self.shading.colour) if self.shading else ()
         content = [each.tobytes() for each in (*parts, *gains) if each is not None]
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with bad pixels replaced, and with the camera's shading instead of the file's own gains.
+        """Return the frame with bad pixels replaced, and with the camera's shading instead of the gains in the file.
 
-        InputFileError if the frame is not of the camera's size, or begins at another CFA site.
+        Raises InputFileError if the frame does not have the size of the camera or begins at another CFA site.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
@@ -145,10 +147,10 @@ class Correction:
 
 
 def correction_of(camera: CameraModel) -> Correction:
-    """Return the correction of a camera's frames; InputFileError if it has none, or it cannot be applied."""
+    """Return the corrections for the frames of a camera. Raises InputFileError if it has none, or if they are unusable."""
     if camera.defects is None and camera.flat_field is None:
         raise InputFileError(
-            f"camera {camera.name} knows neither defects nor a flat field; calibrate it with darks and whites"
+            f"camera {camera.name} has neither a defect map nor a flat field; calibrate it with darks and whites"
         )
     shape, bad_pixels = (camera.rows, camera.cols), None
     if camera.defects is not None and camera.defects.position.size:
@@ -185,13 +187,13 @@ class HotTest:
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
-        """Return the frame with hot pixels replaced. `cfa` is the array from the frame's first pixel on.
+        """Return the frame with hot pixels replaced. `cfa` is the CFA as seen from the first pixel of the frame.
 
-        A hot pixel is far brighter than the eight nearest pixels of its CFA site, while its neighbours of any channel are
-        not brighter than usual. A star, or another detail that a lens has imaged, brightens its neighbours, too.
+        A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels of any channel are
+        not. A star, or any other detail that a lens has imaged, also brightens the adjacent pixels.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
-            return frame  # too few neighbours
+            return frame  # the frame is too small to contain the neighbours
         row, col = self._suspects(frame)
         if row.size:
             row, col = self._isolated(frame, row, col)
@@ -202,9 +204,9 @@ class HotTest:
         return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
 
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of pixels that exceed all their neighbours by more than the least noise explains."""
+        """Return the rows and columns of pixels that exceed all neighbours by more than the lowest noise level explains."""
         values, (down, across) = frame.values, self.period
-        brightest = np.zeros_like(values)  # maximum of the neighbours to the left and right
+        brightest = np.zeros_like(values)  # maximum of the left and right neighbours
         np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])
         np.maximum(brightest[:, :-across], values[:, across:], out=brightest[:, :-across])
         line = np.maximum(brightest, values)
@@ -232,14 +234,14 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 for the median of eight
+            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 is for the median of eight values
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-        """Return the DN (neighbour, pixel) of the eight nearest pixels of each pixel's CFA site.
+        """Return the values (neighbour, pixel), in DN, of the eight nearest pixels with the same CFA site.
 
-        Beyond an edge, the pixels on the opposite side are taken.
+        Neighbours beyond an edge are replaced by pixels on the opposite side.
         """
         rows, cols = frame.values.shape
         down, across = self.period
@@ -252,7 +254,7 @@ class HotTest:
         return np.array(values)
 
     def _variance(self, frame: RawFrame, level: Array) -> Array:
-        """Return the noise variance in DN² of pixels at `level` DN."""
+        """Return the noise variance, in DN², of pixels with a mean value of `level` DN."""
         scale = self.span / (frame.white_level - frame.black_level)
         signal = np.maximum((level - frame.black_level) * scale, 0.0)
         return np.asarray((self.constant + (self.linear + self.quadratic * signal) * signal) / scale**2)
@@ -263,31 +265,31 @@ class DarkFrame:
     """The mean of several raw frames that were exposed without light."""
 
     name: str
-    level: float  # DN, mean over all pixels except hot ones
-    offset: NDArray[np.int32]  # (row, col) DN, difference between each pixel and the mean
+    level: float  # DN; mean over all pixels except hot pixels
+    offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and the mean
     phase: tuple[int, int]  # CFA row and column of pixel (0, 0)
     orientation: int
-    exposure: float | None  # s; None: unknown
+    exposure: float | None  # exposure time in s; None if unknown
 
     @property
     def digest(self) -> str:
-        """SHA-256 of everything that the dark frame changes in a picture."""
+        """SHA-256 of everything in the dark frame that affects pictures."""
         return hashlib.sha256(repr(self.level).encode() + self.offset.tobytes()).hexdigest()
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
-    """Return the dark frame from frames of the same size, phase, orientation and exposure time.
+    """Average frames of equal size, phase, orientation and exposure time that were taken without light.
 
-    The mean of n frames still has 1/√n of their noise, which must not be added to every picture. The difference d of a
-    pixel from the mean is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of that noise (the
-    non-negative garrote, Breiman 1995). Hot pixels are thus removed completely, however few frames there are, and fine
-    patterns better with more frames. σ is estimated from the differences of frames, or from the spread of the pixels of a
-    single frame.
+    The mean of n frames still contains 1/√n of their noise, which would be added to every picture. The difference d between
+    a pixel and the mean level is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of the
+    remaining noise (the non-negative garrote, Breiman 1995). Hot pixels are thus removed completely even with few frames,
+    and weak patterns better with more frames. σ is estimated from the differences between frames or, if there is only one
+    frame, from the spread of its pixels.
 
     Raises
     ------
     InputFileError
-        If the frames differ in kind, or there is none.
+        If the frames are not of equal kind, or if there are no frames.
     """
     kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0
@@ -298,14 +300,16 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
             first, kind, total = frame, of_kind, np.zeros_like(values)
             earlier = values
         elif of_kind != kind:
-            raise InputFileError(f"{frame.name} and {first.name} differ in size, phase or exposure; give darks of one kind")
+            raise InputFileError(
+                f"{frame.name} and {first.name} differ in size, phase or exposure; give dark frames of one kind"
+            )
         else:
-            squares += _spread(values - earlier) ** 2 / 2  # of the noise of one frame
+            squares += _spread(values - earlier) ** 2 / 2  # noise variance of one frame
             earlier = values
         total += values
         count += 1
     if first is None:
-        raise InputFileError("no dark frame was given")
+        raise InputFileError("there are no dark frames; give at least one as ‹dark›")
     mean = total / count
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
@@ -320,25 +324,26 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Return the frame without its dark pattern. The mean dark signal becomes `RawFrame.dark`. Clipped pixels stay clipped.
+    """Subtract the dark pattern from a frame. The mean dark signal becomes `RawFrame.dark`, and clipped pixels stay clipped.
 
-    InputFileError if the dark frame has another size, phase, orientation or exposure time.
+    Raises InputFileError if the dark frame has another size, phase, orientation or exposure time.
     """
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
-            f"{dark.name} of {_size(dark.offset.shape)} is not a dark frame of {frame.name} of {_size(frame.values.shape)}; "
-            "give one of the same camera, size and phase"
+            f"{dark.name} of {_size(dark.offset.shape)} is not a dark frame for {frame.name} of "
+            f"{_size(frame.values.shape)}; give a dark frame with the same camera, size and phase"
         )
     if dark.exposure and frame.exposure and not math.isclose(dark.exposure, frame.exposure, rel_tol=0.02):
         raise InputFileError(
-            f"{dark.name} was exposed for {dark.exposure:.4g} s, {frame.name} for {frame.exposure:.4g} s; "
-            "give dark frames of the same exposure time"
+            f"{dark.name} was exposed for {dark.exposure:.4g} s, but {frame.name} for {frame.exposure:.4g} s; "
+            "give dark frames with the same exposure time"
         )
     span = frame.white_level - frame.black_level
     mean = dark.level - frame.black_level
     if not mean < span:
         raise InputFileError(
-            f"{dark.name} leaves no room below white level {frame.white_level:g}; are its levels those of the frame?"
+            f"the dark signal of {dark.name} reaches the white level {frame.white_level:g} of {frame.name}; give a dark "
+            "frame with the levels of the frame"
         )
     clipped = frame.values >= frame.black_level + CLIPPED * span
     values = np.clip(frame.values.astype(np.int32) - dark.offset, 0, np.iinfo(np.uint16).max).astype(np.uint16)
@@ -346,7 +351,7 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Return the standard deviation of values, robust against hot pixels."""
+    """Return a standard deviation of values that is robust against hot pixels."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
@@ -354,27 +359,27 @@ def _spread(values: NDArray[np.float64]) -> float:
 class CameraFile:
     """The file of a camera model."""
 
-    path: Path  # absolute, because workers open it
+    path: Path  # absolute, because workers open the file too
     digest: str  # SHA-256
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
-    """Return the correction that a camera model's file holds.
+    """Read the corrections in the file of a camera model.
 
-    InputFileError if it holds none, or its array is not the table's.
+    Raises InputFileError if the file has none, or if the CFA of the camera differs from that of the table.
     """
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
         raise InputFileError(
-            f"{file.path.name} is a camera with the array {theirs}, the table is for {ours}; give its camera"
+            f"{file.path.name} is a camera with the array {theirs}, but the table is for {ours}; give the table's camera"
         )
     return correction_of(camera)
 
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """Return the correction of a run in a worker, where it is made once."""
+    """Read the corrections in a worker, once per run."""
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
 

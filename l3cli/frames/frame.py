@@ -1,4 +1,4 @@
-"""A raw frame: one mosaic of digital numbers from a camera, and its mapping to the levels of a table."""
+"""A raw frame, which is a mosaic of digital numbers (DN) from a camera, and its conversion to the levels of a table."""
 
 import functools
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ from l3cli.frames.shading import Shading, colour_corrected
 
 @dataclass(frozen=True)
 class Shot:
-    """Settings of an exposure as its file states them; empty or 0 if it does not."""
+    """Settings of an exposure according to its file. They are empty or 0 if the file does not state them."""
 
     make: str = ""
     model: str = ""
     lens: str = ""
-    date: str = ""  # of the exposure, "YYYY:MM:DD HH:MM:SS"
+    date: str = ""  # date of the exposure, "YYYY:MM:DD HH:MM:SS"
     f_number: float = 0.0
     focal_length: float = 0.0  # mm
     iso: float = 0.0
@@ -25,14 +25,14 @@ class Shot:
 
 @dataclass(frozen=True)
 class NoiseLeft:
-    """The fraction of a frame's temporal noise that a temporal filter has left, cell by cell."""
+    """The fraction of the temporal noise that remains after a temporal filter, for each cell of a frame."""
 
     shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, in units of 1/whole
-    whole: int  # value that stands for 1
+    whole: int  # value of `shares` that means 1
     cell: tuple[int, int]  # rows and columns of a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return, for each pixel (row, col) of a frame of this shape, how many of the `limits` are not exceeded."""
+        """Return the number of `limits` that the fraction does not exceed, for each pixel (row, col) of a frame."""
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
@@ -46,30 +46,30 @@ class RawFrame:
     black_level: float  # DN
     white_level: float  # DN at which a pixel saturates
     phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
-    orientation: int = 0  # how the camera was held, as LibRaw's flip code (see `upright`)
-    exposure: float | None = None  # s; None: unknown
-    dark: float = 0.0  # DN above black, mean signal of the dark current
-    dark_measured: bool = False  # whether `dark` comes from a dark frame, not from the exposure time
-    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey on any scale, if the file states them
+    orientation: int = 0  # orientation of the camera as a flip code of LibRaw (see `upright`)
+    exposure: float | None = None  # exposure time in s; None if unknown
+    dark: float = 0.0  # DN above black; mean signal of the dark current
+    dark_measured: bool = False  # whether `dark` comes from a dark frame rather than from the exposure time
+    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey at any scale, if the file states them
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, if the file states them
     shot: Shot = Shot()
-    shading: Shading | None = None  # shading of the lens that is still in the values
+    shading: Shading | None = None  # lens shading that is not yet corrected in the values
     gain: float = 1.0  # analog gain, relative to the camera's
-    baseline_exposure: float = 0.0  # EV by which the file asks for brighter pictures
+    baseline_exposure: float = 0.0  # EV; the file asks for pictures that are brighter by this amount
     noise_share: float = 1.0  # fraction of the camera's noise variance, below 1 after a temporal filter
-    noise_left: NoiseLeft | None = None  # the same fraction cell by cell; None: all of the noise everywhere
-    notes: tuple[str, ...] = ()  # processing that the file asks for and l3 does not do
-    exchangeable: bool = False  # whether the file states no size, and rows and columns could also be exchanged
-    misread: str = ""  # if the values look like noise: the option with which the file's bytes look like a picture
+    noise_left: NoiseLeft | None = None  # the same fraction for each cell; None means 1 everywhere
+    notes: tuple[str, ...] = ()  # processing that the file asks for but l3 does not do
+    exchangeable: bool = False  # whether rows and columns may be exchanged, because the file states no size
+    misread: str = ""  # option with which the bytes would look like a picture, if the values look like noise
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
-            raise ValueError(f"{self.name}: a raw frame is rows × columns of 16-bit values")
+            raise ValueError(f"{self.name}: a raw frame must be an array (row, column) of 16-bit values")
         if not self.black_level < self.white_level:
             raise ValueError(f"{self.name}: black level {self.black_level:g} is not below white level {self.white_level:g}")
         if not self.black_level + self.dark < self.white_level:
             raise ValueError(
-                f"{self.name}: dark current of {self.dark:g} DN leaves no room below white level {self.white_level:g}"
+                f"{self.name}: the dark current of {self.dark:g} DN reaches the white level {self.white_level:g}"
             )
 
     @property
@@ -78,13 +78,14 @@ class RawFrame:
         return 1.0 - self.dark / (self.white_level - self.black_level)
 
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the frame on another scale, without dark current.
+        """Convert the frame to other black and white levels, and subtract the dark current.
 
-        DN are mapped linearly, such that black level plus dark current becomes `black_level` and the white level becomes
-        `white_level`, clamped to `bits`. Full scale then stands for `light_share` of the previous full scale.
+        DN are mapped linearly: black level plus dark current becomes `black_level`, and the white level becomes
+        `white_level`. The result is clamped to `bits`. Its full scale corresponds to `light_share` of the previous full
+        scale.
 
-        Values are shifted by whole DN, so that no level is lost. The remaining dark current, below half a DN, is added to
-        the black level of the result.
+        The dark current is subtracted in whole DN, so that no level is lost. The remainder, which is less than half a DN, is
+        added to the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
         if levelled.values is self.values and self.values.max() >= 2**bits:
@@ -92,7 +93,7 @@ class RawFrame:
         return levelled
 
     def rescaled(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
-        """Return the same as `at_levels`, but without clamping values to `bits` if both scales are equal."""
+        """Do the same as `at_levels`, but do not clamp to `bits` if the levels stay the same."""
         if (self.black_level, self.white_level, self.dark) == (black_level, white_level, 0):
             return self
         whole = round(self.dark)
@@ -105,7 +106,7 @@ class RawFrame:
         return replace(self, values=values, black_level=black_level, white_level=white_level, dark=0.0)
 
     def shading_corrected(self) -> "RawFrame":
-        """Return the frame without colour shading (`shading.colour_corrected`)."""
+        """Return the frame with its colour shading corrected (`shading.colour_corrected`)."""
         if self.shading is None or self.shading.colour is None:
             return self
         values = colour_corrected(self.values, self.shading.colour, self.black_level, self.white_level)
@@ -114,7 +115,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return the new value of every 16-bit value, at most `top`, or None if no value up to `top` changes."""
+    """Return a look-up table for 16-bit values, with results up to `top`. None if no value up to `top` changes."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -123,20 +124,22 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """Return values of pixels with different black and white levels, shifted to a common black level, and the common levels.
+    """Shift the values of pixels with different black levels to a common black level.
 
     Parameters
     ----------
     values : ndarray, (row, col)
+        Values in DN.
     black_level, white_level : ndarray
-        Levels in DN, which broadcast against the values.
+        Levels of each pixel in DN. They are broadcast to the shape of the values.
 
     Returns
     -------
     values : ndarray, (row, col)
+        Shifted values.
     black_level, white_level : float
-        The black level is the rounded mean. The white level is that of the pixel with the smallest range, so that saturated
-        pixels are never taken for bright ones.
+        Common levels. The black level is the rounded mean. The white level is that of the pixel with the smallest range, so
+        that a saturated pixel never looks like a bright unsaturated one.
     """
     room = float((white_level - black_level).min())
     if np.ptp(black_level) == 0:
@@ -148,10 +151,10 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Return pixels (row, col, …) in upright orientation, by LibRaw's flip code.
+    """Return pixels (row, col, …) in upright orientation, according to a flip code of LibRaw.
 
-    Code 1 mirrors columns, 2 mirrors rows, and 4 then transposes. So 3 is a half turn, 5 a quarter turn to the left and 6 a
-    quarter turn to the right.
+    Bit 1 of the code reverses the columns, bit 2 reverses the rows, and bit 4 then transposes. Code 3 is therefore a
+    rotation by 180°, code 5 by 90° to the left and code 6 by 90° to the right.
     """
     if orientation & 1:
         pixels = pixels[:, ::-1]
@@ -161,11 +164,11 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 
 
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
-    """Return the source index of each of `length` + 2 · `margin` padded samples.
+    """Return the index of the source sample for each of `length` + 2 · `margin` padded samples.
 
-    Inside, a sample is its own source. Outside, the source is the sample with the same CFA phase that is nearest to the
-    mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the mosaic is shorter than the period,
-    the nearest sample is the source.
+    Inside the frame, a sample is its own source. In the margin, the source is the sample with the same CFA phase that is
+    nearest to the mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the frame is shorter
+    than the period, the source is the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:
@@ -179,7 +182,7 @@ def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]
 
 
 def pad_mosaic(values: NDArray, margin: int, cfa_shape: tuple[int, int]) -> NDArray:
-    """Return values (row, col) padded by `margin` samples on every side, as `mirrored_indices` describes."""
+    """Pad values (row, col) by `margin` samples on every side, as described in `mirrored_indices`."""
     rows = mirrored_indices(values.shape[0], margin, cfa_shape[0])
     cols = mirrored_indices(values.shape[1], margin, cfa_shape[1])
     return values[np.ix_(rows, cols)]

@@ -1,23 +1,18 @@
-"""The analog gain of a frame that does not state it, estimated from the noise of uniform areas (docs/method.md#gains).
+"""Estimates the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
 
-1. Patches are aligned with the array, so that the distance between samples of a channel does not matter. The mean of
-   every
+1. Patches are aligned with the CFA, so that the distance between samples of a channel does not matter. The mean of every
    channel is subtracted from each patch, and the rest is divided by the noise that the camera would have at an assumed
    gain.
-2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half,
-   where
-   natural pictures have almost none. This is noise estimation by principal components (Pyatykh, Hesser and Zheng, 2013)
-   in
-   patches of weak texture (Liu, Tanaka and Okutomi, 2013).
-3. Patches whose strong components are smallest are uniform. Their noise is measured in the weak components. The noise in
-   both
-   halves is independent, so the selection causes no bias. The components come from one half of the frame and are applied
-   to the other.
-4. The gain is the most likely one for all uniform patches, dark and bright, by the noise model. Remaining texture grows
-   with
-   the square of the signal, as response nonuniformity does, and is fitted as such (`excess`).
+2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half, in
+   which natural pictures have almost none. This combines noise estimation by principal components (Pyatykh, Hesser and
+   Zheng, 2013) with patches of weak texture (Liu, Tanaka and Okutomi, 2013).
+3. Patches with the smallest strong components are uniform. Their noise is measured in the weak components. The noise in
+   the two halves is independent, so this selection causes no bias. The components are computed from one half of the frame
+   and applied to the other.
+4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. Remaining
+   texture grows with the square of the signal, like photo-response nonuniformity, and is fitted as such (`excess`).
 
-The steps are repeated with the new gain until it no longer changes.
+These steps are repeated with the new gain until it no longer changes.
 """
 
 from dataclasses import dataclass
@@ -29,19 +24,21 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-SIDE, MIN_STEP = 8, 4  # pixels: side of a patch; shortest step between patches, which is whole periods of the array
-MAX_PATCHES = 20_000  # of a frame
-ROUNDS, CLOSE = 10, 0.01  # largest number of rounds; relative change of the gain that ends them
-STRIPE = 8  # columns of patches that alternately belong to the two halves of the frame
-CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale from which a pixel is clipped; fraction of a patch's pixels
-CLEAR = 2.5  # standard deviations by which a signal must differ from black and white, where noise is clipped
-LEVELS, MIN_PLAIN = 8, 32  # ranges of signal; fewest uniform patches of each
-PLAIN = ((0.05, 1.0), (0.01, 2.0))  # fraction of a range that counts as uniform, and its largest ratio of strong to weak
-AGREE = 1.3  # largest ratio between the variance of a range and the predicted variance, if they agree
-LOWEST, HIGHEST = 2.0**-8, 2.0**10  # gains between which the estimate lies
-USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture; largest multiple of it
-STEPS, SMALL = 50, 1e-4  # of Fisher scoring: largest number of steps; step of a parameter that ends them
-SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py); largest in total
+SIDE, MIN_STEP = 8, 4  # pixels; side of a patch, and smallest step between patches, which is a multiple of the CFA period
+MAX_PATCHES = 20_000  # largest number of patches taken from a frame
+ROUNDS, CLOSE = 10, 0.01  # largest number of rounds, and the relative change of the gain below which they end
+STRIPE = 8  # width, in columns of patches, of the stripes that alternate between the two halves of the frame
+CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale at which a pixel clips; largest fraction of clipped pixels
+CLEAR = 2.5  # smallest distance of a signal from black and white, in standard deviations, so that its noise does not clip
+LEVELS, MIN_PLAIN = 8, 32  # number of signal ranges, and smallest number of uniform patches in each
+# Criteria for uniform patches, tried in turn: fraction of a signal range that is taken, and its largest ratio of strong to
+# weak components.
+PLAIN = ((0.05, 1.0), (0.01, 2.0))
+AGREE = 1.3  # largest ratio between measured and predicted variance of a signal range that agrees with the gain
+LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of the estimate
+USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and the largest multiple of it
+STEPS, SMALL = 50, 1e-4  # Fisher scoring: largest number of steps, and the step below which it ends
+SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py), and largest in total
 Array = NDArray[np.float64]
 
 
@@ -54,7 +51,7 @@ class GainEstimate:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The gains two standard errors below and above the estimate."""
+        """The gains that are two standard errors below and above the estimate."""
         return self.gain * float(np.exp(-2 * self.error)), self.gain * float(np.exp(2 * self.error))
 
 
@@ -64,7 +61,7 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     Raises
     ------
     ValueError
-        With the reason, if the frame has too few uniform areas that are not clipped.
+        If the frame has too few uniform areas that are not clipped. The message states the reason.
     """
     patches, gain, excess = _patches_of(frame, camera), 1.0, 0.0
     for _ in range(ROUNDS):
@@ -75,7 +72,7 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
     of_chance = np.linalg.inv(_information(plain.slopes(camera, gain, excess), plain.components))[0, 0]
     error = float(np.sqrt(of_chance + SYSTEMATIC**2))
     if error > MAX_ERROR:
-        raise ValueError("too few areas are plain")
+        raise ValueError("too few areas are uniform")
     return GainEstimate(float(f"{gain:.3g}"), error)
 
 
@@ -84,12 +81,12 @@ class _Patches:
     """Patches of a frame, in the camera's DN above black."""
 
     values: Array  # (patch, pixel)
-    means: Array  # (patch, channel) means of the channels in the array
-    half: NDArray[np.bool_]  # (patch) whether it belongs to the second half of the frame
-    channel: NDArray[np.intp]  # (pixel) index along the channels of `means`
-    sites: NDArray[np.uint8]  # (channel) the camera's channel
-    black: float  # DN below black at which values are clipped
-    span: float  # DN from black to white
+    means: Array  # (patch, channel) mean of each channel
+    half: NDArray[np.bool_]  # (patch) whether the patch belongs to the second half of the frame
+    channel: NDArray[np.intp]  # (pixel) index into the channels of `means`
+    sites: NDArray[np.uint8]  # (channel) channel of the camera
+    black: float  # DN; values are clipped at this distance below black
+    span: float  # DN; difference between white and black level
 
     @property
     def member(self) -> NDArray[np.bool_]:
@@ -103,11 +100,11 @@ class _Patches:
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return the patches of a frame with few clipped pixels; ValueError if the frame is smaller than a patch."""
+    """Return the patches of a frame that have few clipped pixels. Raises ValueError if the frame is too small."""
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
     if min(aligned.shape) < SIDE:
-        raise ValueError(f"it is smaller than {SIDE}×{SIDE} pixels")
+        raise ValueError(f"the frame is smaller than {SIDE}×{SIDE} pixels")
     windows = sliding_window_view(aligned, (SIDE, SIDE))
     down, across = (period * -(-MIN_STEP // period) for period in camera.cfa.shape)
     thin = max(1, int(np.ceil(np.sqrt(windows.shape[0] * windows.shape[1] / (down * across * MAX_PATCHES)))))
@@ -128,12 +125,12 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
 class _Plain:
     """Uniform patches, and the noise in their weak components relative to the assumed noise."""
 
-    level: NDArray[np.intp]  # (patch) number of its range of signal
-    measured: Array  # (patch) variance, relative to the assumed variance
+    level: NDArray[np.intp]  # (patch) index of the signal range
+    measured: Array  # (patch) measured variance, relative to the assumed variance
     components: int  # number of weak components
     signal: Array  # (patch, channel) DN
-    weight: Array  # (patch, channel) fraction of the pixels / assumed variance, 1/DN²
-    sites: NDArray[np.uint8]  # (channel) the camera's channel
+    weight: Array  # (patch, channel) 1/DN²; fraction of the pixels divided by the assumed variance
+    sites: NDArray[np.uint8]  # (channel) channel of the camera
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Plain":
         """Return a selection of the patches."""
@@ -141,29 +138,29 @@ class _Plain:
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the variance (patch) at a gain, relative to the assumed variance, as for `measured`."""
+        """Return the predicted variance (patch) at a gain, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the derivatives (2, patch) of the logarithm of the variance by log gain and by excess."""
+        """Return the derivatives (2, patch) of the log variance with respect to log gain and to excess."""
         middle = self.predicted(camera, gain, excess)
         moved = self.predicted(camera, gain * np.exp(SMALL), excess), self.predicted(camera, gain, excess + SMALL)
         return np.stack([np.log(each / middle) / SMALL for each in moved])
 
 
 def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain: float, excess: float) -> Array:
-    """Return the variance (patch, channel) in DN² of noise and of texture, which is `excess` times the usual texture."""
+    """Return the variance (patch, channel), in DN², of noise plus texture. Texture is `excess` times the usual texture."""
     constant, linear, quadratic = camera.at_gain(gain).noise_terms(channel=sites)
     return np.asarray(constant + (linear + (quadratic + USUAL_EXCESS * excess) * signal) * signal)
 
 
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
-    """Return the uniform patches, given an assumed gain; ValueError if there are none."""
+    """Select the uniform patches for an assumed gain. Raises ValueError if there are none."""
     signal = np.maximum(patches.means, 0.0)
     room = CLEAR * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
     clear = np.asarray(((patches.means - room > -patches.black) & (patches.means + room < patches.span)).all(axis=1))
     if clear.sum() < 4 * MIN_PLAIN:
-        raise ValueError("nearly all of it is clipped at black or white")
+        raise ValueError("nearly all pixels are clipped at black or white")
     patches, signal = patches.chosen(clear), signal[clear]
     variance = _variance(signal, patches.sites, camera, gain, excess)
     whitened = (patches.values - patches.means[:, patches.channel]) / np.sqrt(variance)[:, patches.channel]
@@ -179,7 +176,7 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
                 plain.append(some)
                 break
     if not plain:
-        raise ValueError("no area is plain")
+        raise ValueError("no area is uniform")
     chosen, number = np.concatenate(plain), np.repeat(np.arange(len(plain)), [len(some) for some in plain])
     return _Plain(number, weak[chosen], components, signal[chosen], share / variance[chosen], patches.sites)
 
@@ -200,10 +197,10 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Return the patches of the ranges of signal that agree about the gain; ValueError if too few agree.
+    """Keep only the patches of signal ranges that agree about the gain. Raises ValueError if too few ranges agree.
 
-    The gain is the lowest on which a quarter of the ranges agree. The other ranges have texture in their weak components,
-    such as a grating with a period of two pixels.
+    The gain is the lowest value on which a quarter of the ranges agree. The other ranges have texture in their weak
+    components, such as a grating with a period of two pixels.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -213,22 +210,21 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
         agree = (means > 1 / AGREE) & (means < AGREE)
         if agree.sum() >= count / 4:
             return plain.chosen(agree[plain.level])
-    raise ValueError("no area is plain")
+    raise ValueError("no area is uniform")
 
 
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:
-    """Return the gain and the excess that are most likely for the measured variances, by Fisher scoring from the given
-    values.
+    """Return the maximum-likelihood gain and excess for the measured variances, by Fisher scoring from the given values.
 
-    The measured variances are assumed to have gamma distributions around the predicted ones, the excess a normal
-    distribution of width 1. With `excess` None, the excess is fixed at 0.
+    Measured variances are assumed to be gamma distributed about the predicted variances. The excess is assumed to be normal
+    with a standard deviation of 1. If `excess` is None, the excess is fixed at 0.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(STEPS):
         slopes = plain.slopes(camera, gain, excess)
-        if not slopes[0].any():  # a black frame of a camera without read noise
+        if not slopes[0].any():  # the frame is black and the camera has no read noise
             if free:
-                raise ValueError("all of it is black")
+                raise ValueError("all pixels are black")
             break
         residual = plain.measured / plain.predicted(camera, gain, excess) - 1.0
         towards = plain.components / 2 * slopes @ residual - np.array([0.0, excess])

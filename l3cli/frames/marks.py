@@ -1,4 +1,4 @@
-"""What files state about their stored values: the mark of missing data, and gain and offset."""
+"""Conversion of stored values with what their file states about them: the mark of missing data, gain and offset."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,16 +7,16 @@ ROUNDING = 1e-5  # relative tolerance for marks written as text, such as -3.4028
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return the pixels (row, col) that hold the mark of missing data in any good band, or None if there are none.
+    """Return a mask (row, col) of the pixels with missing data in any good band, or None if there are none.
 
     Parameters
     ----------
     values : ndarray, (row, col, band)
-        As stored.
+        Values as stored.
     mark : float
-        The stored value that marks missing data. NaN marks NaN.
+        Stored value that marks missing data. It may be NaN.
     good : ndarray of bool, (band,), optional
-        The bands that count; all by default.
+        Bands to examine. [default: all]
     """
     found = np.zeros(values.shape[:2], bool)
     for band in range(values.shape[2]):
@@ -33,7 +33,7 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
 
 
 def scaled(values: NDArray, gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float) -> NDArray:
-    """Return values (row, col, band) times gain plus offset, per band; the values themselves if nothing changes."""
+    """Multiply values (row, col, band) by a gain and add an offset, per band. Return the same array if nothing changes."""
     if np.all(gain == 1) and np.all(offset == 0):
         return values
     made = np.empty(values.shape, np.float32)

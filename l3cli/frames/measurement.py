@@ -1,6 +1,6 @@
-"""Lab measurements: the input of calibration, from a real lab or from the virtual one.
+"""Lab measurements, which are the input of calibration. They come from a real lab or from the virtual lab.
 
-Frames are read one by one, and again for each pass, so that memory does not grow with their number.
+Frames are read one by one in each pass, so that the memory does not grow with their number.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
-DIODE = {  # alternative names of a sweep's columns
+DIODE = {  # columns of a sweep → alternative names
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
 }
@@ -30,7 +30,7 @@ DIODE = {  # alternative names of a sweep's columns
 
 @dataclass(frozen=True)
 class Body:
-    """What is known about a camera without measuring."""
+    """The properties of a camera that are known without measurement."""
 
     name: str
     rows: int
@@ -40,7 +40,7 @@ class Body:
     channels: tuple[str, ...]
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
-    readout: Readout | None = None  # exposure and gain of each channel, without read noise; None: all channels alike
+    readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -54,33 +54,36 @@ class Body:
 
     @property
     def photons_per_radiance(self) -> float:
-        """Photons/s on a pixel's area for a radiance of 1 photon/s/sr/m², in m² sr (docs/method.md#optics)."""
+        """Photons/s on a pixel for a radiance of 1 photon/s/sr/m², in m² sr (docs/method.md#optics)."""
         return self.optics.irradiance_per_radiance * self.pixel_pitch**2
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """Light (row, col) of a uniform scene, relative to the axis (docs/method.md#optics)."""
+        """Illumination (row, col) for a uniform scene, relative to the optical axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Frames of one scene at one exposure: dark (lens cap) or white (uniform light)."""
+    """Frames of one scene at one exposure: dark (lens cap on) or white (uniform light)."""
 
-    name: str  # for messages: its first frame, as named in the measurement file
+    name: str  # name for messages: the first frame, as in the measurement file
     exposure: float  # s
-    frames: Iterable[NDArray[np.uint16]]  # each (row, col) DN; can be iterated repeatedly
-    monitor: float = field(default=1.0, kw_only=True)  # light of the lamp, relative to its measured spectrum
+    frames: Iterable[NDArray[np.uint16]]  # each (row, col) in DN; can be iterated repeatedly
+    monitor: float = field(default=1.0, kw_only=True)  # output of the lamp, relative to its measured spectrum
 
     @property
     def lit(self) -> float:
-        """Exposure time in s under the measured light that would give the same exposure."""
+        """Exposure time, in s, that would give the same exposure with the lamp as measured."""
         return self.exposure * self.monitor
 
 
 @dataclass(frozen=True)
 class MonoCapture(Capture):
-    """A uniform field lit by one step of a monochromator. The measured spectrum includes bandwidth and stray light."""
+    """A uniform field illuminated by one step of a monochromator.
+
+    The measured spectrum includes bandwidth and stray light.
+    """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     radiance: NDArray[np.float64]  # (wavelength) photons/s/sr/m²/nm
@@ -92,7 +95,7 @@ class ChartCapture(Capture):
     """A 4 × 6 ColorChecker with the measured radiance of every patch."""
 
     illuminant: str
-    corners: NDArray[np.float64]  # (4, 2) col, row in pixels: outer corners of patch 1, 6, 24, 19 (clockwise from dark skin)
+    corners: NDArray[np.float64]  # (4, 2) column and row of the outer corners of patches 1 (dark skin), 6, 24 and 19
     wavelength: NDArray[np.float64]  # (wavelength) nm
     radiance: NDArray[np.float64]  # (24, wavelength) photons/s/sr/m²/nm, row by row from dark skin to black
 
@@ -104,33 +107,33 @@ class BandCapture(ChartCapture):
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Mean values of a monochromator sweep and of a photodiode beside the camera, with dark readings at every step."""
+    """Mean values of a monochromator sweep, with a photodiode beside the camera and dark readings at every step."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     light: NDArray[np.float64]  # (channel, wavelength) DN
     dark: NDArray[np.float64]  # (channel, wavelength) DN
-    diode_light: NDArray[np.float64]  # (wavelength) reading of the photodiode, any unit
-    diode_dark: NDArray[np.float64]  # (wavelength)
-    diode_response: NDArray[np.float64]  # (wavelength) reading per energy, any unit
+    diode_light: NDArray[np.float64]  # (wavelength) reading of the photodiode, in any unit
+    diode_dark: NDArray[np.float64]  # (wavelength) dark reading of the photodiode, in the same unit
+    diode_response: NDArray[np.float64]  # (wavelength) reading of the photodiode per energy, in any unit
 
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Responsivities measured by somebody else, relative and per photon."""
+    """Responsivities that were measured elsewhere, relative and per photon."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # names columns of the file that were ignored
+    note: str | None = None  # lists the columns of the file that are not used
 
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of the curves of measured cameras: per photon, each channel scaled to a peak of 1."""
+    """Statistics of the responsivities of measured cameras, per photon, with each channel scaled to a peak of 1."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     mean: NDArray[np.float64]  # (channel, wavelength)
-    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal modes, each by its standard deviation
-    log_peak: NDArray[np.float64]  # (channel) mean natural logarithm of the peak over the geometric mean of all channels
+    modes: NDArray[np.float64]  # (mode, channel, wavelength) principal modes, each scaled to its standard deviation
+    log_peak: NDArray[np.float64]  # (channel) mean of ln(peak / geometric mean of the peaks of all channels)
     log_peak_covariance: NDArray[np.float64]  # (channel, channel)
 
 
@@ -139,9 +142,9 @@ class Chart:
     """A chart with known reflectances."""
 
     name: str
-    grid: tuple[int, int]  # rows, columns of patches
+    grid: tuple[int, int]  # rows and columns of patches
     wavelength: NDArray[np.float64]  # (wavelength) nm
-    reflectance: NDArray[np.float64]  # (patch, wavelength), row by row
+    reflectance: NDArray[np.float64]  # (patch, wavelength); patches row by row
 
     def __post_init__(self) -> None:
         patches, (rows, cols) = len(self.reflectance), self.grid
@@ -151,17 +154,17 @@ class Chart:
 
 @dataclass(frozen=True)
 class PhotoCapture:
-    """Raw frames of a chart under one light and at one exposure."""
+    """Raw frames of a chart under one illuminant and at one exposure."""
 
-    name: str  # for messages
+    name: str  # name for messages
     frames: tuple[RawFrame, ...]
     chart: Chart
-    light: str | None  # name of the light; None if it has to be guessed
+    light: str | None  # name of the illuminant; None if it must be estimated
     wavelength: NDArray[np.float64]  # (light_wavelength) nm
-    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the light is guessed
-    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if they have to be found
-    darks: tuple[RawFrame, ...] = ()  # without light, at the same exposure
-    whites: tuple[RawFrame, ...] = ()  # a uniform white in place of the chart, under the same light
+    radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the illuminant is estimated
+    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if they must be found
+    darks: tuple[RawFrame, ...] = ()  # frames without light, at the same exposure
+    whites: tuple[RawFrame, ...] = ()  # frames of a uniform white in place of the chart, under the same illuminant
 
     def __post_init__(self) -> None:
         first, *others = (*self.frames, *self.darks, *self.whites)
@@ -191,11 +194,11 @@ class GainCaptures:
 
 @dataclass(frozen=True)
 class Measurements:
-    """All measurements of one camera, and how well the lights are known.
+    """All measurements of one camera, and the uncertainty of the light sources.
 
-    The responsivity comes from one of `mono`, `bands`, `curve` and `photos`. The sensor data come from `darks` and
-    `whites`, or otherwise from `datasheet`, or otherwise from the photos. With a `base`, only defects and flat field are
-    measured, and everything else comes from the base.
+    The responsivity comes from one of `mono`, `bands`, `curve` and `photos`. The sensor data come from `darks` and `whites`
+    if there are any, otherwise from `datasheet`, and without a data sheet from the photos. If there is a `base`, only
+    defects and flat field are measured, and everything else is taken from the base.
     """
 
     body: Body
@@ -203,38 +206,38 @@ class Measurements:
     charts: tuple[ChartCapture, ...] = ()
     darks: tuple[Capture, ...] = ()
     whites: tuple[Capture, ...] = ()
-    iso: float | None = None  # of `darks` and `whites`; None: not stated
-    gains: tuple[GainCaptures, ...] = ()  # at higher ISO speeds
+    iso: float | None = None  # ISO speed of `darks` and `whites`; None if it is not stated
+    gains: tuple[GainCaptures, ...] = ()  # captures at higher ISO speeds
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
     photos: tuple[PhotoCapture, ...] = ()
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # prior knowledge of curves, for photos
     datasheet: SensorFigures | None = None
-    base: CameraModel | None = None  # a known camera, of which `darks` and `whites` only give defects and flat field
-    lamp_drift: float = 0.0  # relative standard deviation between a light and its measured spectrum
-    wavelength_uncertainty: float = 0.0  # nm, standard deviation of the spectrometer's scale
+    base: CameraModel | None = None  # a known camera, for which only defects and flat field are measured
+    lamp_drift: float = 0.0  # relative standard deviation of a lamp's output since its spectrum was measured
+    wavelength_uncertainty: float = 0.0  # nm; standard deviation of the spectrometer's wavelength scale
 
 
 @dataclass(frozen=True)
 class StatedMatrix:
-    """A matrix from the XYZ of a surface under a light to the camera's signals."""
+    """A matrix that converts the XYZ of a surface under an illuminant to camera signals."""
 
-    light: str  # name of the light
-    assumed: bool  # whether the light is assumed, because the file does not name it
+    light: str  # name of the illuminant
+    assumed: bool  # whether the illuminant is assumed, because the file does not name it
     rows: dict[int, NDArray[np.float64]]  # colour code → row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
-        """Return the rows (channel, 3) for these colours."""
+        """Return the rows (channel, 3) of the matrix for the given colour codes."""
         return np.array([self.rows[code] for code in codes if code is not None])
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What a raw file states about its camera; None and "" for what it does not state."""
+    """Properties of a camera as stated in a raw file. They are None or "" if the file does not state them."""
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # slope and constant of variance over signal, as fractions of full scale above black
+    noise: tuple[float, float] | None  # slope and intercept of variance against signal, relative to full scale above black
     iso: float | None
     pitch_um: float | None
     focal_length_mm: float | None
@@ -248,16 +251,16 @@ class CaptureFolder:
     folder: Path
     frames: tuple[str, ...]
     tables: tuple[str, ...]
-    notes: tuple[str, ...]  # one line per kind of file that is ignored
+    notes: tuple[str, ...]  # one line for each kind of file that is ignored
 
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw frame and what its file states about it."""
+    """A raw frame with the properties that its file states."""
 
-    values: NDArray[np.uint16]  # (row, col) DN as stored, never developed
+    values: NDArray[np.uint16]  # (row, col) DN as stored, without any processing
     seconds: float | None
-    pattern: NDArray[np.int64] | None  # colour codes of the array
+    pattern: NDArray[np.int64] | None  # colour codes of the CFA
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # number of frames in the file, of which this is the first
+    count: int = 1  # number of frames in the file; this is the first

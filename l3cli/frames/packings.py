@@ -1,13 +1,13 @@
-"""Packings of headerless frames: how the bits of pixels lie in the bytes of a file.
+"""Packings of headerless frames: the order of the bits of pixels in the bytes of a file.
 
 Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
-`PACKINGS` is the only list of them. Option help, error messages and the table in docs/raw-files.md are made from it.
+Option help, error messages and the table in docs/raw-files.md are all made from `PACKINGS`.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-BAYER_ORDERS = ("GR", "RG", "GB", "BG")  # first two pixels of the first row
+BAYER_ORDERS = ("GR", "RG", "GB", "BG")  # colours of the first two pixels of the first row
 SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
 FAMILIES = {
     "words": "one pixel per byte, or one pixel in the lower bits of each 16-bit word",
@@ -25,9 +25,9 @@ class Piece(NamedTuple):
     """Adjacent bits of a pixel that are stored in one byte of its group."""
 
     byte: int
-    shift: int  # position of the lowest bit in the byte
+    shift: int  # position of the piece's lowest bit in the byte
     bits: int
-    place: int  # position of the lowest bit in the pixel
+    place: int  # position of the piece's lowest bit in the pixel
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Packing:
 
     name: str
     family: str  # one of FAMILIES
-    bits: int  # per pixel
+    bits: int  # bits per pixel
     group_bytes: int
-    pieces: tuple[tuple[Piece, ...], ...]  # of each pixel of a group
-    pattern: str = ""  # colours of a 2×2 array from the first pixel on, "rggb"; "": not stated
+    pieces: tuple[tuple[Piece, ...], ...]  # for each pixel of a group, the pieces of which it consists
+    pattern: str = ""  # colours of a 2×2 CFA, starting at the first pixel, such as "rggb"; "" if not stated
 
     @property
     def group_pixels(self) -> int:
@@ -48,18 +48,18 @@ class Packing:
 
     @property
     def is_words(self) -> bool:
-        """Whether each pixel has 16 bits, whose byte order the caller may give."""
+        """Whether each pixel is a 16-bit word, for which the caller may specify the byte order."""
         return self.family == "words" and self.group_bytes == 2
 
     def bytes_of(self, pixels: int) -> int:
-        """Return the number of bytes of this many consecutive pixels."""
+        """Return the number of bytes for a number of consecutive pixels."""
         if self.family == "mipi":
             return -(-pixels // self.group_pixels) * self.group_bytes
         return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the bytes and pieces of a stream of bits, for the smallest group that fills whole bytes."""
+    """Return the number of bytes and the pieces of the smallest group of pixels in a bit stream that fills whole bytes."""
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
     for first in range(0, pixels * bits, bits):
@@ -77,14 +77,17 @@ def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...],
 
 
 def _mipi(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return bytes and pieces of a MIPI group. Its last byte holds the lower bits of all pixels, first pixel lowest."""
+    """Return the number of bytes and the pieces of a MIPI group.
+
+    Its last byte contains the lower bits of all pixels, starting with the first pixel in the lowest bits.
+    """
     low = bits - 8
     pixels = 8 // low
     return pixels + 1, tuple((Piece(i, 0, 8, low), Piece(pixels, i * low, low, 0)) for i in range(pixels))
 
 
 def _gige(bits: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return bytes and pieces of a GigE Vision group."""
+    """Return the number of bytes and the pieces of a GigE Vision group."""
     low = bits - 8
     return 3, ((Piece(0, 0, 8, low), Piece(1, 0, low, 0)), (Piece(2, 0, 8, low), Piece(1, 4, low, 0)))
 
@@ -115,6 +118,6 @@ BYTE_ORDERS = ("little", "big")
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing with a name, in upper or lower case, or None. "12p" stands for Mono12p."""
+    """Return the packing with the given name, or None. Case does not matter. "12p" is short for Mono12p."""
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)

@@ -1,8 +1,8 @@
-"""Checks of what a raw file states against its pixels: the position of the array, the array itself, the black level.
+"""Checks the statements of a raw file about CFA phase, CFA and black level against its pixels.
 
-In a smooth block all sites of one channel read nearly the same. If they do not, the stated CFA phase is probably wrong.
-Another phase may only exchange channels with equal patterns, such as r and b of a Bayer array. Then the phase follows from
-the signals of a grey, which many files state, because the mean over a photo is roughly grey.
+In a smooth block, all sites of one channel have nearly the same value. If they do not, the stated CFA phase is probably
+wrong. Some phases only exchange channels with equal patterns, such as r and b of a Bayer CFA, which this test cannot detect.
+These are detected from the signals of a grey, which many files state, because the mean over a photo is roughly grey.
 """
 
 import itertools
@@ -15,63 +15,65 @@ from numpy.typing import NDArray
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
+# Differences of sites are relative to the signal.
 SIDE, MOST = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
-MIN_SIGNAL = 1e-3  # of full scale; frames with a lower mean are too dark to judge
-SITES_DIFFER = 0.02  # of the signal; arrays at the stated phase reach 0.003 to 0.007, one row or column off 0.045 to 0.18
-FAR_FROM_GREY = 0.75  # natural logarithm of the ratio of two channels, relative to a grey; coloured scenes reach 0.67
-BETTER = 0.4  # ratio to the stated phase's difference, below which another phase is accepted
-ALIKE = 1.5  # ratio to the least difference, up to which phases fit about equally well
+MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
+SITES_DIFFER = 0.02  # difference that indicates a wrong phase; at the right phase it is up to 0.007, otherwise from 0.045 on
+FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey; coloured scenes reach 0.67
+BETTER = 0.4  # another phase is accepted if its difference, relative to that of the stated phase, is below this value
+ALIKE = 1.5  # phases fit about equally well up to this ratio of their differences
 DARKEST = 0.1  # percentile of a channel's values that is close to black in most pictures
-MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # of the white level; range of the black levels of real cameras
-ROUGH, SMOOTHER = 0.01, 3.0  # least roughness of a misread frame, of full scale; its ratio to that of the right reading
-MAX_BANDS = 32  # of a frame, each two super-pixels high, on which roughness is measured
-PERIODS, PERIOD = (4, 6, 8), 24  # rows and columns of the arrays that are looked for; their common multiple
-TILE, TILES = 120, 8  # pixels along a tile, a multiple of all periods; largest number of tiles along a frame
-# Mean difference of sites, of the signal. Real Bayer frames reach 0.001 to 0.02, other arrays 0.05 to 2.
+MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
+ROUGH, SMOOTHER = 0.01, 3.0  # roughness of a misread frame: least fraction of full scale; least ratio to the right reading
+MAX_BANDS = 32  # largest number of bands, each two super-pixels high, in which roughness is measured
+PERIODS, PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
+TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; largest number of tiles along a frame
+# Mean difference of sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
 ARRAYS_DIFFER = 0.05
-MOST_SITES_DIFFER = 0.03  # of the signal, exceeded by 30 % of the sites of another array, but only by autofocus pixels here
-STRIPED = 0.25  # fraction of the differences that remains at most for stripes, with one factor per row or column
-TWO_GAINS = 2.0  # least ratio of the gains of sensors whose pairs of rows alternate between two gains
-CONTROL = 3.0  # ratio to the difference modulo a period that no array has, from which a difference is evidence
-FITS = 0.01  # of the signal; sites of one channel that differ less fit an array
+MOST_SITES_DIFFER = 0.03  # 30 % of the sites differ more if the CFA is another one; otherwise only autofocus pixels do
+STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction
+TWO_GAINS = 2.0  # smallest ratio of the gains in sensors whose pairs of rows alternate between two gains
+CONTROL = 3.0  # a difference is evidence if it exceeds that of a period that no CFA has by this ratio
+FITS = 0.01  # a CFA fits if the sites of each channel differ by less
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
-BELOW = 0.5  # of the black level; pixels without light lie above, because a black level leaves room for their noise
-FEW = 0.05  # fraction of the pixels, below which nothing is reported
+BELOW = 0.5  # fraction of the black level; with a correct black level, even dark pixels with noise are brighter
+FEW = 0.05  # fraction of the pixels below which nothing is reported
 Phase = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class PhaseDoubt:
-    """Evidence that an array does not begin where the file states."""
+    """Evidence that the CFA phase stated in a file is wrong."""
 
-    stated: float  # difference between sites of one channel, as a fraction of the signal
-    least: float  # the same for the best phase
-    phases: tuple[Phase, ...]  # phases that fit about as well as the best, the most likely first
-    by_grey: bool = False  # whether the evidence is only the signals of a grey
+    stated: float  # difference between sites of one channel at the stated phase, as a fraction of the signal
+    least: float  # the same difference at the best phase
+    phases: tuple[Phase, ...]  # phases that fit about as well as the best, starting with the most likely
+    by_grey: bool = False  # whether the only evidence is the signals of a grey
 
 
 def phase_doubt(
     frame: RawFrame, cfa: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None = None
 ) -> PhaseDoubt | None:
-    """Return evidence that the array does not begin where the frame states, or None.
+    """Return evidence that the CFA phase of a frame is wrong, or None.
 
     Parameters
     ----------
     frame : RawFrame
-        Its `phase` is the stated one.
+        The frame, with the stated phase.
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
     neutral : sequence of float, (channel,), optional
-        Signals of a grey. Without them only sites of one channel are compared.
+        Signals of a grey. Without them, only sites of the same channel are compared.
     """
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
-    arrays: dict[bytes, Phase] = {}  # the first phase of each distinct array
+    arrays: dict[bytes, Phase] = {}  # shifted CFA → the first phase that produces it
     for phase in (frame.phase, *itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))):
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks, where colours differ; the frame, with less noise
+    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks show more colour, the whole frame has less noise
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
         if stated >= SITES_DIFFER and least <= BETTER * stated:
@@ -86,16 +88,15 @@ def phase_doubt(
 
 @dataclass(frozen=True)
 class ArrayDoubt:
-    """Evidence that a mosaic has another array than stated."""
+    """Evidence that a mosaic has another CFA than stated."""
 
-    differ: float  # difference between sites of one stated colour, as a fraction of the signal
-    means: NDArray[np.float64]  # (row, col) mean signals modulo PERIOD, in DN
+    differ: float  # difference between sites of the same stated colour, as a fraction of the signal
+    means: NDArray[np.float64]  # (row, col) DN; mean signals modulo PERIOD
 
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
-        """Return the names of the arrays (row, col) that fit the pixels best in some phase, those with the fewest channels
-        first.
+        """Return the names of the CFAs (row, col) that fit the pixels best at any phase, starting with the fewest channels.
 
-        Large arrays whose sites all have different channels fit any pixels, and are left out.
+        Large CFAs with a different channel at every site fit any pixels and are left out.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {name: self._misfit(cfa) for name, cfa in judged.items() if not (PERIOD % np.array(cfa.shape)).any()}
@@ -104,23 +105,24 @@ class ArrayDoubt:
         return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
 
     def _misfit(self, cfa: NDArray[np.uint8]) -> float:
-        """Return the mean difference between a site and its channel's sites in the best phase, as a fraction of the
-        signal.
-        """
+        """Return the mean difference between sites of the same channel at the best phase, as a fraction of the signal."""
         phases = itertools.product(range(cfa.shape[0]), range(cfa.shape[1]))
         whole = [tiled(shifted_cfa(cfa, phase), self.means.shape) for phase in phases]
         return min(_sites_differ(self.means[None], array) for array in whole)
 
 
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
-    """Return evidence that a frame has another array than `cfa` (row, col), or None.
+    """Return evidence that a frame has another CFA than `cfa` (row, col), or None.
 
-    If the array is right, sites at the same place of the super-pixel have the same mean over a frame. Sites of one channel
-    do, too, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of another array: single
-    pixels, such as autofocus pixels; differences that are as large modulo a period which no sensor has; and stripes of the
-    scene along rows or columns, which change all channels by the same factor.
+    If the CFA is right, sites at the same position in the super-pixel have the same mean over a frame. Sites of the same
+    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three kinds of difference are not evidence of
+    another CFA:
+
+    1. single pixels, such as autofocus pixels,
+    2. differences that are equally large modulo a period that no sensor has,
+    3. stripes of the scene along rows or columns, which change all channels by the same factor.
     """
-    tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no array has that period
+    tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
         return None
     if not tile.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
@@ -137,9 +139,9 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
 
 def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the mean signal (row, col) in DN above black of tiles that are evenly spaced over a frame.
+    """Return the mean signal (row, col), in DN above black, of tiles that are evenly spaced over a frame.
 
-    All tiles begin at the same CFA site, for any array whose period divides the side of a tile.
+    If the period of the CFA divides the side of a tile, all tiles begin at the same CFA site.
     """
     tops, lefts = (
         sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
@@ -157,9 +159,9 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Return whether super-pixels of a `period` differ only by one factor per row, or one per column.
+    """Return whether super-pixels of a `period` differ only by a factor per row or by a factor per column.
 
-    Pairs of rows that alternate between two factors do not count, because sensors with two gains have them.
+    Pairs of rows that alternate between two factors do not count as stripes, because they occur in sensors with two gains.
     """
     rows, cols = period
     blocks = means.reshape(means.shape[0] // rows, rows, means.shape[1] // cols, cols)
@@ -185,10 +187,10 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
-    """Return the difference of sites from the median of the sites with the same entry of `array`, as a fraction of the
-    signal.
+    """Return how much sites with the same entry of `array` differ from their median, as a fraction of the signal.
 
-    The two numbers are what 30 % of the sites exceed, and the mean, for the entry whose sites differ most.
+    The first number is the difference that 30 % of the sites exceed. The second is the mean difference. Both are for the
+    entry whose sites differ most.
     """
     entries = tiled(array, means.shape)
     off = [
@@ -201,14 +203,15 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Return the median. (np.median imports numpy.ma, which takes a twentieth of the time of a picture.)"""
+    """Return the median without np.median, which imports numpy.ma in a twentieth of the time of rendering a picture."""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
 
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal (block, row, col) of each site of a super-pixel in evenly spaced blocks, in DN above black and
-    dark current. The first site is that of the frame's first pixel.
+    """Return the mean signal (block, row, col) of each site of the super-pixel in evenly spaced blocks.
+
+    Signals are in DN above black and dark current. The first site is the site of the frame's first pixel.
     """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // SIDE, 1, SIDE))
@@ -222,15 +225,16 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
 
 
 def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> float:
-    """Return the mean difference between a site and the mean of its channel's sites, within blocks, as a fraction of the
-    signal.
+    """Return the mean difference between a site and the mean of all sites of its channel, as a fraction of the signal.
+
+    Sites are compared within blocks.
     """
     of_channels = (blocks[:, array == channel] for channel in sorted(set(array.flat)))
     return float(sum(np.abs(each - each.mean(axis=1, keepdims=True)).sum() for each in of_channels) / blocks.sum())
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Return whether two arrays group the sites into channels in the same way, whatever the channels' names."""
+    """Return whether two CFAs group the sites into channels in the same way, regardless of the channels' names."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 
@@ -240,7 +244,7 @@ def _far_from_grey(
 ) -> float:
     """Return the distance of a frame's mean from a grey, or 0 if no grey is stated.
 
-    It is the range, over the channels, of the natural logarithm of signal / grey.
+    It is the range of ln(signal / grey) over the channels.
     """
     if neutral is None or min(neutral) <= 0:
         return 0.0
@@ -249,7 +253,7 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels further below the black level than noise explains, or 0 if they are few."""
+    """Return the fraction of pixels that lie farther below the black level than noise explains, or 0 if there are few."""
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
     share = float((frame.values < BELOW * frame.black_level).mean())
@@ -257,11 +261,11 @@ def share_below_black(frame: RawFrame) -> float:
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
-    """Return the probable black level of a frame that states a black level of 0, in DN, or None if there is no doubt.
+    """Return the probable black level, in DN, of a frame that states a black level of 0, or None if 0 is plausible.
 
-    The darkest values of all channels then lie at about the same level, far above 0. Relative to their level they differ
-    less between channels than the medians do. Dark values due to light would have the ratios of the filters'
-    transmittances.
+    If 0 is wrong, the darkest values of all channels lie at about the same level, far above 0. Relative to this level, they
+    differ less between channels than the medians do. If the dark values were caused by light, they would differ in
+    proportion to the transmittances of the colour filters.
     """
     if frame.black_level > 0:
         return None
@@ -278,33 +282,40 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Return the name of a reading of a frame's bytes that is far smoother than the first one, or "" if there is none.
+    """Find a way to read the bytes of a frame whose result is far smoother than that of the present way.
 
-    If low bits are taken for high ones, neighbours of one channel differ by a large part of full scale. A wrong reading can
-    only add such differences, in flat, dark and noisy frames, too.
+    If low bits are read as high bits, neighbours of the same channel differ by a large fraction of full scale. A wrong
+    reading can only add such differences, even in uniform, dark and noisy frames.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Name, pixels and bits of each way to read the same bytes, first the one in use. The others are only tried if that
-        one is rough.
+        Name, pixels and bits of each way to read the same bytes. The first is the way in use. The others are tried only if
+        its result is rough.
     cfa : ndarray of uint8, (row, col)
-        Channels of the colour filter array from the first pixel on.
+        CFA as seen from the first pixel.
+
+    Returns
+    -------
+    str
+        Name of the smoother reading, or "" if there is none.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If one byte of all 16-bit words is zero, exchanged bytes always look smoother, so they are no evidence.
+    # If one byte is zero in all 16-bit words, exchanged bytes always look smoother, which is not evidence.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
 
 
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
-    """Return the mean difference between nearest pixels of one channel as a fraction of full scale; 0 of a frame that is
-    smaller than two super-pixels."""
+    """Return the mean difference between nearest pixels of the same channel, as a fraction of full scale.
+
+    It is 0 if the frame is smaller than two super-pixels.
+    """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1
     if bands < 1 or values.shape[1] < 2 * cols:
@@ -322,7 +333,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
 
 
 def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
-    """Return how far down and right of a site the nearest other one of its channel lies; never up."""
+    """Return the offset (down, right) from a site to the nearest other site of its channel that does not lie above it."""
     rows, cols = cfa.shape
     steps = [
         (down, right)

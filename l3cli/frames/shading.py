@@ -1,9 +1,8 @@
 """Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
 
-The mean loss over the channels is compensated by a gain of the outputs. This is possible because transforms are linear, and
-it keeps the classes right: they are decided from the original values, which have the camera's noise at their level. Only
-the deviation of each channel from the mean is corrected in the values themselves, where it changes their noise only
-slightly.
+The mean loss over the channels is corrected by a gain on the outputs, which is possible because transforms are linear. The
+classes are still decided from the original values, whose noise agrees with the noise model at their level. Only the
+deviation of each channel from the mean is corrected in the values themselves, which changes their noise only slightly.
 """
 
 from dataclasses import dataclass
@@ -12,28 +11,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # not needed by the process that decodes pictures, which starts 80 ms earlier without it
+if TYPE_CHECKING:  # not imported at run time, which saves 80 ms in the start of the decoder process
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # fraction of full scale from which a pixel is not corrected, because its light is unknown
-STEP = 16  # columns between nodes of the gain
-FRACTION = 15  # fractional bits of colour shading
-MIN_COLOUR_SHADING = 8  # in units of 2^-FRACTION, which is 0.02 %; smaller differences between channels are ignored
+CLIPPED = 0.985  # fraction of full scale; brighter pixels are not corrected, because they are clipped
+STEP = 16  # columns between the nodes of the gain
+FRACTION = 15  # number of fractional bits of colour shading
+MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differences between channels are ignored
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """The shading of a sensor's frames."""
+    """The correction of lens shading for the frames of a sensor."""
 
-    gain: NDArray[np.float32]  # (row, node) gain of the outputs at every STEP-th column, linear in between
-    colour: NDArray[np.int16] | None  # (row, col) gain of the values minus 1, in units of 2^-FRACTION; None: 0 everywhere
+    gain: NDArray[np.float32]  # (row, node) gain on the outputs at every STEP-th column, interpolated linearly
+    colour: NDArray[np.int16] | None  # (row, col) gain on the values minus 1, in units of 2^-FRACTION; None means 0
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
-        """Return the gain (row, col) of the outputs."""
+        """Return the gain (row, col) on the outputs."""
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the gain (row, col) of the outputs at these rows and columns."""
+        """Return the gain (row, col) on the outputs at the given rows and columns."""
         node, part = cols // STEP, (cols % STEP) / STEP
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
@@ -41,17 +40,17 @@ class Shading:
     def of_patches(
         self, taken: tuple[NDArray[np.integer], ...], rows: NDArray[np.integer], cols: NDArray[np.integer]
     ) -> "Shading":
-        """Return the shading of patches.
+        """Return the shading correction for patches instead of a frame.
 
-        It has the colour shading (patch, tap) of the pixels `taken`, and one gain per patch, at its centre. The centres lie
-        at the crossings of `rows` and `cols`.
+        It consists of the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch. The
+        centres are all combinations of `rows` and `cols`.
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
-    """Return the shading that a flat field corrects in frames of a shape (rows, cols) and phase (0, 0)."""
+    """Return the shading correction from a flat field, for frames of a shape (rows, cols) and phase (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = interpolation(field.grid_row, np.arange(rows))
@@ -67,7 +66,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
-    """Return the shading that gains (row, col) of single pixels correct, for an array with a `period` (rows, cols)."""
+    """Return the shading correction from gains (row, col) of single pixels, for a CFA with a `period` (rows, cols)."""
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
@@ -91,17 +90,17 @@ def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[
 
 
 def clipped_from(black_level: float, white_level: float) -> int:
-    """Return the DN from which a pixel counts as clipped."""
+    """Return the lowest DN that counts as clipped."""
     return int(np.ceil(black_level + CLIPPED * (white_level - black_level)))
 
 
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Return values of any shape with `colour` applied as a gain about the black level.
+    """Correct colour shading: apply `colour` as a gain about the black level to values of any shape.
 
-    The integers are the same as in opencl/common/shading.cl. Clipped pixels are unchanged, and no other pixel becomes
-    clipped.
+    The results equal those of opencl/common/shading.cl, bit for bit. Clipped pixels are unchanged, and no other pixel
+    becomes clipped.
     """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)

@@ -12,7 +12,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import OutputGuard
 
-GIVE = 'give what "l3 evaluate --json" prints'
+GIVE = 'give a file that "l3 evaluate --json" printed'
 
 
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:

@@ -146,13 +146,13 @@ MISTAKES = """
     1 report table.h5 -o raw.tif/new.html
         raw.tif is a file, not a folder
     3 compare table.h5
-        table.h5: not readable as JSON; give what "l3 evaluate --json" prints
+        table.h5: not readable as JSON; give a file that "l3 evaluate --json" printed
     3 compare nothing.json
-        nothing.json does not exist; give what
+        nothing.json does not exist; give a file
     3 compare folder
-        folder is a folder; give what
+        folder is a folder; give a file
     3 compare empty.json
-        give what "l3 evaluate --json" prints
+        give a file that "l3 evaluate --json" printed
     2 info
         give either a FILE or --version
     3 info raw.tif

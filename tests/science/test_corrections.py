@@ -126,7 +126,7 @@ def test_correction_takes_the_nearest_sound_pixels_of_the_channel() -> None:
         plan_correction(np.ones((8, 8), bool), np.array(BAYER, np.uint8))
     large = np.zeros((200, 200), bool)
     large[50:100, 50:100] = True
-    with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no sound neighbour within 16 pixels"):
+    with pytest.raises(InputFileError, match=r"pixel \(\d+, \d+\) has no good neighbour within 16 pixels"):
         plan_correction(large, np.array(BAYER, np.uint8))
 
 
@@ -231,16 +231,16 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
     camera, frame = load(CameraModel, flawed / "camera.h5"), flawed / "frames/0.npy"
     call = ("render", flawed / "table.h5", frame, "-o", flawed / "a.png", "--camera")
     save(replace(camera, cfa=np.roll(camera.cfa, 1, axis=1)), flawed / "turned.h5")
-    assert "array g r/b g, the table is for r g/g b" in refused(3, *call, flawed / "turned.h5")
+    assert "array g r/b g, but the table is for r g/g b" in refused(3, *call, flawed / "turned.h5")
     save(replace(camera, defects=None, flat_field=None), flawed / "plain.h5")
-    assert "neither defects nor a flat field" in refused(3, *call, flawed / "plain.h5")
+    assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "plain.h5")
     save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
     assert (
         "0.npy of 24×32 pixels, first site 0,0, is not a whole frame of camera random of 48×32; give the --camera"
         in refused(3, *call, flawed / "large.h5")
     )
     assert "first site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
-    assert "neither defects nor a flat field" in refused(3, *call, flawed / "table.h5")
+    assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "table.h5")
     assert "not an HDF5 file" in refused(3, *call, frame)
     assert "nowhere.h5 does not exist" in refused(3, *call, flawed / "nowhere.h5")
     refused(3, *call, flawed / "frames")

@@ -45,23 +45,23 @@ def test_noise_alone_tells_the_gain() -> None:
     grey = np.full(SHAPE, 0.3)
     assert estimate_gain(frame_of(BAYER, taken(BAYER, grey, 16.0)), BAYER).gain == pytest.approx(16, rel=0.1)
     uneven = replace(BAYER, noise=replace(BAYER.noise, prnu=0.03))
-    with pytest.raises(ValueError, match="too few areas are plain"):
+    with pytest.raises(ValueError, match="too few areas are uniform"):
         estimate_gain(frame_of(uneven, taken(uneven, grey, 1.0)), uneven)
 
 
 def test_a_frame_without_plain_areas_is_refused() -> None:
     rng = np.random.default_rng(2)
     for share, reason in (
-        (cells(BAYER, rng, 1.0), "no area is plain"),
+        (cells(BAYER, rng, 1.0), "no area is uniform"),
         (np.full(SHAPE, 1.0), "clipped"),
         (np.zeros((4, 40)), "smaller than 8×8"),
     ):
         with pytest.raises(ValueError, match=reason):
             estimate_gain(frame_of(BAYER, taken(BAYER, share, 1.0)), BAYER)
-    with pytest.raises(ValueError, match="no area is plain"):  # without noise
+    with pytest.raises(ValueError, match="no area is uniform"):  # without noise
         estimate_gain(frame_of(BAYER, np.full(SHAPE, 1000, np.uint16)), BAYER)
     silent = replace(BAYER, noise=replace(BAYER.noise, read_noise=0.0, dsnu=0.0))
-    for noise, reason in ((5.0, "no area is plain"), (0.289, "all of it is black")):  # DN; 0.289: as rounding makes it
+    for noise, reason in ((5.0, "no area is uniform"), (0.289, "all pixels are black")):  # DN; 0.289: as rounding makes it
         below = np.rint(16 * rng.normal(BAYER.black_level - 40, noise, SHAPE)).astype(np.uint16)
         with pytest.raises(ValueError, match=reason):
             estimate_gain(RawFrame("dark", below, 16 * BAYER.black_level, 16 * BAYER.white_level), silent)
