@@ -20,7 +20,6 @@ CODE := $(shell find l3cli opencl -name '*.py' -o -name '*.cl')
 JOBS ?= 2
 INPUTS ?= 20000
 PORT ?= 8000
-PLACES ?= 500
 L3 := $(BIN)/l3
 TIMED := bash -c 'time "$$0" "$$@"'
 unexport PYTHONDONTWRITEBYTECODE
@@ -152,10 +151,9 @@ video: ## rate and memory of 1800 raw frames to video, beside the encoder alone 
 	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
-fuzz: ## 20 000 corrupted inputs, 500 environments (ten minutes); failures are kept in build/fuzz
+fuzz: ## 20 000 corrupted inputs (ten minutes); failures are kept in build/fuzz
 	$(call needs,test snakemake)
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
-	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --environments $(PLACES) --jobs $(JOBS)
 
 # Oclgrind 21.10 knows no intrinsic of prefetching, and none that inlining leaves: kernels are compiled as they are written.
 kernels: ## kernels under Oclgrind, for accesses out of bounds and races, and on Intel's OpenCL (a quarter of an hour)

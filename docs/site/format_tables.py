@@ -56,8 +56,17 @@ def envi_fields(fate: str) -> str:
     return table(["field", "meaning"], ([", ".join(names), meaning] for meaning, names in rows.items()))
 
 
+def decoders() -> str:
+    """Which raw formats the isolated process decodes, and which l3 reads itself."""
+    names = {each: each.what.partition(" (extra")[0].partition(", also")[0] for each in RAW_FORMATS}
+    isolated, own = (", ".join(names[each] for each in RAW_FORMATS if each.isolated is where) for where in (True, False))
+    own += ", and TIFF laid out as l3 writes it"
+    return f"* **Raw files.** The isolated process decodes {isolated}. l3 itself reads {own}."
+
+
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
     "raw-files.md": {"raw-formats": raw_formats, "packings": packings, "formats-not-read": unread_formats},
+    "../SECURITY.md": {"decoders": decoders},
     "spectral-scenes.md": {
         "scenes": scenes,
         "envi-read": lambda: envi_fields(READ),

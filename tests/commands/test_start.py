@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.hostile_environments import make_desk
+from tests.helpers.desk import make_desk
 from tests.helpers.paths import CONFIGS
 
 UNNEEDED = {"asyncio", "av", "colour", "concurrent.futures", "dask", "distributed", "jinja2", "multiprocessing", "rawpy"}

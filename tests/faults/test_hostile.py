@@ -17,14 +17,11 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.table import MosaicLayer
 from l3cli.classes.names import kind_name
-from tests.helpers import hostile_forks, hostile_numbers, hostile_physics
+from tests.helpers import hostile_forks, hostile_physics
 from tests.helpers.fuzz import Seeded
 from tests.helpers.hostile import SUBJECTS, Subject, Workshop, confined, watched
 from tests.helpers.hostile_dng import DngTags
 from tests.helpers.hostile_identities import Identities
-from tests.helpers.hostile_large_recipes import SHAPES, LargeRecipes
-from tests.helpers.hostile_numbers import OPTIONS, RECIPES, Call
-from tests.helpers.hostile_special_files import SpecialFiles
 from tests.helpers.tables import random_table
 
 IDENTITIES = 6
@@ -77,12 +74,6 @@ def test_an_output_that_is_an_input_is_refused_whatever_it_is_called(shop: Works
         assert identities.judge(Seeded(seed)) is None
 
 
-@pytest.mark.parametrize("letters", [20_000, pytest.param(50_000, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_small_recipe_is_little_work(shop: Workshop, shape: str, letters: int) -> None:
-    assert LargeRecipes().judge(shop, (shape, letters)) is None
-
-
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> hostile_physics.Lab:
     return hostile_physics.Lab(tmp_path_factory.mktemp("physics") / "lab")
@@ -96,37 +87,10 @@ def test_a_physical_mistake_is_named_or_undone(
     assert lab.judge(mistake, Seeded(seed)) is None
 
 
-@pytest.mark.parametrize(("name", "trials"), [("options", 20), ("environment", 3), *((name, 3) for name in RECIPES)])
-def test_a_number_that_nobody_meant_is_refused_or_taken(shop: Workshop, name: str, trials: int) -> None:
-    subject = next(subject for subject in hostile_numbers.subjects(shop) if subject.name == name)
-    for seed in range(trials):
-        call = subject.draw(Seeded(seed))
-        assert subject.judge(shop, call) is None, call
-
-
-@pytest.mark.parametrize("seed", range(15))
-def test_a_place_that_is_no_file_is_refused_at_once(shop: Workshop, seed: int) -> None:
-    trial = SpecialFiles().draw(Seeded(seed))
-    assert SpecialFiles().judge(shop, trial) is None, trial
-
-
 def test_a_dng_is_read_to_the_pixels_that_its_tags_describe_or_refused(shop: Workshop) -> None:
     for seed in range(30):
         trial = DngTags().draw(Seeded(seed))
         assert DngTags().judge(shop, trial) is None, trial
-
-
-SAVED_NUMBERS = [
-    Call(OPTIONS[0].replace("{n}", "29.97002997")),
-    Call("train training.h5 --classes classes.toml -o {out}/t.h5 --shard 1/1" + 23 * "0"),
-    Call("render table.h5 stack.npy -o {out}/p --backend reference --frames 0-9999999999 --skip-bad"),
-    Call("render table.h5 - -o {out}/%d.png --backend reference --size 2000000x24000000"),  # memory of the size
-]
-
-
-@pytest.mark.parametrize("call", SAVED_NUMBERS, ids=str)
-def test_numbers_that_once_failed_stay_corrected(shop: Workshop, call: Call) -> None:
-    assert hostile_numbers.judge(shop, call) is None
 
 
 # Failures of the long runs, each mended at its cause: a subject, a command, what is replaced in the whole file.

@@ -1,7 +1,6 @@
 """Runs l3 on many hostile inputs, in processes whose crashes are noticed: `python -m tests.helpers.fuzz`.
 
-A failing input is kept. Choices come from seeds, so `--first SEED --inputs 1 --batch` repeats one input. With
---environments, whole commands run in unusual environments; `--first SEED --environments 1` repeats one of these.
+A failing input is kept. Choices come from seeds, so `--first SEED --inputs 1 --batch` repeats one input.
 """
 
 import argparse
@@ -38,16 +37,12 @@ class Court:
     """Runs inputs and keeps those that fail."""
 
     def __init__(self, shop: Any, seen: list[str], left: Path, only: str | None) -> None:
-        from tests.helpers import hostile_numbers
         from tests.helpers.hostile import SUBJECTS
         from tests.helpers.hostile_dng import DngTags
         from tests.helpers.hostile_identities import Identities
-        from tests.helpers.hostile_large_recipes import LargeRecipes
-        from tests.helpers.hostile_special_files import SpecialFiles
 
         self._identities = Identities(shop)
-        further = SpecialFiles(), DngTags(), LargeRecipes()
-        every: tuple[Any, ...] = (*SUBJECTS, *hostile_numbers.subjects(shop), *further)
+        every: tuple[Any, ...] = (*SUBJECTS, DngTags())
         chosen = [subject for subject in every if only is None or subject.name == only]
         self.subjects = [subject for turn in range(3) for subject in chosen if only or subject.often > turn]
         self._shop, self._seen, self._saved = shop, seen, left
@@ -150,25 +145,6 @@ def names(seeds: list[int]) -> int:
     return failed
 
 
-def environments(chosen: argparse.Namespace) -> int:
-    """Run whole commands in hostile environments. Return the number of failures."""
-    from tests.helpers.hostile_environments import Place, judge, make_desk
-
-    with tempfile.TemporaryDirectory(prefix="l3-fuzz-") as name, ThreadPoolExecutor(chosen.jobs) as pool:
-        make_desk(Path(name))
-        seeds = range(chosen.first, chosen.first + chosen.environments)
-        failed = 0
-        for seed, verdict in zip(
-            seeds, pool.map(lambda seed: judge(Path(name), Place.drawn(Seeded(seed))), seeds), strict=True
-        ):
-            if verdict is not None:
-                failed += 1
-                (chosen.kept / f"place_{seed}.txt").write_text(verdict)
-                print(f"place {seed}: {verdict}", flush=True)
-    print(f"{len(seeds)} environments, {failed} failures" + (f"; {chosen.kept} holds them" if failed else ""))
-    return int(failed > 0)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--inputs", type=int, default=20_000)
@@ -177,11 +153,8 @@ def main() -> int:
     parser.add_argument("--only", help="one subject, such as camera.h5")
     parser.add_argument("--kept", type=Path, default=Path("build/fuzz"), help="folder for inputs that failed")
     parser.add_argument("--batch", action="store_true", help="judge in this process")
-    parser.add_argument("--environments", type=int, default=0, help="places to run whole commands in, and no inputs")
     chosen = parser.parse_args()
     chosen.kept.mkdir(parents=True, exist_ok=True)
-    if chosen.environments:
-        return environments(chosen)
     if chosen.batch:
         return min(batch(chosen), 100)
     command = [sys.executable, "-m", "tests.helpers.fuzz", "--batch", "--kept", str(chosen.kept)]

@@ -17,6 +17,7 @@ from typing import Any
 
 from l3cli.artifacts import container
 from l3cli.cli import run
+from l3cli.io.raw.files import CAMERA_RAW, FORMATS, RawFormat
 from l3cli.system.limits import MEGAPIXELS
 from tests.helpers.hostile_inputs import DRAWN, make_inputs
 from tests.helpers.hostile_spoiling import Choices, spoiled_bytes, spoiled_hdf5, spoiled_layer, spoiled_text
@@ -53,6 +54,15 @@ SEQUENCE = "render table.h5 {file} -o {out}/%d.png --backend reference --skip-ba
 CALIBRATE = "calibrate {file} -o {out}/camera.h5 --accept"
 LISTED = "calibrate lab/MEASUREMENTS.toml -o {out}/camera.h5 --accept"
 CHECK = "check camera.toml {file}"
+
+
+def _frame(kind: RawFormat) -> Subject:
+    """Return the raw file of a format, which hostile_inputs.py writes."""
+    spoil = spoiled_hdf5 if kind.module == "hdf5" else spoiled_bytes
+    size = " --size 20x24" if kind.wants_geometry else ""
+    return Subject(f"frame{kind.suffixes[0]}", spoil, ((RENDER if kind.holds_frame else SEQUENCE) + size,))
+
+
 SUBJECTS = (
     Subject(
         "camera.h5",
@@ -93,17 +103,9 @@ SUBJECTS = (
     Subject("lab/mono/000_430nm.tif", spoiled_bytes, (LISTED,), often=1),
     Subject("lab/dark/015_cap_0.pgm", spoiled_bytes, ("calibrate lab/pgm.toml -o {out}/camera.h5 --accept",), often=1),
     Subject("evaluation.json", spoiled_text, ("compare {file} other.json --figure psnr -o {out}/c.html",)),
-    Subject("frame.npy", spoiled_bytes, (RENDER,)),
-    Subject("frame.tif", spoiled_bytes, (RENDER,)),
-    Subject("frame.png", spoiled_bytes, (RENDER,)),
-    Subject("frame.dng", spoiled_bytes, (RENDER,)),
-    Subject("frame.raw", spoiled_bytes, (RENDER + " --size 20x24",)),
+    *map(_frame, (each for each in FORMATS if each is not CAMERA_RAW)),
     Subject("frame.raw10", spoiled_bytes, (RENDER + " --size 20x24",)),
-    Subject("frame.pgm", spoiled_bytes, (RENDER,)),
-    Subject("frame.fits", spoiled_bytes, (RENDER,)),
     Subject("stack.npy", spoiled_bytes, (SEQUENCE,)),
-    Subject("stack.h5", spoiled_hdf5, (SEQUENCE, SEQUENCE + " --dataset take/raw")),
-    Subject("clip.mkv", spoiled_bytes, (SEQUENCE,)),
     Subject("scene.mat", spoiled_bytes, (SIMULATE,), _scene("iset", "scene.mat")),
     Subject("scene73.mat", spoiled_hdf5, (SIMULATE,), _scene("iset", "scene73.mat")),
     Subject("packed.mat", spoiled_bytes, (SIMULATE,), _scene("cube", "packed.mat", RANGE)),

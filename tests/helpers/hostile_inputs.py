@@ -188,6 +188,7 @@ def _make_frames(folder: Path) -> None:
     import av
     import tifffile
     from astropy.io import fits
+    from scipy.io import savemat
 
     rng = np.random.default_rng(0)
     stack = rng.integers(0, 4096, (3, 20, 24)).astype(np.uint16)
@@ -195,6 +196,9 @@ def _make_frames(folder: Path) -> None:
     np.save(folder / "stack.npy", stack)
     stack[0].tofile(folder / "frame.raw")
     (folder / "frame.raw10").write_bytes(stack.tobytes()[: 20 * 30])
+    savemat(folder / "frame.mat", {"take": np.moveaxis(stack, 0, 2)})
+    header = struct.pack("<14s7i", b"LUCAM-RECORDER", 0, 8, 1, 24, 20, 12, len(stack)) + bytes(120 + 16)
+    (folder / "frame.ser").write_bytes(header + stack.tobytes())
     (folder / "frame.pgm").write_bytes(b"P5 24 20 4095\n" + stack[0].astype(">u2").tobytes())
     fits.PrimaryHDU(stack[0]).writeto(folder / "frame.fits")
     _write_image(folder / "frame.tif", stack[0][..., None], compression="zip")
@@ -210,9 +214,9 @@ def _make_frames(folder: Path) -> None:
         content = bytes(opcode_list(opcode)[1])
         dng.append((code, 7, len(content), content, True))
     tifffile.imwrite(folder / "frame.dng", np.tile(stack[0], (3, 3)), photometric=32803, extratags=cfa + dng)
-    with h5py.File(folder / "stack.h5", "w") as root:
+    with h5py.File(folder / "frame.h5", "w") as root:
         root.create_dataset("take/raw", data=stack, chunks=(1, 20, 24), compression="gzip")
-    with av.open(str(folder / "clip.mkv"), "w") as video:
+    with av.open(str(folder / "frame.mkv"), "w") as video:
         stream = video.add_stream("ffv1", rate=25, options={"level": "3", "slicecrc": "1"})
         stream.height, stream.width, stream.pix_fmt = 20, 24, "gray12le"
         for frame in stack:

@@ -1,10 +1,12 @@
 """The registries of raw and scene files: what their lines say is there, and a format that is added is read."""
 
+import re
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from l3cli.cli.render import render
 from l3cli.io import scenes
 from l3cli.io.raw import files as raw
 from l3cli.simulation import sources
@@ -21,6 +23,14 @@ def test_modules_of_raw_formats_do_what_their_lines_state(line: raw.RawFormat) -
     assert hasattr(line._reader, "read") == line.holds_frame
     assert hasattr(line._reader, "rate") == line.has_rate
     assert hasattr(line._reader, "stack") or not line.stackable
+
+
+def test_the_help_of_render_names_every_raw_format() -> None:
+    text = render.help or ""
+    for each in raw.FORMATS:
+        name = re.match(r"[\w ]+?(?=s? *$|s?,| \()", each.what)
+        assert name is not None
+        assert name[0] in text or any(suffix in text for suffix in each.suffixes), each.what
 
 
 @pytest.mark.parametrize("line", scenes.FORMATS, ids=lambda line: line.module)
