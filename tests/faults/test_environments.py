@@ -39,8 +39,17 @@ STREAMS = ("0>&-", "2>&-", "0>&- 1>&- 2>&-")  # closed by the shell
 @pytest.mark.parametrize("closed", STREAMS)
 def test_closed_streams_change_no_picture(desk: Path, tmp_path: Path, closed: str) -> None:
     """What a command opens must not lie where the streams were: the decoder would read it as its standard input."""
-    line = [*RUN, "render", desk / "table.h5", desk / "raw.tif", "-o", tmp_path / "a.png", "--exposure", "1"]
-    script = ["sh", "-c", f'exec "$@" {closed}', "sh", *line, "--backend", "reference"]
+    line: list[str | Path] = [
+        *RUN,
+        "render",
+        desk / "table.h5",
+        desk / "raw.tif",
+        "-o",
+        tmp_path / "a.png",
+        "--exposure",
+        "1",
+    ]
+    script: list[str | Path] = ["sh", "-c", f'exec "$@" {closed}', "sh", *line, "--backend", "reference"]
     assert subprocess.run(script, env=environment(), capture_output=True, check=False).returncode == 0
     assert (tmp_path / "a.png").read_bytes() == (desk / "reference.png").read_bytes()
 
