@@ -29,7 +29,7 @@ CONTENTS = {
         "reference/python", "metrics", "guarantees", "troubleshooting",
     ],
     "Results": ["gallery", "benchmarks", "results", "peers", "limits"],
-    "Background": ["method", "implementation"],
+    "Background": ["method", "implementation", "against-the-paper"],
     "Project": ["architecture", "contributing", "notebook", "changelog", "security", "reference/licences"],
 }  # fmt: skip
 
