@@ -1,4 +1,4 @@
-"""Classes of pixels, decided in integers (docs/method.md#classes). Training and every renderer share these formulas.
+"""Classification of pixels in integer arithmetic (docs/method.md#classes), shared by training and all renderers.
 
 There is one module per feature of a pixel's neighbourhood: level, contrast, saturation, chroma and direction. Each module
 holds the feature's integer formula, the macros and constants of its kernel snippet (opencl/), and the names of its values

@@ -1,13 +1,14 @@
-"""Chroma: the colour of a neighbourhood in which nothing is saturated (docs/method.md#chroma).
+"""Chroma: the colour of a neighbourhood without saturated pixels (docs/method.md#chroma).
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-summed over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The distance
-|f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is needed.
+The sum is over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The
+distance |f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is
+needed.
 
-A rule may dither between chromas (docs/method.md#dither). At the middle between two chromas about half of the CFA sites
-take the other chroma, and towards either centre fewer and fewer do. Colours then change smoothly, because later layers
-average over the sites.
+A rule may dither between chromas (docs/method.md#dither). Midway between two chroma centres, about half of the CFA sites
+take the other chroma. The nearer the colour is to one of the centres, the fewer sites take the other chroma. Colours then
+change smoothly, because later layers average over the sites.
 """
 
 import warnings
@@ -22,24 +23,25 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers, Neighbourhoods
 
-CHROMA_FRACTION = 4  # fractional bits of a channel mean above black in the chroma scores
-MAX_CHROMA_INPUT = 2**16 - 1  # clamp of the channel means, so that the scores stay within 32 bits
-STARTS = 4  # of k-means; one start in ten ends at centres that raise S-CIELAB by a tenth
-WIDTH_FRACTION = 8  # fractional bits of widths
-DITHERED = 0.6  # fraction of the squared distance to the next centre; with 1 the palest paint takes on a cast
-TWINS = 2e-3  # squared distance of two centres, relative to the mean channel, below which sites are not dithered
-TURN = 159  # 256 times the golden section, so that consecutive sites, and any few of them, differ
+CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
+MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores stay within 32 bits
+STARTS = 4  # number of k-means starts; one start in ten ends at centres that increase S-CIELAB by a tenth
+WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
+DITHERED = 0.6  # dither width relative to the squared distance to the next centre; with 1, the palest paint gets a cast
+TWINS = 2e-3  # smallest squared distance of two centres that are dithered, relative to the mean channel
+TURN = 159  # 256 times the golden section, so that the thresholds of any few consecutive sites are evenly spread
 SNIPPET = "features/chroma.cl"
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:
-    """Return the channel means of patches as fractions of their sum, (patch, channel).
+    """Return the channel means (patch, channel) of patches, as fractions of their sum.
 
     Parameters
     ----------
     signal : ndarray, (patch, tap)
         Signal above black.
     neighbours : Neighbourhoods
+        Windows of the CFA.
     site : int
         CFA site at the centre of the patches.
     """
@@ -60,13 +62,14 @@ def choose_chromas(
     count : int
         Number of centres.
     seed : int
+        Seed of the random starts.
     white : ndarray, (channel,), optional
         Signals of a white, which becomes the last centre.
 
     Returns
     -------
     ndarray, (chroma, channel), or None
-        None if `count` is 0 or 1.
+        The centres, or None if `count` is 0 or 1.
     """
     if count <= 1:
         return None
@@ -83,23 +86,23 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
     if len(distinct) <= count:
         return distinct
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about empty clusters, which are dropped below
+        warnings.simplefilter("ignore", UserWarning)  # k-means warns about empty clusters, which are dropped below
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
-    return np.asarray(centres[np.unique(member)])  # without centres that no sample is nearest to
+    return np.asarray(centres[np.unique(member)])  # drops centres that are not nearest to any sample
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return integer weights (chroma, channel) such that the nearest of `centres` (chroma, channel) has the lowest score."""
+    """Return the integer weights (chroma, channel) for which the nearest of `centres` has the lowest score."""
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
 
 def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
-    """Return the chroma centres q (chroma, channel), rows of sum 1, of a rule's integer weights |q|² − 2 q.
+    """Return the chroma centres q (chroma, channel) of a rule, computed from its integer weights |q|² − 2 q.
 
-    A rule with a single chroma has equal fractions in all channels.
+    Each row has sum 1. If the rule has a single chroma, all channels have equal fractions.
     """
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
@@ -109,11 +112,12 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the widths (chroma) over which sites are dithered.
+    """Return the dither width (chroma) of each chroma.
 
-    The width is the excess of the second score over the first at which no site takes the second chroma any more. It is
-    DITHERED times the squared distance from the centre to the nearest other centre, in units of 1/256 of score per sum of
-    the channels. It is 0 for rules without dither, and for twins, between which greys would flicker.
+    No site takes the second-best chroma if its score exceeds the best score by more than the width. The width is DITHERED
+    times the squared distance from the centre to the nearest other centre. Its unit is 1/256 of a score, divided by the sum
+    of the channels. It is 0 for rules without dither, and for pairs of very close centres, between which greys would
+    flicker.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -125,14 +129,14 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """Return the black level that the rule subtracts from channel means, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
+    """Return the black level for the channel means in the rule, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma (…) of pixels, whether or not something is saturated."""
+    """Return the chroma (…) of pixels, including saturated pixels."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # below 2⁵³, so exact in float64, for which BLAS is fast
+    # The scores are below 2⁵³ and therefore exact in float64, for which BLAS is fast.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():
@@ -147,7 +151,7 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Return the number of a chroma and its centre, as fractions per channel, for reports and JSON."""
+    """Return the number of a chroma and its centre, as a fraction for each channel, for reports and JSON."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
@@ -163,7 +167,7 @@ def name(table: TransformTable, chroma: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros that chroma.cl is compiled with."""
+    """Return the macros with which chroma.cl is compiled."""
     black_level = rule.chroma_black_level
     return {
         "CHROMAS": rule.chromas,
@@ -175,11 +179,12 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that chroma.cl reads: a row per chroma and one with equal weights, (chroma + 1, 2 + pair of
-    channels).
+    """Return the array that chroma.cl reads: one row per chroma, and a last row with equal weights.
+
+    Its shape is (chroma + 1, 2 + pair of channels).
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
-    pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit 16 bits
+    pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit into 16 bits
     pairs.reshape(len(weights), -1)[:, : rule.channels] = weights
     start = 2**15 * weights.sum(axis=1, keepdims=True, dtype=np.int32)
     widths = np.append(chroma_widths(rule), 0)[:, None].astype(np.int32)

@@ -1,11 +1,11 @@
 """Smooth rendering of uniform areas where channels begin to clip (docs/method.md#plain-clipped-areas).
 
-Classes switch abruptly where channels clip. In uniform areas their outputs are therefore replaced by a smooth function of
-the channel means.
+Classes change abruptly where channels clip. In uniform areas, the outputs are therefore replaced by a smooth function of the
+channel means.
 
-The means are taken over blocks. A block consists of whole periods of the array and has sides of at least 4 pixels. A quad
-of 2 × 2 pixels interpolates four maps between the blocks around it: the fraction of its outputs that is replaced, and the
-three outputs that replace it.
+The means are computed in blocks. A block consists of whole periods of the CFA, with sides of at least 4 pixels. Four maps
+are computed for each block: the fraction of the outputs that is replaced, and the three outputs that replace it. The maps
+are interpolated between blocks, with the same value for all pixels of a quad (2 × 2 pixels).
 """
 
 from dataclasses import dataclass
@@ -13,17 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SMALLEST_BLOCK = 4  # pixels, shortest side of a block
-QUAD = 2  # pixels, side of a quad
-# Mean of a channel, as a fraction of full scale, at which it begins to count as clipped, and at which it counts fully.
+SMALLEST_BLOCK = 4  # pixels; shortest permitted side of a block
+QUAD = 2  # pixels; side of a quad
+# A channel begins to count as clipped at the first mean, and counts fully at the second (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# Mean of the brightest channel, as a fraction of full scale, at which replacement begins, and at which it is complete.
+# Replacement begins at the first mean of the brightest channel, and is complete at the second (fractions of full scale).
 KEPT, REPLACED = 0.85, 0.975
-# Range of a channel within 3 × 3 blocks, as a fraction of full scale: up to the first uniform, from the second textured.
+# A block is uniform up to the first range of a channel within 3 × 3 blocks, and textured from the second (fractions of full
+# scale).
 PLAIN, TEXTURED = 0.12, 0.3
-WHITE_FROM = 1.25  # times the luminance of the clipped white, from which pixels are rendered white
-MIN_WEIGHT = 1e-6  # of a clipped channel in the grey level, so that the weights never sum to zero
-MAPS = 4  # the fraction of the outputs that is replaced, and the values added to X, Y and Z
+WHITE_FROM = 1.25  # luminance relative to the clipped white; brighter pixels are rendered white
+MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
+MAPS = 4  # number of maps: the fraction of the outputs that is replaced, and the values added to X, Y and Z
 Array = NDArray[np.float64]
 
 
@@ -32,27 +33,27 @@ class Mosaic:
     """A mosaic and its levels, as a table expects them."""
 
     values: NDArray[np.uint16]  # (row, col) DN
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channels, starting at the mosaic's first pixel
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channels, as seen from the first pixel of the mosaic
     black_level: float  # DN
     white_level: float
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the rows and columns of a block, which are whole periods of the array."""
+    """Return the rows and columns of a block, which are whole periods of the CFA."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the lowest DN of a pixel that makes its block count as bright."""
+    """Return the lowest DN with which a pixel makes its block count as bright."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
 def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
-    """Limit outputs (output, row, col), of which the first three are X, Y, Z, to the luminance of a white.
+    """Limit outputs (output, row, col) to the luminance of a white. The first three outputs are X, Y and Z.
 
-    Where all channels clip, nothing tells how bright a pixel is, and classes differ in what they guess: without a limit,
-    flat white areas would look grey beside the brighter pixels along edges. The colour of a pixel fades to that of the white
+    Where all channels clip, the brightness of a pixel is unknown, and classes estimate it differently. Without a limit,
+    uniform white areas would look grey beside brighter pixels along edges. The colour of a pixel fades to that of the white
     as its luminance rises from the limit to WHITE_FROM times the limit.
 
     Parameters
@@ -80,7 +81,9 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
+        Rendered outputs.
     mosaic : Mosaic
+        The mosaic from which they were rendered.
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
@@ -91,11 +94,11 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Return the maps (map, row, col) for every pixel. Parameters as in `replaced`."""
+    """Return the maps (map, row, col) at every pixel. The parameters are the same as for `replaced`."""
     means, spread = block_means(mosaic, len(response) - 1)
     maps, shape = block_maps(means, spread, response, white), mosaic.values.shape
     for axis, (length, side) in enumerate(zip(shape, block_sides(mosaic.cfa), strict=True), 1):
-        place = (np.arange(length) // QUAD * QUAD + QUAD / 2) / side - 0.5  # of quads, in blocks
+        place = (np.arange(length) // QUAD * QUAD + QUAD / 2) / side - 0.5  # position of the quad, in blocks
         low = np.floor(place).astype(int)
         share = (place - low).reshape(-1, *[1] * (2 - axis))
         first, second = (maps.take(np.clip(at, 0, maps.shape[axis] - 1), axis) for at in (low, low + 1))
@@ -106,19 +109,19 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
     """Return the means and ranges of the channels in the blocks of a mosaic.
 
-    The last blocks lie completely within the mosaic, and may overlap the blocks before them.
+    The last blocks lie completely within the mosaic and may overlap their neighbours.
 
     Returns
     -------
     means : ndarray, (channel, block row, block col)
-        As fractions of full scale. They are 0 in blocks that contain nothing bright, or lack a channel.
+        Channel means as fractions of full scale. They are 0 in blocks that contain no bright pixels or lack a channel.
     spread : ndarray, (block row, block col)
         Largest range of a channel, as a fraction of full scale.
     """
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
     values = mosaic.values
     for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
-        if length > side and (begin := length - side) % side:  # shift the last block back, keeping the order of its sites
+        if length > side and (begin := length - side) % side:  # the last block is moved back and its sites are reordered
             index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
             values = values.take(index, axis)
     blocks, count = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True)), np.zeros(channels, int)
@@ -140,14 +143,15 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
     """Return the blocks that may be uniform.
 
-    Blocks are left out if they are textured, or if they are dark. Dark blocks have means of 0, so that a bright block
-    beside one differs from it by at least TEXTURED.
+    Textured blocks and dark blocks are left out. Dark blocks have means of 0, so that a bright block beside a dark block
+    differs from it by at least TEXTURED.
 
     Parameters
     ----------
     means : ndarray, (channel, block row, block col)
+        Channel means from `block_means`.
     spread : ndarray, (block row, block col)
-        As returned by `block_means`.
+        Ranges from `block_means`.
 
     Returns
     -------
@@ -156,7 +160,7 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     signal : ndarray, (channel, block)
         Smoothed means.
     plain : ndarray, (block,)
-        1 for uniform blocks, falling to 0 for textured ones.
+        1 for uniform blocks, decreasing to 0 for textured blocks.
     share : ndarray, (block,)
         Fraction of the outputs that is replaced.
     """
@@ -175,7 +179,7 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Return the maps (map, block row, block col) from the means and ranges of the blocks."""
+    """Compute the maps (map, block row, block col) from the means and ranges of the blocks."""
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
     grey = np.minimum(level * white[:, None], 1.0)
@@ -187,10 +191,10 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Return the brightness (…) of signals (channel, …) as a grey, where a white is 1.
+    """Estimate the brightness (…) of signals (channel, …) as if they were grey. A white has brightness 1.
 
-    It is the mean of the channels' estimates, weighted by how little each clips. If all channels clip, it is the largest
-    estimate. `white` (channel) holds the signals of a white.
+    The result is a weighted mean of the estimates of all channels. The more a channel clips, the lower is its weight. If all
+    channels clip, the result is the largest estimate. `white` (channel) are the signals of a white.
     """
     level = np.stack([each / one for each, one in zip(signal, white, strict=True)])
     clipped = smooth_step(signal, BEGINS, CLIPS)
@@ -200,15 +204,16 @@ def grey_level(signal: Array, white: Array) -> Array:
 
 
 def added_terms(signal: Array) -> Array:
-    """Return the terms (clipped, signal, …) of signals (channel, …) that a response turns into a correction of the outputs.
+    """Return the terms (clipped, signal, …) from which a response computes a correction of the outputs.
 
-    There is one group of terms per clipped channel: all signals and 1, weighted by how far the channel clips.
+    Each channel that can clip has one group of terms: the signals of all channels and 1, multiplied by how far the channel
+    clips. `signal` is (channel, …).
     """
     terms = np.concatenate([signal, np.ones_like(signal[:1])])
     return np.asarray(smooth_step(signal, BEGINS, CLIPS)[:, None] * terms)
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Return 0 up to `low`, 1 from `high` on, and a smooth transition in between."""
+    """Return 0 up to `low`, 1 from `high` on, and a smooth transition between them."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

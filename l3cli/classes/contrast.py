@@ -1,6 +1,6 @@
-"""Contrast: how much a neighbourhood varies, compared with noise at its level (docs/method.md#contrast).
+"""Contrast: the variation in a neighbourhood, relative to the noise at its level (docs/method.md#contrast).
 
-For each channel let n be the count, S the sum, Q the sum of squares and M = S · round(65536 / n) >> 16 the mean. (M is
+For each channel, let n be the count, S the sum, Q the sum of squares and M = S · round(65536 / n) >> 16 the mean. (M is
 exact in uint32, because v has 12 bits.)
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
@@ -20,7 +20,7 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers
 from l3cli.errors import RecipeError
 
-MEAN_TRUNCATED = 1 / 3  # DN², mean increase of V because M is rounded down; matters where noise is below 1 DN
+MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down. It matters where noise is below 1 DN.
 SNIPPET = "features/contrast.cl"
 
 
@@ -33,7 +33,7 @@ def check_edges(recipe: BasicKeys) -> None:
 def stored_edges(
     recipe: BasicKeys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """Return the contrast edges (edge, level) of the rule, from the camera's noise at `levels` (see `noise_of_grey`)."""
+    """Compute the contrast edges (edge, level) of a rule from the camera's noise at `levels` (see `noise_of_grey`)."""
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
@@ -49,8 +49,9 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
     levels : ndarray, (level,)
         Signals in the most sensitive channel, as fractions of full scale.
     camera : CameraModel
+        The camera.
     dark : float
-        Dark signal in DN that has been subtracted from the frame.
+        Dark signal, in DN, that was subtracted from the frame.
     """
     span = camera.white_level - camera.black_level
     if camera.readout is None:
@@ -78,7 +79,7 @@ def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row: its number."""
+    """Return an entry as the first cell of a table row, which is its number."""
     return str(entry["contrast"])
 
 
@@ -88,7 +89,7 @@ def name(table: TransformTable, contrast: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros that contrast.cl is compiled with."""
+    """Return the macros with which contrast.cl is compiled."""
     return {"CONTRASTS": rule.contrasts}
 
 

@@ -1,5 +1,6 @@
-"""The class of a pixel from the statistics of its neighbourhood, in integers. Every renderer is tested against this
-module.
+"""Decides the class of a pixel from the statistics of its neighbourhood, in integers.
+
+This is the reference with which every renderer is compared in tests.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the class within its site (…) of every pixel."""
+    """Return the class (…) of every pixel, as an index among the classes of its CFA site."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
@@ -36,7 +37,9 @@ def label_mosaic(
     values : ndarray, (row, col)
         Raw values in DN.
     rule : ClassRule
+        The class rule.
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
     channels : int
         Number of channels.
     phase : tuple of int
@@ -45,7 +48,7 @@ def label_mosaic(
     Returns
     -------
     ndarray, (row, col)
-        Indices among the classes of all sites.
+        Class of each pixel, as an index among the classes of all sites.
     """
     statistics = mosaic_statistics(values, rule, neighbourhoods(cfa, rule.patch, channels), cfa, phase)
     return rule.on_site(labels(rule, statistics), statistics.site)
@@ -58,13 +61,16 @@ def label_patches(
     site: int,
     order: TapOrder | None = None,
 ) -> Integers:
-    """Return the class within `site` of each patch (patch, tap) of DN. `order` is the site's `tap_order`, if it is known."""
+    """Return the class (patch) of each of `patches` (patch, tap), in DN, as an index among the classes of `site`.
+
+    `order` is the `tap_order` of the site, if it was computed before.
+    """
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class within `site` of each patch from its sums."""
+    """Return the class (patch) of each patch, given its sums, as an index among the classes of `site`."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 

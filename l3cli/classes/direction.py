@@ -1,12 +1,12 @@
-"""Direction: the axis along which a neighbourhood varies most, how strongly, and whether it varies along that axis only.
+"""Direction: the axis along which a neighbourhood varies most, how strongly, and whether it varies only along this axis.
 
-docs/method.md#direction has the formulas; coherence is left out unless the recipe asks for it. Rising and falling
-brightness along an axis count as the same direction, because transforms are linear.
+The formulas are in docs/method.md#direction. Coherence is used only if the recipe asks for it. Rising and falling brightness
+along an axis count as the same direction, because transforms are linear.
 
-A mirrored or turned patch varies along another axis (`turned`). A quarter turn exchanges axes 0 and 2, and 1 and 3;
-transposition exchanges 0 and 2. Strength and coherence stay the same. The boxes are placed symmetrically, so this holds to
-the last bit, except for ties. Sites that share their training as mirror images therefore read each other's classes at the
-turned direction (training/symmetry), and sums are averaged only over orientations that leave every direction unchanged.
+If a patch is mirrored or rotated, its axis changes (`turned`). Rotation by 90° exchanges axes 0 and 2 as well as 1 and 3.
+Transposition exchanges 0 and 2. Strength and coherence do not change. The boxes are placed symmetrically, so this is exact
+except for ties. Sites that share their training as mirror images therefore exchange classes according to the new direction
+(training/symmetry). Sums are averaged only over orientations that leave every direction unchanged.
 """
 
 import math
@@ -24,22 +24,23 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # value of the larger multiplier m
+SCALE = 64  # value of the larger of the two multipliers m
 SHARES = 16  # coherence is stored in units of 1/SHARES
-HEAD = 5  # number of constants before the edges: m of axes 0 and 2, m of 1 and 3, orientations, strengths, coherence
+HEAD = 5  # number of constants before the edges: m of axes 0 and 2, m of axes 1 and 3, orientations, strengths, coherence
 
 
 class DirectionKeys(Recipe):
     """[classes.direction] of a recipe."""
 
     orientations: Literal[4, 8] = 4
-    strengths: tuple[float, ...] = (4.0,)  # edges of the largest difference divided by its noise
-    # largest difference across the axis, relative to that along it, of a coherent edge; default: coherence is not used
+    strengths: tuple[float, ...] = (4.0,)  # edges between strengths: largest difference divided by its noise
+    # An edge is coherent if the difference across the axis is at most this fraction of the difference along it. Default:
+    # coherence is not used.
     coherence: Share | None = None
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Return whether patches are large enough for boxes of one period of the array at different positions."""
+    """Return whether patches are large enough for boxes of one CFA period at different positions."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
@@ -48,7 +49,7 @@ def make_feature(
 ) -> Feature:
     """Return the windows, multipliers and strength edges for a camera, as `features.FeatureModule.make_feature` describes.
 
-    RecipeError if the strengths are not positive and increasing.
+    Raises RecipeError if the strengths are not positive and increasing.
     """
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
         raise RecipeError("classes.direction.strengths must be one or more positive numbers that increase")
@@ -66,15 +67,14 @@ def make_feature(
 
 
 def inner_span(span: int) -> int:
-    """Return the distance, down and across, of two diagonal boxes that lie symmetrically about `span` apart along the
-    diagonal.
-    """
+    """Return the distance, in rows and in columns, of two symmetric boxes on a diagonal that are about `span` apart."""
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
-    """Return the boxes of the four differences. If no box can lie exactly in the middle, both neighbouring positions are
-    used.
+    """Return the boxes of the four differences.
+
+    If a box cannot be placed exactly in the middle, both neighbouring positions are used.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
@@ -96,9 +96,7 @@ def _strength_edges(
     rule: ClassRule,
     dark: float,
 ) -> Integers:
-    """Return the strength edges (strength edge, level) of G, as multiples of its RMS value due to the camera's noise
-    alone.
-    """
+    """Return the strength edges (strength edge, level) of G, as multiples of the RMS value that noise alone causes."""
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -124,12 +122,12 @@ def check(feature: Feature, rule: ClassRule) -> None:
 
 
 def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Return no statistics: the edges follow from the camera's noise, not from the pilot."""
+    """Return an array without columns, because the edges depend on the camera's noise and not on the pilot."""
     return np.empty((*level.shape, 0))
 
 
 def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Return the direction (…) from the four differences (…, axis) at `level` (…)."""
+    """Return the direction (…), given the four differences (…, axis) and `level` (…)."""
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
     steepest = size.argmax(axis=-1)
@@ -147,7 +145,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
 
 
 def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-    """Return the feature with strength edges for frames that have this fraction of the noise variance."""
+    """Return the feature with strength edges for frames with the given fraction of the noise variance."""
     constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -184,9 +182,7 @@ def _feature_of(table: TransformTable) -> Feature:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Return the number of a direction, and the axis along which the neighbourhood varies, as an angle clockwise from the
-    row.
-    """
+    """Return the number of a direction and its axis, for reports and JSON. The axis is an angle clockwise from the row."""
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 
@@ -201,7 +197,7 @@ def name(table: TransformTable, index: int) -> str:
 
 
 def macros(feature: Feature, rule: ClassRule) -> dict[str, int]:
-    """Return the macros that direction.cl is compiled with."""
+    """Return the macros with which direction.cl is compiled."""
     names = ("STRAIGHT", "DIAGONAL", "ORIENTATIONS", "STRENGTHS", "COHERENCE")
     head = {f"DIRECTION_{name}": value for name, value in zip(names, feature.constants[:HEAD].tolist(), strict=True)}
     return head | {"DIRECTION_HEAD": HEAD, "DIRECTION_SHARES": SHARES}

@@ -1,11 +1,11 @@
 """The features of a class rule, and the interface of their modules.
 
-Every rule has the basic features level, contrast, saturation and chroma, on which training and kernels rely: levels borrow
-from neighbouring levels, chromas have common parents, saturated classes are trained on greys, and a single loop compares
-levels and selects contrast edges. Any number of other features may follow. A recipe switches such a feature on by a table
-with its name (`ClassRecipe`).
+Every rule has the basic features level, contrast, saturation and chroma. Training and kernels treat them individually: a
+level borrows from neighbouring levels, chromas have common parents, saturated classes are trained on greys, and a single
+loop compares levels and selects contrast edges. Any number of other features can be added. A recipe activates such a feature
+with a table of its name (`ClassRecipe`).
 
-A module with the functions of `FeatureModule` says how such a feature is decided. What a table stores of the feature is a
+An additional feature is implemented by a module with the functions of `FeatureModule`. A table of transforms stores it as a
 `class_rule.Feature`, which the functions receive as `feature`.
 """
 
@@ -26,18 +26,18 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """What the module of every feature has."""
+    """Common interface of the modules of all features."""
 
     SNIPPET: str  # file with the formula, below opencl/
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Return a description of value `index` for reports and JSON."""
+        """Return a description of the value with number `index`, for reports and JSON."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return such an entry as the first cell of a table row."""
+        """Return a result of `entry` as the first cell of a table row."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Return the name of value `index`."""
+        """Return the name of the value with number `index`."""
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
@@ -51,38 +51,39 @@ class BasicFeatureModule(DescribedFeature, Protocol):
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """Interface of the module of a feature that a recipe switches on.
+    """Interface of the module of an additional feature, which a recipe activates.
 
-    The feature is decided by integer sums over windows of the patch, by the level, and by constants that are chosen when
-    the rule is made. Its snippet defines the function
+    The value of the feature depends on integer sums over windows of the patch, on the level, and on constants that are
+    computed when the rule is made. The snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
-    which returns the same as `values`. Window sums are of v = DN >> shift, and their size is below 2²⁰.
+    which returns the same as `values`. Window sums are sums of v = DN >> shift. Their absolute values are below 2²⁰.
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches of side `patch` are large enough for the feature on a camera's array.
+        """Return whether patches with side `patch` are large enough for the feature on a camera's CFA.
 
-        If they are not, rules leave the feature out.
+        If they are not, rules are made without the feature.
         """
 
     def make_feature(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Feature:
-        """Return what a table stores of the feature.
+        """Return the feature as stored in a table of transforms.
 
         Parameters
         ----------
         keys
-            The feature's table in the recipe.
+            Keys of the feature in the recipe.
         camera : CameraModel
+            The camera.
         rule : ClassRule
-            The rule so far, without this feature.
+            The rule without this feature.
         dark : float
-            Dark signal in DN that has been subtracted from frames.
+            Dark signal, in DN, that was subtracted from frames.
         observed : ndarray, (patch, …), or None
-            Statistics from the pilot; None before the pilot.
+            Statistics from the pilot, or None before the pilot.
 
         Raises
         ------
@@ -91,21 +92,19 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def check(self, feature: Feature, rule: ClassRule) -> None:
-        """Raise ValueError if the stored constants do not fit the formula, which could then read beyond their end."""
+        """Raise ValueError if the number or range of the stored constants does not suit the formula."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics (patch, …) that the feature takes from the patches of the pilot, without columns if it takes
-        none.
-        """
+        """Return the statistics (patch, …) of the pilot's patches that `make_feature` needs. They may have no columns."""
 
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-        """Return the value (…) of the feature from window sums (…, sum) at `level` (…)."""
+        """Return the value (…) of the feature, given window sums (…, sum) and `level` (…)."""
 
     def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-        """Return the feature for frames with this fraction of the noise variance, in all or per level."""
+        """Return the feature for frames with the given fraction of the noise variance, overall or for each level."""
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Return what each value becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
+        """Return the new value for each value if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
         """Return the macros that the snippet is compiled with."""
@@ -113,19 +112,19 @@ class FeatureModule(DescribedFeature, Protocol):
 
 # The order in which snippets are joined and arrays are passed to kernels.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-FEATURES: Mapping[str, FeatureModule] = {  # by the name of the recipe table that switches it on
+FEATURES: Mapping[str, FeatureModule] = {  # name of the recipe table that activates a feature → its module
     "direction": direction,
 }
 
 
 class ClassRecipe(BasicKeys):
-    """Recipe of the classes that pixels are sorted into (configs/classes). A table switches the feature of its name on."""
+    """Recipe of the classes into which pixels are sorted (configs/classes). A table activates the feature of its name."""
 
     direction: DirectionKeys | None = None
 
 
 def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
-    """Return the module of a feature of a rule.
+    """Return the module of one of a rule's additional features.
 
     Raises
     ------
@@ -143,5 +142,5 @@ def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
 
 
 def features_of(rule: ClassRule) -> tuple[tuple[FeatureModule, Feature], ...]:
-    """Return each feature that the recipe added to a rule, with its module; InputFileError as in `module_of`."""
+    """Return the additional features of a rule with their modules. Raises InputFileError like `module_of`."""
     return tuple((module_of(feature, rule), feature) for feature in rule.feature_list)

@@ -2,7 +2,7 @@
 
     level = number of level edges ≤ Σ (S · round(65536 / n) >> 8)
 
-summed over the channels, where n is the count and S the sum of a channel.
+The sum is over the channels. n is the count and S the sum of a channel.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers
 from l3cli.errors import RecipeError
 
-LEVEL_FRACTION = 8  # fractional bits of a channel mean in the level sum
+LEVEL_FRACTION = 8  # number of fractional bits of a channel mean in the level sum
 SNIPPET = "features/level.cl"
 
 
@@ -53,7 +53,7 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the middle of each level, as a fraction of full scale, from the level edges. Parameters as in `edge_shares`."""
+    """Return the centre of each level as a fraction of full scale, given the level edges `shares` and `reach`."""
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
 
@@ -65,7 +65,7 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
     share : ndarray, (…)
         Signal in the most sensitive channel, as a fraction of full scale.
     sensitivity : ndarray, (channel,)
-        Relative to the most sensitive channel.
+        Sensitivities relative to the most sensitive channel.
     """
     if (sensitivity == 1).all():
         return share
@@ -73,28 +73,29 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean over the channels that a grey would have if no channel clipped.
+    """Return the mean over the channels that a grey would have without clipping.
 
-    Where the sensitive channels clip, the others determine it. Without differences in sensitivity the result equals
-    `mean`.
+    If the sensitive channels clip, the result follows from the other channels. If all channels are equally sensitive, the
+    result equals `mean`.
 
     Parameters
     ----------
     mean : ndarray, (…)
         Mean over the channels, each clipped at 1.
     sensitivity : ndarray, (channel,)
-        Relative to the most sensitive channel.
+        Sensitivities relative to the most sensitive channel.
     """
     if (sensitivity == 1).all():
         return mean
-    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear in between
+    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear between them
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """Return the level edges of the rule, given as signals of a grey in the most sensitive channel, in fractions of full
-    scale.
+    """Convert level edges to the integers of a rule.
+
+    The edges `shares` are signals of a grey in the most sensitive channel, as fractions of full scale.
     """
     span = camera.white_level - camera.black_level
     means = clipped_mean(shares, camera.sensitivity)
@@ -103,19 +104,20 @@ def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -
 
 
 def levels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the level (…)."""
+    """Return the level (…) of pixels."""
     total = (statistics.scaled >> (16 - LEVEL_FRACTION)).sum(axis=-1)
     return np.searchsorted(rule.level_edges, total, side="right")
 
 
 def level_of_mean(rule: ClassRule, total: float) -> int:
-    """Return the level of a uniform area from the sum of its channel means in DN, which need not be integers."""
+    """Return the level of a uniform area, given the sum of its channel means in DN. The sum need not be an integer."""
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return where each level except the darkest begins, as a fraction of full scale. The black and white levels are in
-    DN.
+    """Return the lower bound of each level except the darkest, as a fraction of full scale.
+
+    The black and white levels are in DN.
     """
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
@@ -147,10 +149,10 @@ def name(table: TransformTable, level: int) -> str:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros that level.cl is compiled with."""
+    """Return the macros with which level.cl is compiled."""
     return {"LEVELS": rule.levels, "LEVEL_FRACTION": LEVEL_FRACTION}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the highest level sum below each level edge, which is what kernels compare. No sum reaches 2³¹."""
+    """Return the highest level sum below each level edge, for comparison in kernels. No sum reaches 2³¹."""
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

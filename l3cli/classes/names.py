@@ -1,4 +1,4 @@
-"""Names of classes."""
+"""Names and descriptions of classes for reports and JSON."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Return the value of each feature of a class of the first layer, in words, by feature."""
+    """Describe a class of the first layer: the value of each feature in words."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -56,7 +56,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Return the value of each feature of a class of a refinement layer, in words, by feature."""
+    """Describe a class of a refinement layer: the value of each feature in words."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -76,7 +76,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a value among `count` values in words, with additional words for the first and the last."""
+    """Return a number among `count` numbers in words, with a remark for the first and the last."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -90,6 +90,6 @@ def feature_names(table: TransformTable, combination: int) -> list[str]:
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """Return "chroma K", or "saturated A+B" with the pattern of channels that is most typical of the saturation case."""
+    """Return "chroma K", or "saturated A+B" with the most typical pattern of channels of the saturation case."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -12,19 +12,19 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # most leaves in a part of a tree, all of which are decided at once
-NEVER = np.finfo(np.float32).max  # threshold of leaves, which no value exceeds
+PART_LEAVES = 16  # largest number of leaves in a part of a tree; all tests of a part are evaluated at once
+NEVER = np.finfo(np.float32).max  # threshold stored for leaves; no value exceeds it
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """Return the file with a rule's formula, and for each variant the file with its kernel `structures`."""
+    """Return the file with the formula of a rule, and for each variant the file with its kernel `structures`."""
     if isinstance(rule, StructureRule):
         return "common/structure.cl", {"processor": "cpu/structures.cl", "graphics": "gpu/structures.cl"}
     return "common/tree.cl", {"processor": "cpu/trees.cl", "graphics": "gpu/trees.cl"}
 
 
 def rule_macros(rule: PlaneRule) -> dict[str, int]:
-    """Return the macros that the formula and the kernel are compiled with."""
+    """Return the macros with which the formula and the kernel are compiled."""
     if isinstance(rule, StructureRule):
         return {"STRENGTHS": rule.strengths, "DIRECTIONS": DIRECTIONS, "COHERENCE": rule.coherence, "GRADIENT_TOP": GRADIENT}
     return {
@@ -54,7 +54,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
         part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
-        if end[node] <= [*first, rule.structures][part + 1]:  # a test within a part excludes leaves
+        if end[node] <= [*first, rule.structures][part + 1]:  # a test inside a part excludes leaves
             chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
         else:  # a test above the parts excludes parts
             parts = range(part, bisect.bisect_left(first, next_leaf))
@@ -70,8 +70,9 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _parts(rule: TreeRule) -> list[int]:
-    """Return the first leaf of each part of a tree, from left to right. A part is a largest branch of at most PART_LEAVES
-    leaves.
+    """Return the first leaf of each part of a tree, from left to right.
+
+    Parts are the largest branches with at most PART_LEAVES leaves.
     """
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
@@ -85,15 +86,15 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return, for each node, the number of the leaf after the last leaf below it."""
+    """Return the number of the leaf that follows the last leaf below each node."""
     end = rule.leaf + 1
-    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # branches follow their node
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # in reverse, because branches have higher numbers than nodes
         end[node] = end[rule.branch[node] + 1]
     return end
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
-    """Return (node, word) as trees_by_item.cl has them."""
+    """Return the nodes (node, word) of a tree in the layout of trees_by_item.cl."""
     leaf = rule.branch == 0
     threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
@@ -101,7 +102,7 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Return the numerator (node) of each test, combined with its denominator from bit `place` on."""
+    """Return the numerator (node) of each test, with its denominator stored from bit `place` on."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
@@ -148,14 +149,14 @@ def combination_function(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros of the features' snippets and of rule.cl."""
+    """Return the macros for the snippets of the features and for rule.cl."""
     basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
     added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
     return basic | added | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the constants of the features, in the order of the kernels' arguments.
+    """Return the constants of the features, in the order of the arguments of the kernels.
 
     `others` are rules that differ only in what depends on noise: contrast edges and constants of features. Their values
     follow those of `rule`.

@@ -1,7 +1,7 @@
-"""Layers in fixed point. Their planes are integers that are the same on every device (docs/method.md#planes).
+"""Layers in fixed-point arithmetic. Their planes are integers, which are equal on every device (docs/method.md#planes).
 
-The weights of each channel are rounded such that they add up to their rounded sum. Otherwise rounding would tint uniform
-areas, differently at every site. Weights fit 16 bits, which processors multiply twice as fast as floats.
+The weights of each channel are rounded so that their sum equals the rounded sum. Otherwise, rounding would tint uniform
+areas differently at every site. Weights fit into 16 bits, which processors multiply twice as fast as floats.
 """
 
 import functools
@@ -17,19 +17,19 @@ from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 
 MAX_FRACTION = 16
-MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # before rounding, which adds less than 1 to a weight
-COARSE, COARSE_TOP = 5, 2**15 - 1  # layers between first and last drop these bits of a plane, and clamp it to this size
-BLOCK = 256  # classes that are converted at a time, so that they fit the processor's cache
-LUMINANCE, CHROMA = 1, [0, 2]  # indices of the plane Y, and of the chroma planes
+MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
+COARSE, COARSE_TOP = 5, 2**15 - 1  # intermediate layers drop this number of bits, and clamp planes to this absolute value
+BLOCK = 256  # number of classes converted at once, so that they fit into the processor cache
+LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The transforms of a layer, which make planes, as integers."""
+    """The transforms of a layer to planes, as integers."""
 
-    weights: NDArray[np.int16]  # (class, plane, tap)
-    intercept: NDArray[np.int64]  # (class, plane)
-    fraction: NDArray[np.int32]  # (class) F, the number of fractional bits
+    weights: NDArray[np.int16]  # (class, plane, tap) W
+    intercept: NDArray[np.int64]  # (class, plane) B
+    fraction: NDArray[np.int32]  # (class) number F of fractional bits
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
         """Return the planes (plane, …) of pixels.
@@ -37,7 +37,7 @@ class FixedPoint:
         Parameters
         ----------
         sums : ndarray, (plane, …)
-            Σ W · DN + B, or the same of coarse planes.
+            Σ W · DN + B. In refinement layers, coarse planes take the place of DN.
         label : ndarray, (…)
             Class of each pixel.
         """
@@ -47,19 +47,19 @@ class FixedPoint:
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the basis that makes planes X − aY, Y, Z − bY: rows of outputs X, Y, Z times the basis are rows of planes."""
+    """Return the basis (output, plane) that converts X, Y, Z to planes X − aY, Y, Z − bY: planes = outputs @ basis."""
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
     return basis
 
 
 def planes_basis(table: TransformTable) -> NDArray[np.float64]:
-    """Return the basis (output, plane) that makes planes from the outputs of a table's first layer."""
+    """Return the basis (output, plane) with which the outputs of a table's first layer become planes."""
     return opponent_basis(table.white_point) if table.components is None else table.components.basis
 
 
 def fixed_point(table: TransformTable) -> FixedPoint:
-    """Return the first layer of a table as integers; InputFileError if its transforms are too large."""
+    """Convert the first layer of a table to integers. Raises InputFileError if its transforms are too large."""
     first, read = table.first, _raw(table.bits, table.black_level, table.white_level)
     channels, basis = window_channels(table.cfa, first.rule.patch), planes_basis(table)
     sites = [(first.rule.of_site(site), channel) for site, channel in enumerate(channels)]
@@ -67,34 +67,32 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Return a refinement layer that another one follows as integers; InputFileError if its transforms are too large."""
+    """Convert a refinement layer that is not the last to integers. Raises InputFileError if its transforms are too large."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
     return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the planes as layers between the first and the last read them: with fewer bits, and clamped."""
+    """Return the planes with fewer bits and clamped, which is the input of all layers between the first and the last."""
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
 
 def raw_middle(bits: int) -> int:
-    """Return the offset that is subtracted from raw values with this number of bits, so that they fit signed 16-bit
-    integers.
-    """
+    """Return the offset that is subtracted from raw values so that they fit into signed 16-bit integers."""
     return 2**15 if bits == 16 else 0
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Input values of a layer's transforms."""
+    """The number format of the input of a layer."""
 
-    step: float  # input value that weights refer to
+    step: float  # input value for which weights are defined
     zero: float  # input value without signal
-    largest: float  # greatest size of the values that kernels read
-    farthest: float  # size of `zero` as kernels read it
+    largest: float  # largest absolute value that kernels read
+    farthest: float  # absolute value of `zero` as read by kernels
 
 
-BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes, in layers that another follows
+BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes as input of intermediate layers
 
 
 def _raw(bits: int, black_level: float, white_level: float) -> _Read:
@@ -110,25 +108,27 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the factor (class) by which transforms could grow until their planes no longer fit integers.
+    """Return the largest factor (class) on the transforms with which their planes still fit into integers.
 
-    Below 1 the transforms are too large.
+    If the factor is below 1, the transforms are too large.
 
     Parameters
     ----------
     weights : ndarray, (class, plane, tap)
-        Per unit of full scale.
+        Weights for signals as fractions of full scale.
     intercept : ndarray, (class, plane)
+        Intercepts.
     bits : int
+        Bits of the raw values.
     black_level, white_level : float
-        In DN.
+        Levels of the raw values in DN.
     """
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same factor (class) as `room_for`, for a refinement layer that another one follows."""
+    """Return the same factor (class) as `room_for`, for a refinement layer that is not the last."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -136,8 +136,9 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Return transforms (class, output, tap) and (class, output) as integers; `layouts` pairs classes with the channels of
-    taps.
+    """Convert transforms, which are weights (class, output, tap) and intercepts (class, output), to integers.
+
+    Each of `layouts` is a range of classes with the channels of their taps.
     """
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
@@ -150,7 +151,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), BLOCK):
             block = distinct[start : start + BLOCK] + classes.start
-            # Classes come last, because numpy sums over the first axis several times as fast.
+            # Classes are the last axis, because numpy sums over the first axis several times faster.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -165,9 +166,10 @@ def _fixed_point(
 
 
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first class of each group of equal transforms, and for every class the index of its group.
+    """Group classes with equal transforms. Return the first class of each group, and the index of the group of each class.
 
-    Classes without patches of their own have a neighbour's transform. With many channels these are half of all classes.
+    Classes without patches of their own have the transform of a neighbour. With many channels, these are half of all
+    classes.
     """
     rows = np.concatenate([weights.reshape(len(weights), -1), intercept], axis=1)
     _, first, like = np.unique(
@@ -177,16 +179,16 @@ def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> t
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
-    """Return the factor (class) by which weights (tap, plane, class) with an offset (plane, class) could grow."""
+    """Return the largest factor (class) on weights (tap, plane, class) and offsets (plane, class) that fits."""
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * read.largest  # largest change of sum and offset by rounding
+    rounding = 2 * len(weights) * read.largest  # largest change of sum and offset due to rounding
     return np.minimum(MAX_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MAX_SUM - rounding) / (sums + 1e-30))
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the number of fractional bits F (class) of transforms that could be `room` (class) times larger."""
+    """Return the number of fractional bits F (class) of transforms that could be larger by the factor `room` (class)."""
     fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("transforms of a layer are too large for the next; train the table again")
@@ -194,10 +196,10 @@ def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Round weights (tap, …) to integers less than 1 away, such that the sum over each channel is the nearest integer.
+    """Round weights (tap, …) up or down, so that the sum over each channel is rounded to the nearest integer.
 
-    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up; among
-    equal ones, the first.
+    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up. If
+    fractional parts are equal, the first weights are rounded up.
     """
     whole = np.floor(weights)
     loss = whole - weights
@@ -218,7 +220,7 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (plane, …) from (output, …). Products are added one by one, so that every machine rounds in the same way."""
+    """Convert (output, …) to (plane, …). Products are added one by one, so that every machine rounds in the same way."""
     exact = values.astype(np.float64)
 
     def plane(column: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,6 +1,4 @@
-"""Classes of a refinement layer in whole frames, from the planes and classes of the first layer
-(docs/method.md#structure).
-"""
+"""Classes of a refinement layer in whole frames, computed from planes and first-layer classes (docs/method.md#structure)."""
 
 import functools
 from dataclasses import replace
@@ -18,8 +16,8 @@ from l3cli.classes.structure import REACH, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
-RATIO_DARKEST = 2**9  # steps of a plane; ratios are not taken to a lower mean luminance
-ROWS_AT_ONCE = 64  # few enough for their differences to stay in the processor's caches
+RATIO_DARKEST = 2**9  # steps of a plane; lowest mean luminance in the denominator of a ratio
+ROWS_AT_ONCE = 64  # number of rows processed at once, few enough to stay in the processor cache
 
 
 def label_planes(
@@ -34,15 +32,17 @@ def label_planes(
     first : ndarray, (row, col)
         Classes of the first layer.
     rule : PlaneRule
+        Class rule of the refinement layer.
     first_rule : ClassRule
+        Class rule of the first layer.
     *others : PlaneRule
-        Rules of further sets of transforms, which differ only in the scale of gradients. The sets are numbered one after
-        the other, as if each had its own sites.
+        Rules of additional sets of transforms, which differ only in the scale of gradients. The sets are numbered
+        consecutively, as if each had its own sites.
 
     Returns
     -------
     ndarray, (row, col)
-        Indices among the classes of all sites.
+        Class of each pixel, as an index among the classes of all sites.
     """
     place = first_rule.split(first)
     scale = place.level + first_rule.levels * (place.site // len(rule.turns)) if others else place.level
@@ -51,14 +51,14 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return the rule with the sites, and the scales of gradients, of all sets of transforms."""
+    """Return a rule that combines the sites and the scales of gradients of all sets of transforms."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure, or the leaf, (row, col) of pixels where nothing is saturated."""
+    """Return the structure or the leaf (row, col) of pixels, as if nothing were saturated."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), REACH)
         return structures(luminance, mirrored(level, REACH - 1), site, rule)
@@ -68,12 +68,14 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """Return the quantities that the tests of a tree compare.
+    """Return the quantities that are compared in the tests of a tree.
 
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
+        Planes of the previous layer.
     level : ndarray, (row, col)
+        Levels in the first layer.
     factor, shift : ndarray, (level,)
         Scale of gradients.
     """
@@ -90,9 +92,9 @@ def mirrored(planes: NDArray, margin: int) -> NDArray:
 
 
 def window_means(planes: NDArray, side: int) -> NDArray:
-    """Return the means (…, row, col) over side × side windows of planes with a margin of side // 2 pixels.
+    """Return the means (…, row, col) over side × side windows of planes that have a margin of side // 2 pixels.
 
-    Whole planes are added along rows and then along columns. A strided view of the windows would take ten times as long.
+    Whole planes are added, first along rows and then along columns, which takes a tenth of the time of a strided view.
     """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
@@ -100,11 +102,11 @@ def window_means(planes: NDArray, side: int) -> NDArray:
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
-    """Return a 64-bit word for each class (class) of the first layer, as kernels read it (opencl/common/gradient.cl).
+    """Return a 64-bit word for each class (class) of the first layer, in the layout of opencl/common/gradient.cl.
 
-    The lower half holds the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14). The
-    upper half holds the first class of the site and level. If saturation decides, it holds the class itself and bit 31 is
-    set. `others` as in `label_planes`.
+    The lower half contains the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14).
+    The upper half contains the first class of the site and level. If saturation decides the class, the upper half contains
+    this class, and bit 31 is set. `others` is the same as in `label_planes`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
@@ -123,9 +125,10 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Return the chroma changes that light and shade alone would cause, (chroma, row, col) in steps of a plane.
+    """Return the deviation of chroma (chroma, row, col) that brightness alone would cause, in steps of a plane.
 
-    They are the distances of a pixel's chroma planes from their means over side × side if the window had one colour:
+    This is the difference between the chroma planes of a pixel and their means over a side × side window if the whole window
+    had the same colour:
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
     """
@@ -136,9 +139,10 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 
 
 def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
-    """Return the difference between a pixel's chroma and that of similar pixels, (chroma, row, col) in steps of a plane.
+    """Return the difference between the chroma of similar pixels and the chroma of a pixel, in steps of a plane.
 
-    The mean is taken over the pixels q of a side × side window, weighted by their similarity in all planes p:
+    The result is (chroma, row, col). It is a mean over the pixels q of a side × side window, weighted by their similarity in
+    all planes p:
 
         Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
     """
@@ -157,9 +161,9 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the taps that follow those of the windows in a last layer, (tap, row, col) in steps of a plane.
+    """Return the additional taps (tap, row, col) of a last layer, after the taps of the windows, in steps of a plane.
 
-    `count` is one of RATIO_TAPS.
+    Their number `count` is one of RATIO_TAPS.
     """
     kinds = (shaded_chroma, bilateral_change)[: RATIO_TAPS.index(count)]
     return np.concatenate([np.empty((0, *planes.shape[1:])), *(kind(planes, side) for kind in kinds)])

@@ -1,4 +1,4 @@
-"""Make a camera's class rule from a recipe. The rule's classes are all combinations of the features' values."""
+"""Makes the class rule of a camera from a recipe. The classes are all combinations of the values of the features."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,12 +16,12 @@ from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the tables of the features that a recipe switches on, by name, in the order of FEATURES."""
+    """Return the keys of the features that a recipe activates, by name, in the order of FEATURES."""
     return {name: keys for name in FEATURES if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of requested features for which the patches are too small on a camera's array."""
+    """Return the names of requested features for which the patches are too small on a camera's CFA."""
     return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
@@ -40,15 +40,15 @@ def make_rule(
     ----------
     recipe : ClassRecipe
     camera : CameraModel
-        Its levels and noise determine the edges.
+        The camera, whose levels and noise determine the edges.
     case_of_code : ndarray, (code,)
         Saturation case of each pattern of saturated channels.
     chroma_centres : ndarray, (chroma, channel), optional
-        Channel means as fractions of their sum. Without centres there is a single chroma.
+        Channel means as fractions of their sum. Without centres, there is a single chroma.
     dark : float
-        Dark signal in DN that has been subtracted from the frames.
+        Dark signal, in DN, that was subtracted from the frames.
     observed : mapping, optional
-        Statistics of the pilot for each feature; None before the pilot.
+        Statistics of the pilot for each feature, or None before the pilot.
     spared_cases : int
         See ClassRule.
 
@@ -94,10 +94,10 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the recipe's saturation radius, limited to the patch, and wide enough for every site to see every channel.
+    """Return the saturation radius of the recipe, limited to the patch, but so large that every site includes every channel.
 
-    Otherwise sites would assign different cases to the same clipped area, and most of these cases are never trained on
-    clipped greys (docs/method.md#saturation-cases).
+    With a smaller radius, sites would assign different cases to the same clipped area, and most of these cases would never
+    be trained on clipped greys (docs/method.md#saturation-cases).
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

@@ -1,4 +1,4 @@
-"""Saturation: which channels clip near the centre of a neighbourhood (docs/method.md#saturation-cases).
+"""Saturation: the channels that clip near the centre of a neighbourhood (docs/method.md#saturation-cases).
 
     case = case_of_code[code]
 
@@ -17,30 +17,30 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 
-MIN_FRACTION = 2e-4  # of the training patches; rarer patterns join the nearest case
+MIN_FRACTION = 2e-4  # fraction of the training patches; rarer patterns join the nearest case
 SNIPPET = "features/saturation.cl"
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
     """Choose the saturation cases of a rule.
 
-    Code 0 is case 0. The most frequent other codes become cases. Every remaining code joins the nearest case. Nearest is,
-    in this order:
+    Code 0 is case 0. The most frequent other codes become cases. Every remaining code joins the nearest case, which is
+    chosen by these criteria in turn:
 
-    1. a case that has lost a filter if the code has, and otherwise a case that has not,
-    2. the case that differs in the fewest channels,
-    3. a case that clips all channels that the code clips.
+    1. Code and case agree in whether they have lost a filter, which means that all channels of a filter clip.
+    2. The case differs from the code in the fewest channels.
+    3. The case clips all channels that the code clips.
 
     Codes join case 0 only if there is no other case.
 
     Parameters
     ----------
     occurrences : ndarray, (code,)
-        How often each pattern of saturated channels occurred.
+        Number of occurrences of each pattern of saturated channels.
     most : int
         Largest number of cases, including case 0.
     filters : sequence of int, optional
-        Filter of each channel. By default every channel has its own.
+        Colour filter of each channel. [default: every channel has its own filter]
 
     Returns
     -------
@@ -64,21 +64,22 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Return the number of cases, from case 1 on, in which no filter has lost all of its channels."""
+    """Return the number of consecutive cases, starting at case 1, in which no filter has lost all of its channels."""
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Return the number of filters all of whose channels are saturated, for each code; `filters` gives each channel's
-    filter.
+    """Return, for each code, the number of filters that have lost all of their channels to saturation.
+
+    `filters` is the filter of each channel.
     """
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
 def stored_threshold(recipe: BasicKeys, camera: CameraModel) -> int:
-    """Return the value from which the rule counts a pixel as saturated, in DN."""
+    """Return the lowest value, in DN, at which the rule counts a pixel as saturated."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
@@ -110,7 +111,7 @@ def cases(rule: ClassRule, code: Integers) -> Integers:
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Return the number of a saturation case, and the channels saturated in all its patterns, for reports and JSON."""
+    """Return the number of a saturation case and the channels saturated in all its patterns, for reports and JSON."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
@@ -122,7 +123,7 @@ def heading(entry: dict[str, Any]) -> str:
 
 
 def name(table: TransformTable, case: int) -> str:
-    """Return "saturated A+B", with the pattern of channels that is most typical of the case."""
+    """Return "saturated A+B" with the most typical pattern of channels of the case."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
@@ -138,7 +139,7 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
     """Return the summed distance of each pattern to all others, measured as in choose_cases.
 
     The distance is the number of channels that differ, plus one half if the other pattern is not contained in this one.
-    With up to 2¹⁶ patterns they cannot be compared in pairs.
+    There may be 2¹⁶ patterns, too many to compare in pairs.
     """
     holds = codes[:, None] >> np.arange(channels) & 1
     often = holds.sum(axis=0)
@@ -151,7 +152,7 @@ def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros that saturation.cl and the statistics are compiled with."""
+    """Return the macros with which saturation.cl and the statistics are compiled."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 

@@ -1,4 +1,4 @@
-"""The statistics from which features are decided: sums and squares of the channels over patches, and saturation codes."""
+"""The statistics on which features depend: sums and sums of squares of the channels in patches, and saturation codes."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the neighbourhoods of pixels. Arrays have the pixels' shape (…)."""
+    """Statistics of the neighbourhoods of pixels, in arrays with the shape (…) of the pixels."""
 
     neighbours: Neighbourhoods
     site: Integers  # (…), or (1,) if all pixels have the same site
@@ -35,7 +35,7 @@ class PatchSums(NamedTuple):
     """Sums over patches of one site."""
 
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
-    squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None as above
+    squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None if the rule has a single contrast
     code: Integers  # (patch) saturation codes
     windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all features; integers below 2²⁴
 
@@ -50,14 +50,12 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean decrease of values, in DN, when they are shifted right."""
+    """Return the mean decrease of values, in DN, due to a shift to the right."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Return the sums over patches of values in DN (tap, patch), whose taps are sorted by `order`. The values are
-    overwritten.
-    """
+    """Return the sums over patches. Overwrites `values`, which are in DN (tap, patch) with taps sorted by `order`."""
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
@@ -86,8 +84,11 @@ def mosaic_statistics(
     values : ndarray, (row, col)
         Raw values in DN.
     rule : ClassRule
+        The class rule.
     neighbours : Neighbourhoods
+        Windows of the CFA.
     cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
     phase : tuple of int
         CFA site (row, col) of the first pixel.
     """

@@ -1,7 +1,7 @@
-"""Structure: strength and direction of the edge at a pixel, from the luminance that the previous layer has rendered.
+"""Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer.
 
-docs/method.md#structure has the formulas. The angle of (a, b) is twice the angle of the gradient. All integers stay below
-2³¹, so results are the same on every device.
+The formulas are in docs/method.md#structure. The angle of (a, b) is twice the angle of the gradient. All integers are below
+2³¹, so the results are equal on every device.
 """
 
 import functools
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
-WIDE, NEAR = 3, 2  # lengths of `triangle_sums`: weights 1 2 3 2 1 and 1 2 1
+WIDE, NEAR = 3, 2  # `length` of triangle_sums for weights 1 2 3 2 1 and 1 2 1
 SIGMA = 16  # gradient units per standard deviation of noise
-NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the tensor of noise alone
-REACH = 3  # pixels beyond the border that the structure of a pixel at the border reads
+NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the tensor if there is only noise
+REACH = 3  # pixels; width of the margin that the structure of border pixels needs
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
@@ -24,12 +24,13 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
     Parameters
     ----------
     luminance : ndarray, (row + 2 REACH, col + 2 REACH)
-        With a margin of mirrored pixels.
+        Luminance plane with a margin of mirrored pixels.
     level : ndarray, (row + 4, col + 4)
-        Levels of the first layer, with a margin of mirrored pixels.
+        Levels of the first layer with a margin of mirrored pixels.
     site : ndarray, (row, col)
         CFA sites.
     rule : StructureRule
+        Class rule of the layer.
     """
     xx, yy, xy = tensor(luminance, rule.gradient_factor.astype(np.int32)[level], rule.gradient_shift.astype(np.int32)[level])
     trace = xx + yy
@@ -54,10 +55,10 @@ def tensor(
 
 
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
-    """Return sums of values (row, col) over windows whose weights rise from 1 to `length` and fall again, along both axes.
+    """Return weighted sums of values (row, col) over windows.
 
-    They are computed as sums of sums of `length` values. With 32-bit integers this takes a third of the time of weighted
-    64-bit sums.
+    Along each axis, the weights rise from 1 to `length` and fall again. The result is computed as sums of sums of `length`
+    values. With 32-bit integers, this takes a third of the time of weighted sums in 64 bits.
     """
     for _ in range(2):
         for axis in (0, 1):
@@ -70,9 +71,12 @@ def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.intege
 
 
 def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
-    """Return the number 0…7 of the multiple of 45° nearest to the angle of (a, b), and the length of (a, b) along it."""
+    """Return the number, 0…7, of the multiple of 45° that is nearest to the angle of (a, b).
+
+    The second result is the length of (a, b) along this direction.
+    """
     width, height = np.abs(a), np.abs(b)
-    flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # 22.6°
+    flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # the limit is 22.6°
     diagonal = np.where(a > 0, np.where(b > 0, 1, 7), np.where(b > 0, 3, 5))
     direction = np.where(flat, np.where(a > 0, 0, 4), np.where(steep, np.where(b > 0, 2, 6), diagonal))
     along = np.where(flat, width, np.where(steep, height, (width + height) * 45 >> 6))
@@ -80,9 +84,9 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs of (a, b) when a 3 × 3 window is read in the order `turn` (tap).
+    """Return the signs that (a, b) get if a 3 × 3 window is read in the order `turn` (tap).
 
-    A quarter turn changes both signs, a mirror image that of b, a transposition that of a.
+    Rotation by 90° changes both signs, mirroring changes the sign of b, and transposition changes the sign of a.
     """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
@@ -94,7 +98,7 @@ def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
 def name(rule: StructureRule, number: int, site: int) -> str:
     """Return the name of a structure at a site, such as "flat" or "strength 1 of 2, edge at 45°".
 
-    The angle is that of the edge, anticlockwise from the horizontal.
+    The angle is measured anticlockwise from the horizontal to the edge.
     """
     if number == 0:
         return "flat"
@@ -103,6 +107,6 @@ def name(rule: StructureRule, number: int, site: int) -> str:
     if within == 0:
         return f"{stem}, no direction"
     across, down = rule.turns[site].tolist()
-    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # of (a, b), twice that of the gradient, in the site's orientation
-    gradient = np.degrees(np.arctan2(np.sin(angle) * down, np.cos(angle) * across)) / 2  # from the horizontal, downwards
+    angle = 2 * np.pi * (within - 1) / DIRECTIONS  # angle of (a, b), twice that of the gradient, in the site's orientation
+    gradient = np.degrees(np.arctan2(np.sin(angle) * down, np.cos(angle) * across)) / 2  # angle below the horizontal
     return f"{stem}, edge at {np.round(90 - gradient, 1) % 180:g}°"

@@ -1,7 +1,8 @@
-"""Trees: threshold tests on the planes of the previous layer near a pixel (docs/method.md#trees lists the quantities).
+"""Decision trees: threshold tests on the planes of the previous layer around a pixel (docs/method.md#trees).
 
-A test compares a numerator with a threshold times a denominator. Both are integers below 2³¹, which are converted to
-float32 and multiplied once, by the rules of IEEE 754. The outcome is therefore the same on every device.
+A test compares a numerator with a threshold times a denominator. Numerator and denominator are integers below 2³¹. They are
+converted to float32, and there is only one multiplication, which follows IEEE 754. The result is therefore equal on every
+device.
 """
 
 from dataclasses import dataclass
@@ -16,15 +17,15 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-TOP, CHROMA_TOP = 2895, 2047  # clamps of gradients, so that sums of 81 squares, and differences of such sums, fit 31 bits
-DARK = 512  # weighted sum of luminance over 16 pixels, in steps of a plane; the quotient of chroma goes no lower
-REACH = 3  # pixels beyond the border that the tests of a pixel at the border read
+TOP, CHROMA_TOP = 2895, 2047  # limits of gradients, so that sums of 81 squares and their differences fit into 31 bits
+DARK = 512  # steps of a plane; smallest denominator (weighted luminance sum over 16 pixels) of the quotient of chroma
+REACH = 3  # pixels; width of the margin that the tests of border pixels need
 
-ONE, TRACE, CHROMA, LUMA = range(4)  # denominators
+ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
 
 class Test(NamedTuple):
-    """A test of a tree: the name of its numerator, and the index of its denominator."""
+    """A test in a tree: the name of its numerator and the index of its denominator."""
 
     name: str
     denominator: int
@@ -60,19 +61,19 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The quantities that tests compare, for every pixel."""
+    """The quantities that are compared in tests, for every pixel."""
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """Return the quantities that tests compare, (row, col).
+    """Return the quantities (row, col) that are compared in tests.
 
     Parameters
     ----------
     planes : ndarray, (plane, row + 2 REACH, col + 2 REACH)
-        With a margin of mirrored pixels.
+        Planes with a margin of mirrored pixels.
     factor, shift : ndarray, (row + 4, col + 4)
         Scale of gradients, with a margin of mirrored pixels.
     """
@@ -119,7 +120,7 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # offsets of the planes that are compared: numerators per orientation and node, denominators per node
+    # Offsets of the planes that are compared: numerators for each orientation and node, denominators for each node.
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
@@ -147,7 +148,7 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
 
 
 def turned_axes(turn: int) -> tuple[bool, int, int]:
-    """Return how the axes of a window change when it is read in orientation `turn` (0…7).
+    """Describe the axes of a window that is read in orientation `turn` (0…7).
 
     The result is whether rows and columns are exchanged, and the signs of the steps across and down.
     """

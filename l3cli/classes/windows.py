@@ -1,4 +1,4 @@
-"""The windows around the sites of a CFA: the channel of each tap, and reciprocals of the number of taps per channel."""
+"""The windows around the sites of a CFA: the channel of each tap, and the number of taps of each channel."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from l3cli.artifacts.class_rule import ClassRule
 from l3cli.errors import RecipeError
 
 Integers = NDArray[np.int64]
-VARIANCE_FRACTION = 9  # fractional bits of a channel variance
+VARIANCE_FRACTION = 9  # number of fractional bits of a channel variance
 
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The p × p windows of every site of a CFA, and the reciprocals in the class formulas."""
+    """The p × p window of each site of a CFA, and the reciprocals that occur in the class formulas."""
 
     channel: Integers  # (site, tap) channel of each tap
     count: Integers  # (site, channel) number of taps of each channel
@@ -23,7 +23,10 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return the windows of side `patch` around every site; RecipeError if a window does not contain every channel."""
+    """Return the windows with side `patch` around every site.
+
+    Raises RecipeError if a window does not contain all channels.
+    """
     channel = window_channels(cfa, patch)
     count = np.array([np.bincount(window, minlength=channels) for window in channel])
     if (count == 0).any():
@@ -33,7 +36,7 @@ def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbo
 
 
 def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
-    """Return the channel of each tap (site, tap), row by row, in windows of side `patch` around every site."""
+    """Return the channel of each tap (site, tap), row by row, in the windows with side `patch` around every site."""
     rows, cols = cfa.shape
     reach = np.arange(patch) - patch // 2
     windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
@@ -41,15 +44,15 @@ def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
 
 
 def _divided(numerator: int, count: Integers) -> Integers:
-    """Return round(numerator / count), halves up, in integers."""
+    """Return round(numerator / count) in integer arithmetic, rounding halves up."""
     return (2 * numerator + count) // (2 * count)
 
 
 @dataclass(frozen=True)
 class TapOrder:
-    """The taps of a site's window sorted by channel, and within a channel with those near the centre first.
+    """The taps of a site's window, sorted by channel. Within a channel, taps near the centre come first.
 
-    Sums over a channel's taps are then sums over adjacent rows of an array (tap, patch), which numpy computes fastest.
+    Sums over the taps of a channel are then sums over adjacent rows of an array (tap, patch), which numpy computes fastest.
     """
 
     taps: Integers  # (tap) indices in the window
@@ -75,7 +78,7 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return how often each tap (sum, tap), row by row, counts in the window sums of all features."""
+    """Return the number of times (sum, tap) that each tap, row by row, is counted in the window sums of all features."""
     counts = np.zeros((rule.window_sums, rule.patch, rule.patch), np.float32)
     for window in rule.windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -84,7 +87,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return the CFA site (row, col) of every pixel of a frame whose first pixel has the site `phase`."""
+    """Return the index of the CFA site (row, col) of every pixel of a frame whose first pixel has the site `phase`."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col
