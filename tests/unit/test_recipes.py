@@ -6,7 +6,7 @@ import functools
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -461,5 +461,5 @@ def test_structures_of_one_name_are_told_apart_by_their_modules() -> None:
         msgspec.defstruct("Options", [(key, int, 1)], bases=(Recipe,), module=f"package.{key}") for key in ("one", "other")
     )
     both = msgspec.defstruct("Both", [("first", one | None, None), ("second", other | None, None)], bases=(Recipe,))
-    tables = recipes_schema.schema_of((both,), "both")["$defs"]
+    tables = recipes_schema.schema_of((cast("type[Recipe]", both),), "both")["$defs"]
     assert [list(tables[f"package.{key}.Options"]["properties"]) for key in ("one", "other")] == [["one"], ["other"]]
