@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts import store
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANES, RATIO_TAPS, PlaneRule, one_rule
 from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.scales import name_axes
 from l3cli.artifacts.schema import Artifact, check, data, group
-from l3cli.artifacts.table import PLANES, RATIO_TAPS, PlaneRule, TransformTable, one_rule
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 

@@ -1,291 +1,21 @@
-"""The transform table: the class rule and the transforms of every layer (docs/method.md#classes).
-
-A table may also hold transforms for conditions: for single lights (docs/method.md#several-lights), and for frames with more
-or less noise than the camera's (docs/method.md#noise-sets). All conditions share the class rules, except that class edges
-follow the noise.
-"""
+"""The transform table: the class rule and the transforms of every layer, also for conditions (docs/method.md#classes)."""
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale, check_cfa, check_sensor
-from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.conditions import Condition, NoiseEdges, SceneLight
+from l3cli.artifacts.layers import PLANES, RATIO_TAPS, MosaicLayer, PlaneLayer
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
-PlaneRule = StructureRule | TreeRule
 LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
 GREY = ("Y", "Y", "Y")  # outputs of such a table when it renders pictures
-PLANE_STEP = 2.0**-18  # quantum of the planes' integers in output units, far below the noise of any sensor
-RATIO_TAPS = (0, 2, 4)  # extra taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
-PLANE_TOP = 2**22 - 1  # 16 times full scale; a difference of planes times a 7-bit factor stays within 32 bits
-PLANES = 3  # that a refinement layer reads: X − aY, Y, Z − bY
 WINDOWS = (3, 5, 7, 9)  # possible sides of the window that spectra are smoothed over, in pixels
-COMPARED = (4, 3, 3)  # shape of the noise in coarse chroma: steps, planes, powers of luminance
-
-
-@dataclass(frozen=True)
-class MosaicLayer:
-    """The first layer: transforms of patches of the mosaic.
-
-    Output = weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the pixel's
-    class.
-    """
-
-    rule: ClassRule = group()
-    weights: NDArray[np.float32] = data(
-        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black level) / full scale"
-    )
-    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
-    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.weights.shape[2] != self.rule.patch**2:
-            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
-
-    def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return the layer with some of its outputs, given by their indices."""
-        return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
-
-
-@dataclass(frozen=True)
-class CoarseChroma:
-    """Noise of the coarse chroma that the last layer compares (docs/method.md#coarse-chroma)."""
-
-    variance: NDArray[np.float64] = data(
-        "float64",
-        "step",
-        "plane",
-        "power",
-        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads",
-    )
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.variance.shape != COMPARED:
-            raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
-        if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
-            raise ValueError("variance must not be negative, nor zero in darkness")
-
-    def with_noise(self, share: float) -> "CoarseChroma":
-        """Return a copy for frames with this fraction of the noise variance."""
-        return CoarseChroma(self.variance * share)
-
-
-@dataclass(frozen=True)
-class Clipping:
-    """Response of uniform areas where channels clip (docs/method.md#plain-clipped-areas)."""
-
-    response: NDArray[np.float64] = data(
-        "float64",
-        "clipped",
-        "signal",
-        "output",
-        doc="by the mean of each channel, a share of full scale, and by 1 behind them: of all areas, then what each channel "
-        "adds that clips",
-    )
-    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training light")
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not self.white.min() > 0:
-            raise ValueError("white must be above zero in every channel")
-        if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
-            raise ValueError(
-                f"response has the shape {self.response.shape}; it must be finite, and its first two axes channels + 1 long"
-            )
-
-
-@dataclass(frozen=True)
-class PlaneLayer:
-    """A refinement layer: transforms of square windows of three planes that the previous layer has rendered.
-
-    The planes are X − aY, Y and Z − bY. The factors a and b are chosen such that a white is (0, Y, 0).
-    """
-
-    side: int = data("int64", unit="pixel", doc="side of the windows")
-    weights: NDArray[np.float32] = data(
-        "float32",
-        "plane_class",
-        "output",
-        "plane_tap",
-        doc="taps plane by plane, each row by row, behind them colour ratios, bilateral chroma, if any; per output unit",
-    )
-    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
-    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
-    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
-    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma comes from the windows only
-    clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
-
-    def __post_init__(self) -> None:
-        check(self)
-        one_rule(self.structure, self.tree)
-        if self.clipping and not self.coarse_chroma:
-            raise ValueError("a layer with clipping must have coarse chroma")
-
-    @property
-    def rule(self) -> PlaneRule:
-        """Class rule of the layer."""
-        return one_rule(self.structure, self.tree)
-
-    @property
-    def radius(self) -> int:
-        return self.side // 2
-
-    @property
-    def window_taps(self) -> int:
-        """Number of taps in the windows. Taps for colour ratios and bilateral chroma follow them."""
-        return PLANES * self.side**2
-
-    @property
-    def ratio_taps(self) -> int:
-        """Number of taps after those of the windows, one of RATIO_TAPS."""
-        return self.weights.shape[2] - self.window_taps
-
-    def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames with this fraction of the noise variance; only coarse chroma depends on it."""
-        return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
-
-    def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return a copy of the layer whose rule scales gradients by `scale`."""
-        return replace(self, **rule_fields(self.rule.scaled_as(scale)))
-
-
-def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return a refinement layer's rule under the name of the field that holds it."""
-    return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
-
-
-def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the one of two rules that is not None; ValueError unless exactly one is given."""
-    if structure is None and tree is not None:
-        return tree
-    if structure is not None and tree is None:
-        return structure
-    raise ValueError("a layer has either a structure rule or a tree")
-
-
-@dataclass(frozen=True)
-class SceneLight:
-    """A light that a table has transforms for."""
-
-    name: str = data("str", doc="the light")
-    white_point: NDArray[np.float64] = data("float64", "output", doc="output of a perfect white under it, Y = 1")
-    spectrum: LightSpectrum | None = group(default=None)
-
-    def __post_init__(self) -> None:
-        if not self.white_point[:3].min() > 0:
-            raise ValueError(f"white_point of {self.name} must be above zero")
-
-
-@dataclass(frozen=True)
-class NoiseEdges:
-    """The parts of the class rules that depend on the noise: edges of classes, and the noise in coarse chroma."""
-
-    contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
-    constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
-    gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last layer; None: as in the table
-
-    @classmethod
-    def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
-        """Return the noise-dependent parts of the rules of a table's layers."""
-        constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
-        coarse = later[-1].coarse_chroma if later else None
-        return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)
-
-    def within(self, table: "TransformTable") -> "TransformTable":
-        """Return a copy of a table with these edges and without conditions."""
-        usual = table.first.rule
-        features = usual.features and replace(usual.features, constants=self.constants)
-        rule = replace(usual, contrast_edges=self.contrast_edges, features=features)
-        later = list(map(PlaneLayer.scaled_as, table.later, self.gradients))
-        if later and self.coarse_chroma:
-            later[-1] = replace(later[-1], coarse_chroma=self.coarse_chroma)
-        return replace(table, first=replace(table.first, rule=rule), later=tuple(later), conditions=())
-
-
-@dataclass(frozen=True)
-class MosaicTransforms:
-    """Transforms of the first layer under a condition."""
-
-    weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
-    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
-
-
-@dataclass(frozen=True)
-class PlaneTransforms:
-    """Transforms of a refinement layer under a condition."""
-
-    weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
-    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
-    clipping: Clipping | None = group(default=None)  # as in later/
-
-
-@dataclass(frozen=True)
-class Condition:
-    """Transforms of all layers, learned for one light, for another noise than the camera's, or for both."""
-
-    first: MosaicTransforms = group()
-    later: tuple[PlaneTransforms, ...] = group(default=())
-    light: SceneLight | None = group(default=None)  # None: all lights of the training set
-    noise: NoiseScale | None = group(default=None)  # None: the camera's noise
-    edges: NoiseEdges | None = group(default=None)  # None: the edges of the table's rules
-
-    def __post_init__(self) -> None:
-        check(self)
-        if (self.noise is None) != (self.edges is None) or not (self.light or self.noise):
-            raise ValueError("a condition must have a light, or a scale of the noise and its edges")
-
-    @classmethod
-    def of(
-        cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
-    ) -> "Condition":
-        """Return a condition from layers that were trained for it.
-
-        Parameters
-        ----------
-        first : MosaicLayer
-        later : sequence of PlaneLayer
-        light : SceneLight or None
-            None for all lights of the training set.
-        noise : NoiseScale or None
-            None for the camera's noise. Otherwise the condition also holds the edges of the layers' rules.
-        """
-        return cls(
-            MosaicTransforms(first.weights, first.intercept, first.samples),
-            tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples, layer.clipping) for layer in later),
-            light,
-            noise,
-            NoiseEdges.of(first, later) if noise else None,
-        )
-
-    def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
-        """Raise ValueError, naming `place`, unless the condition fits a table's refinement layers and number of levels."""
-        if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
-            raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
-        for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
-            if ours.weights.shape != layer.weights.shape:
-                raise ValueError(f"{place}/later/{number} has transforms of other shapes than later/{number}")
-        if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"{place}/edges has gradients of other levels than the table")
-
-    def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with some of its outputs, given by their indices. Refinement layers are kept as they are."""
-        first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
-        light = self.light and replace(self.light, white_point=self.light.white_point[taken])
-        return replace(self, first=first, light=light)
 
 
 @dataclass(frozen=True)
@@ -495,7 +225,7 @@ class TransformTable(Artifact):
     def under(self, condition: Condition) -> "TransformTable":
         """Return a table with the transforms of one of its conditions only."""
         light, noise = condition.light, condition.noise or NoiseScale()
-        table = condition.edges.within(self) if condition.edges else self
+        table = self._with_edges(condition.edges) if condition.edges else self
         return replace(
             table,
             first=replace(table.first, **vars(condition.first)),
@@ -507,6 +237,16 @@ class TransformTable(Artifact):
             camera=self.camera and self.camera.under(noise),
             conditions=(),
         )
+
+    def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
+        """Return the table with other class edges and noise, without conditions."""
+        usual = self.first.rule
+        features = usual.features and replace(usual.features, constants=edges.constants)
+        rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)
+        later = list(map(PlaneLayer.scaled_as, self.later, edges.gradients))
+        if later and edges.coarse_chroma:
+            later[-1] = replace(later[-1], coarse_chroma=edges.coarse_chroma)
+        return replace(self, first=replace(self.first, rule=rule), later=tuple(later), conditions=())
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:

@@ -7,7 +7,7 @@ The planes are averaged over blocks of 4 × 4 pixels. The blocks are smoothed in
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, CoarseChroma
+from l3cli.artifacts.layers import PLANE_STEP, CoarseChroma
 from l3cli.classes.planes import CHROMA, LUMINANCE
 
 BLOCK = 4  # pixels; side of a block

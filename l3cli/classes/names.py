@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 

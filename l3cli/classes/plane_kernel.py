@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, TESTS, StructureRule, TreeRule
-from l3cli.artifacts.table import PlaneRule
 from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE

@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, PlaneLayer, TransformTable
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PlaneLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 

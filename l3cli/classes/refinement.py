@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import RATIO_TAPS, PlaneRule
 from l3cli.classes import tree
 from l3cli.classes.planes import CHROMA, LUMINANCE
 from l3cli.classes.structure import REACH, structures

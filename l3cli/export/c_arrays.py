@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import Window
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule, TreeRule
-from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation
 from l3cli.classes.coarse_chroma import scales_of
 from l3cli.classes.plane_kernel import rule_constants, rule_macros

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli import __version__
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, rule_fields
 from l3cli.artifacts.plane_rules import GRADIENT
 from l3cli.artifacts.schema import Spec, declared, is_stored
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, TransformTable, rule_fields
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, clipping
 from l3cli.classes.coarse_chroma import ALIKE
 from l3cli.classes.planes import COARSE, COARSE_TOP, FixedPoint, fixed_point, planes_basis, refined_fixed_point

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, CoarseChroma
 from l3cli.artifacts.plane_rules import GRADIENT, StructureRule, TreeRule
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, CoarseChroma, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, clipping, saturation
 from l3cli.classes.features import features_of
 from l3cli.classes.plane_kernel import combination_function

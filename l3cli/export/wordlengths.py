@@ -18,7 +18,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, RATIO_TAPS, TransformTable
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, RATIO_TAPS
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.clipping import limited_to_white
 from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule, Feature, StoredFeatures
+from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import direction
 from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
 from l3cli.classes.level import LEVEL_FRACTION

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule, StoredFeatures
+from l3cli.artifacts.conditions import Condition
+from l3cli.artifacts.layers import Clipping, CoarseChroma, MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import Clipping, CoarseChroma, Condition, MosaicLayer, PlaneLayer, PlaneRule, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes import contrast, level
 from l3cli.classes.features import features_of

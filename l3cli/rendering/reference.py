@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANE_STEP, MosaicLayer, PlaneLayer, SpectralSmoothing, TransformTable
+from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
+from l3cli.artifacts.table import SpectralSmoothing, TransformTable
 from l3cli.classes.clipping import Mosaic, limited_to_white, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
-from l3cli.artifacts.table import MosaicLayer, TransformTable
+from l3cli.artifacts.layers import MosaicLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.clipping import KEPT, block_means, block_sides, plain_blocks
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import MosaicLayer, PlaneLayer, TransformTable
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.names import class_words, plane_class_words
 from l3cli.report.colours import channel_light, hex_colour
 from l3cli.report.parts import Jpeg, Picture, PixelPicker, Pixels

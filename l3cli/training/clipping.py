@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.table import Clipping
+from l3cli.artifacts.layers import Clipping
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.clipping import CLIPS, added_terms, grey_level
 from l3cli.training.plain_surfaces import plain_surfaces

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANES
+from l3cli.artifacts.layers import PLANES
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet, white_signal
 from l3cli.physics.display import XYZ
 from l3cli.physics.spectra import is_spectrum

@@ -10,9 +10,10 @@ import numpy as np
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import MAX_PATCH
+from l3cli.artifacts.layers import RATIO_TAPS
 from l3cli.artifacts.plane_rules import MAX_LEAVES
 from l3cli.artifacts.recipe_source import RecipeSource
-from l3cli.artifacts.table import RATIO_TAPS, WINDOWS
+from l3cli.artifacts.table import WINDOWS
 from l3cli.classes import contrast, level
 from l3cli.classes.features import ClassRecipe
 from l3cli.errors import RecipeError

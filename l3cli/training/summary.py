@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.conditions import SceneLight
+from l3cli.artifacts.layers import PLANES, PlaneLayer, PlaneRule
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource
-from l3cli.artifacts.table import PLANES, PlaneLayer, PlaneRule, SceneLight, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import level
 from l3cli.classes.features import features_of
 from l3cli.classes.names import class_name, kind_name

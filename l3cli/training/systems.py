@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PLANES
+from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]

@@ -20,17 +20,11 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.conditions import Condition
+from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import (
-    Condition,
-    LeadingComponents,
-    MosaicLayer,
-    PlaneLayer,
-    PlaneRule,
-    SpectralSmoothing,
-    TransformTable,
-)
+from l3cli.artifacts.table import LeadingComponents, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet, white_signal
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches

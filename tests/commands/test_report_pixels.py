@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.plane_rules import DIRECTIONS, StructureRule
 from l3cli.artifacts.store import save
-from l3cli.artifacts.table import MosaicLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet, write_training_set
 from l3cli.classes.names import class_words, plane_class_words
 from l3cli.classes.structure import name, structures

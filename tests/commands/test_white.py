@@ -12,8 +12,9 @@ import pytest
 
 import l3cli
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import Condition, SceneLight, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.frames.chart import Located
 from l3cli.io.images import read_image
 from l3cli.io.pictures.dng import LIGHT_CODES, write_dng

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from l3cli.artifacts.table import MosaicLayer
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.classes.names import kind_name
 from tests.helpers import hostile_forks, hostile_physics
 from tests.helpers.fuzz import Seeded

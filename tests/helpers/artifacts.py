@@ -9,10 +9,11 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.design import GROUPS, SIDE, SOFT, Design, LightMoments, SceneMoments, Truth, Tuned
 from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, SeriesFit, SweepFit
+from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums, PartialLayerSums, PartialSums
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.schema import Spec, Stage, declared
-from l3cli.artifacts.table import MosaicLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingFrame, TrainingSet
 
 

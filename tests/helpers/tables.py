@@ -7,21 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from l3cli.artifacts.camera import CameraModel, NoiseScale
+from l3cli.artifacts.conditions import Condition, SceneLight
+from l3cli.artifacts.layers import COMPARED, PLANES, RATIO_TAPS, Clipping, CoarseChroma, MosaicLayer, PlaneLayer
 from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
-from l3cli.artifacts.table import (
-    COMPARED,
-    PLANES,
-    RATIO_TAPS,
-    Clipping,
-    CoarseChroma,
-    Condition,
-    LeadingComponents,
-    MosaicLayer,
-    PlaneLayer,
-    SceneLight,
-    SpectralSmoothing,
-    TransformTable,
-)
+from l3cli.artifacts.table import LeadingComponents, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.features import ClassRecipe

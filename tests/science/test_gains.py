@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from l3cli.artifacts.camera import AnalogGains, CameraModel, NoiseScale
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.conditions import Condition
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import Condition, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, white_signal
 from l3cli.classes import contrast, level
 from l3cli.frames.frame import NoiseLeft, RawFrame

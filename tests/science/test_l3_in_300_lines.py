@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import MosaicLayer, TransformTable
+from l3cli.artifacts.layers import MosaicLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer
 

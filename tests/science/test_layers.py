@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layers import PLANE_STEP, PLANES, RATIO_TAPS, PlaneLayer
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.store import load
-from l3cli.artifacts.table import PLANE_STEP, PLANES, RATIO_TAPS, PlaneLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set, white_signal
 from l3cli.classes.refinement import label_planes, taps_behind
 from l3cli.errors import L3Error

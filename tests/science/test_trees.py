@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.store import load
-from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, write_training_set
 from l3cli.cli import run
 from l3cli.frames.frame import RawFrame

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import PlaneLayer, TransformTable
+from l3cli.artifacts.layers import PlaneLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.planes import opponent_basis
 from l3cli.classes.windows import window_channels
 from l3cli.errors import RecipeError

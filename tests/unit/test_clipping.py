@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
+from l3cli.artifacts.conditions import Condition
+from l3cli.artifacts.layers import Clipping
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import Clipping, Condition, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum
 from l3cli.classes.clipping import BEGINS, CLIPS, WHITE_FROM, Mosaic, block_maps, clipping_maps, replaced
 from l3cli.frames.frame import RawFrame

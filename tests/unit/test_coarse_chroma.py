@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from l3cli.artifacts.layers import COMPARED, PLANE_STEP, CoarseChroma
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.coarse_chroma import BLOCK, REACH, SPACINGS, coarse_change, edge_avoiding, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, window_means

@@ -8,8 +8,8 @@ import pytest
 
 from l3cli.artifacts.camera import CameraModel, Readout
 from l3cli.artifacts.camera_recipe import ChannelRecipe, channel_faults, load_camera, readout_of, settings_of
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP
 from l3cli.artifacts.training_set import TrainingFrame
 from l3cli.calibration import model
 from l3cli.classes.contrast import noise_of_grey

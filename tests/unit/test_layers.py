@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from l3cli.artifacts.container import seal
+from l3cli.artifacts.layers import PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.artifacts.schema import equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import LeadingComponents, PlaneLayer, TransformTable
+from l3cli.artifacts.table import LeadingComponents, TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.rendering.renderer import BACKENDS, make_renderer
 from l3cli.training.summary import insight

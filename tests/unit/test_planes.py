@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from l3cli.artifacts.table import PLANE_STEP
+from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.classes.planes import (
     COARSE,
     COARSE_TOP,

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from l3cli.artifacts.layers import PLANE_TOP
 from l3cli.artifacts.plane_rules import FACTORS, MAX_DEPTH, MAX_LEAVES, MAX_SHIFT, ORIENTATIONS, SMALLEST, TESTS, TreeRule
 from l3cli.artifacts.schema import equal
-from l3cli.artifacts.table import PLANE_TOP
 from l3cli.classes import tree
 from l3cli.classes.windows import Integers
 from l3cli.parallel.threads import threaded

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.table import CoarseChroma, TransformTable
+from l3cli.artifacts.layers import CoarseChroma
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes.clipping import MAPS, QUAD, block_sides, first_bright
 from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import PLANE_STEP, PLANE_TOP, PLANES, MosaicLayer, PlaneLayer, TransformTable
+from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, PLANES, MosaicLayer, PlaneLayer
+from l3cli.artifacts.table import TransformTable
 from l3cli.classes import clipping, plane_kernel
 from l3cli.classes.coarse_chroma import SPACINGS
 from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, planes_basis, raw_middle, refined_fixed_point

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import Condition, SceneLight, TransformTable
+from l3cli.artifacts.conditions import Condition, SceneLight
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.errors import InputFileError, suggestion
 from l3cli.physics.correlated_lights import SAME_MIRED, mired_of

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import GradientScale
-from l3cli.artifacts.table import PlaneRule, TransformTable
+from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.parallel.threads import threaded
 from l3cli.stages.training.passes import Execution

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from l3cli.artifacts.layers import PLANES
 from l3cli.artifacts.schema import Stage, equal
-from l3cli.artifacts.table import PLANES
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_training_set
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.commands import TrainOptions

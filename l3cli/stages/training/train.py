@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from l3cli.artifacts.layers import PlaneRule, rule_fields
 from l3cli.artifacts.partial_sums import (
     ClassSums,
     Head,
@@ -19,7 +20,7 @@ from l3cli.artifacts.partial_sums import (
 )
 from l3cli.artifacts.schema import Stage, equal
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import PlaneRule, TransformTable, rule_fields
+from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError, raised_as
 from l3cli.options.commands import ShardOptions, TrainOptions
 from l3cli.parallel import workers

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.table import COMPARED, PLANE_STEP, CoarseChroma
+from l3cli.artifacts.layers import COMPARED, PLANE_STEP, CoarseChroma
 from l3cli.classes.coarse_chroma import SPACINGS, blocks_of, edge_avoiding, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.training.layers.learn import LayerPass

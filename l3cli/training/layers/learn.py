@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANES, MosaicLayer, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.partial_sums import LayerSums
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import PLANES, MosaicLayer, PlaneLayer, PlaneRule, rule_fields
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes.planes import LUMINANCE, FixedPoint
 from l3cli.classes.refinement import label_planes

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
-from l3cli.artifacts.table import PLANE_TOP, PLANES, MosaicLayer, PlaneLayer
+from l3cli.artifacts.layers import PLANE_TOP, PLANES, MosaicLayer, PlaneLayer
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair
 from l3cli.classes.decide import labels as classes_of
 from l3cli.classes.level import unclipped_level

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.artifacts.layers import PLANE_STEP
 from l3cli.artifacts.plane_rules import MAX_DEPTH, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
-from l3cli.artifacts.table import PLANE_STEP
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
 from l3cli.classes.planes import LUMINANCE

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.layers import PLANE_STEP, PLANES, PlaneRule
 from l3cli.artifacts.partial_sums import LayerSums
-from l3cli.artifacts.table import PLANE_STEP, PLANES, PlaneRule
 from l3cli.classes.planes import LUMINANCE
 from l3cli.classes.refinement import mirrored, taps_behind, window_means
 from l3cli.classes.windows import Integers

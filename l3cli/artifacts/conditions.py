@@ -1,0 +1,121 @@
+"""Conditions of a transform table: transforms for single lights (docs/method.md#several-lights), and for frames with more or
+less noise than the camera's (docs/method.md#noise-sets).
+
+All conditions share the class rules, except that class edges follow the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import NoiseScale
+from l3cli.artifacts.layers import Clipping, CoarseChroma, MosaicLayer, PlaneLayer
+from l3cli.artifacts.plane_rules import GradientScale
+from l3cli.artifacts.schema import check, data, group
+from l3cli.artifacts.training_set import LightSpectrum
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """A light that a table has transforms for."""
+
+    name: str = data("str", doc="the light")
+    white_point: NDArray[np.float64] = data("float64", "output", doc="output of a perfect white under it, Y = 1")
+    spectrum: LightSpectrum | None = group(default=None)
+
+    def __post_init__(self) -> None:
+        if not self.white_point[:3].min() > 0:
+            raise ValueError(f"white_point of {self.name} must be above zero")
+
+
+@dataclass(frozen=True)
+class NoiseEdges:
+    """The parts of the class rules that depend on the noise: edges of classes, and the noise in coarse chroma."""
+
+    contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
+    constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
+    gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
+    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last layer; None: as in the table
+
+    @classmethod
+    def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
+        """Return the noise-dependent parts of the rules of a table's layers."""
+        constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
+        coarse = later[-1].coarse_chroma if later else None
+        return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)
+
+
+@dataclass(frozen=True)
+class MosaicTransforms:
+    """Transforms of the first layer under a condition."""
+
+    weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
+    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+
+
+@dataclass(frozen=True)
+class PlaneTransforms:
+    """Transforms of a refinement layer under a condition."""
+
+    weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
+    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    clipping: Clipping | None = group(default=None)  # as in later/
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Transforms of all layers, learned for one light, for another noise than the camera's, or for both."""
+
+    first: MosaicTransforms = group()
+    later: tuple[PlaneTransforms, ...] = group(default=())
+    light: SceneLight | None = group(default=None)  # None: all lights of the training set
+    noise: NoiseScale | None = group(default=None)  # None: the camera's noise
+    edges: NoiseEdges | None = group(default=None)  # None: the edges of the table's rules
+
+    def __post_init__(self) -> None:
+        check(self)
+        if (self.noise is None) != (self.edges is None) or not (self.light or self.noise):
+            raise ValueError("a condition must have a light, or a scale of the noise and its edges")
+
+    @classmethod
+    def of(
+        cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
+    ) -> "Condition":
+        """Return a condition from layers that were trained for it.
+
+        Parameters
+        ----------
+        first : MosaicLayer
+        later : sequence of PlaneLayer
+        light : SceneLight or None
+            None for all lights of the training set.
+        noise : NoiseScale or None
+            None for the camera's noise. Otherwise the condition also holds the edges of the layers' rules.
+        """
+        return cls(
+            MosaicTransforms(first.weights, first.intercept, first.samples),
+            tuple(PlaneTransforms(layer.weights, layer.intercept, layer.samples, layer.clipping) for layer in later),
+            light,
+            noise,
+            NoiseEdges.of(first, later) if noise else None,
+        )
+
+    def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
+        """Raise ValueError, naming `place`, unless the condition fits a table's refinement layers and number of levels."""
+        if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
+            raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
+        for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
+            if ours.weights.shape != layer.weights.shape:
+                raise ValueError(f"{place}/later/{number} has transforms of other shapes than later/{number}")
+        if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
+            raise ValueError(f"{place}/edges has gradients of other levels than the table")
+
+    def pictured(self, taken: list[int]) -> "Condition":
+        """Return the condition with some of its outputs, given by their indices. Refinement layers are kept as they are."""
+        first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
+        light = self.light and replace(self.light, white_point=self.light.white_point[taken])
+        return replace(self, first=first, light=light)

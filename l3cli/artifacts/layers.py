@@ -1,0 +1,164 @@
+"""The layers of a transform table: transforms of the mosaic, and transforms of planes that the previous layer has rendered
+(docs/method.md#layers).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.class_rule import ClassRule
+from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
+from l3cli.artifacts.schema import check, data, group
+
+PlaneRule = StructureRule | TreeRule
+PLANES = 3  # that a refinement layer reads: X − aY, Y, Z − bY
+PLANE_STEP = 2.0**-18  # quantum of the planes' integers in output units, far below the noise of any sensor
+PLANE_TOP = 2**22 - 1  # 16 times full scale; a difference of planes times a 7-bit factor stays within 32 bits
+RATIO_TAPS = (0, 2, 4)  # extra taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
+COMPARED = (4, 3, 3)  # shape of the noise in coarse chroma: steps, planes, powers of luminance
+
+
+@dataclass(frozen=True)
+class MosaicLayer:
+    """The first layer: transforms of patches of the mosaic.
+
+    Output = weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the pixel's
+    class.
+    """
+
+    rule: ClassRule = group()
+    weights: NDArray[np.float32] = data(
+        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black level) / full scale"
+    )
+    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.weights.shape[2] != self.rule.patch**2:
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
+
+    def pictured(self, taken: list[int]) -> "MosaicLayer":
+        """Return the layer with some of its outputs, given by their indices."""
+        return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
+
+
+@dataclass(frozen=True)
+class CoarseChroma:
+    """Noise of the coarse chroma that the last layer compares (docs/method.md#coarse-chroma)."""
+
+    variance: NDArray[np.float64] = data(
+        "float64",
+        "step",
+        "plane",
+        "power",
+        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads",
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.variance.shape != COMPARED:
+            raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
+        if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
+            raise ValueError("variance must not be negative, nor zero in darkness")
+
+    def with_noise(self, share: float) -> "CoarseChroma":
+        """Return a copy for frames with this fraction of the noise variance."""
+        return CoarseChroma(self.variance * share)
+
+
+@dataclass(frozen=True)
+class Clipping:
+    """Response of uniform areas where channels clip (docs/method.md#plain-clipped-areas)."""
+
+    response: NDArray[np.float64] = data(
+        "float64",
+        "clipped",
+        "signal",
+        "output",
+        doc="by the mean of each channel, a share of full scale, and by 1 behind them: of all areas, then what each channel "
+        "adds that clips",
+    )
+    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training light")
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.white.min() > 0:
+            raise ValueError("white must be above zero in every channel")
+        if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
+            raise ValueError(
+                f"response has the shape {self.response.shape}; it must be finite, and its first two axes channels + 1 long"
+            )
+
+
+@dataclass(frozen=True)
+class PlaneLayer:
+    """A refinement layer: transforms of square windows of three planes that the previous layer has rendered.
+
+    The planes are X − aY, Y and Z − bY. The factors a and b are chosen such that a white is (0, Y, 0).
+    """
+
+    side: int = data("int64", unit="pixel", doc="side of the windows")
+    weights: NDArray[np.float32] = data(
+        "float32",
+        "plane_class",
+        "output",
+        "plane_tap",
+        doc="taps plane by plane, each row by row, behind them colour ratios, bilateral chroma, if any; per output unit",
+    )
+    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
+    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma comes from the windows only
+    clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
+
+    def __post_init__(self) -> None:
+        check(self)
+        one_rule(self.structure, self.tree)
+        if self.clipping and not self.coarse_chroma:
+            raise ValueError("a layer with clipping must have coarse chroma")
+
+    @property
+    def rule(self) -> PlaneRule:
+        """Class rule of the layer."""
+        return one_rule(self.structure, self.tree)
+
+    @property
+    def radius(self) -> int:
+        return self.side // 2
+
+    @property
+    def window_taps(self) -> int:
+        """Number of taps in the windows. Taps for colour ratios and bilateral chroma follow them."""
+        return PLANES * self.side**2
+
+    @property
+    def ratio_taps(self) -> int:
+        """Number of taps after those of the windows, one of RATIO_TAPS."""
+        return self.weights.shape[2] - self.window_taps
+
+    def with_noise(self, share: float) -> "PlaneLayer":
+        """Return the layer for frames with this fraction of the noise variance; only coarse chroma depends on it."""
+        return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
+
+    def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
+        """Return a copy of the layer whose rule scales gradients by `scale`."""
+        return replace(self, **rule_fields(self.rule.scaled_as(scale)))
+
+
+def rule_fields(rule: PlaneRule) -> dict[str, Any]:
+    """Return a refinement layer's rule under the name of the field that holds it."""
+    return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
+
+
+def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
+    """Return the one of two rules that is not None; ValueError unless exactly one is given."""
+    if structure is None and tree is not None:
+        return tree
+    if structure is not None and tree is None:
+        return structure
+    raise ValueError("a layer has either a structure rule or a tree")
