@@ -24,6 +24,7 @@ from l3cli.artifacts.camera import (
 )
 from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curve_table, differences, responsivity
 from l3cli.artifacts.recipe_source import RecipeSource
+from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.store import load
 from l3cli.errors import RecipeError, raised_as, suggestion
 from l3cli.recipes.builtin import known_recipes
@@ -42,6 +43,7 @@ from l3cli.recipes.toml import (
 )
 from l3cli.spectra.table import CurveTable
 
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # of a key, by the unit of its value
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
 PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values beyond are probably in another unit
@@ -158,14 +160,17 @@ class NoiseRecipe(Recipe):
 
 def noise_of(recipe: NoiseRecipe) -> Noise:
     """Return the noise that a recipe declares."""
-    return Noise(
-        read_noise=recipe.read_noise_e,
-        dark_current=recipe.dark_current_e_per_s,
-        dsnu=recipe.dsnu_e,
-        prnu=recipe.prnu,
-        well_capacity=recipe.well_capacity_e,
-        column_noise=recipe.column_noise_e,
-    )
+    return Noise(**{name: getattr(recipe, key) for name, key in noise_keys().items()})
+
+
+def noise_recipe(noise: Noise) -> NoiseRecipe:
+    """Return the recipe that declares a noise, the inverse of `noise_of`."""
+    return NoiseRecipe(**{key: getattr(noise, name) for name, key in noise_keys().items()})
+
+
+def noise_keys() -> dict[str, str]:
+    """Return the key of each field of Noise in recipes: its name, and a suffix for its unit."""
+    return {name: f"{name}{UNIT_SUFFIXES[spec.unit]}" for name, spec in declared(Noise) if isinstance(spec, Spec)}
 
 
 class GainRecipe(Recipe):
@@ -214,6 +219,24 @@ class OpticsRecipe(Recipe):
     focal_length_mm: Positive
     f_number: Positive
     object_distance_m: NotNegative = 0.0  # 0: infinity
+
+
+def optics_of(recipe: OpticsRecipe) -> Optics:
+    """Return the optics that a recipe declares."""
+    return Optics(
+        focal_length=recipe.focal_length_mm * 1e-3,
+        f_number=recipe.f_number,
+        object_distance=recipe.object_distance_m,
+    )
+
+
+def optics_recipe(optics: Optics) -> OpticsRecipe:
+    """Return the recipe that declares some optics, the inverse of `optics_of`."""
+    return OpticsRecipe(
+        focal_length_mm=round(optics.focal_length * 1e3, 9),
+        f_number=optics.f_number,
+        object_distance_m=optics.object_distance,
+    )
 
 
 class CameraRecipe(Recipe):
@@ -334,7 +357,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             white_level=white_level(recipe),
             fixed_pattern_seed=sensor.fixed_pattern_seed,
             noise=noise_of(noise),
-            optics=Optics(recipe.optics.focal_length_mm * 1e-3, recipe.optics.f_number, recipe.optics.object_distance_m),
+            optics=optics_of(recipe.optics),
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
             gains=gains_of(recipe.gain, noise.read_noise_e),
         )

@@ -29,9 +29,11 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
     Returns
     -------
     dict
-        EMVA 1288 name → (value, unit).
+        EMVA 1288 name → (value, unit). Column noise is listed only if a recipe declares it, because calibration does not
+        measure it.
     """
     noise = camera.noise
+    columns = {"column noise": (noise.column_noise, "e-")} if noise.column_noise else {}
     return {
         "overall system gain K": (camera.gain, "DN/e-"),
         "temporal dark noise": (noise.read_noise, "e-"),
@@ -41,6 +43,7 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
         "saturation capacity": (min(noise.well_capacity, camera.full_scale), "e-"),
         "black level": (camera.black_level, "DN"),
         "white level": (camera.white_level, "DN"),
+        **columns,
     }
 
 
@@ -242,6 +245,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
             name: {"recovered": value, "true": true[name][0], "unit": unit}
             | {"error %": 100.0 * (value / true[name][0] - 1.0) if true[name][0] else None}
             for name, (value, unit) in camera_figures(camera).items()
+            if name in true
         },
         "channels": _by_channel(camera, columns),
     }
@@ -269,7 +273,7 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     lines = []
     for name, entry in result["camera"].items():
         line = f"{name:24}{figure(entry['value'], '.5g'):>12} {entry['unit']:6}"
-        if truth:
+        if truth and name in truth["camera"]:
             known = truth["camera"][name]
             error = "" if known["error %"] is None else f"  error {figure(known['error %'], '+.2f')} %"
             line += f"  true {figure(known['true'], '.5g'):>10}{error}"

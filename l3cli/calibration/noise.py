@@ -25,6 +25,7 @@ from l3cli.calibration.statistics import (
     no_defects,
     outliers,
     patched,
+    pixel_variance,
     pooled,
     share_from,
     weighted_sums,
@@ -77,6 +78,15 @@ def line_weights(exposures: Array) -> tuple[Array, Array]:
 def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> DarkNoise:
     """Measure black level, dark signal, read noise, DSNU and hot pixels from dark frames.
 
+    Three variances are involved:
+
+    1. The temporal variance, from differences of frames, contains everything that changes from frame to frame: pixels, rows
+       and columns. It gives the read noise.
+    2. The spatial variance is that of the mean frame, extrapolated to zero exposure, without the means of its rows and
+       columns: column noise does not count as DSNU. It contains the DSNU, and what averaging leaves of the temporal noise.
+    3. What averaging leaves is the temporal variance of pixels, also without the means of rows and columns, divided by the
+       number of frames. It is subtracted from the spatial variance.
+
     Raises InputFileError if all frames have the same exposure.
     """
     exposures = np.array([capture.exposure for capture in captures])
@@ -93,23 +103,15 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
     mean = np.array([mean_value(level.counts) for level in levels])
     agreement.check_darks(captures, mean.mean(axis=1))
     variance = np.array([level.variance for level in levels])
-    temporal = (intercept**2 / [level.trials for level in levels]) @ variance
-    spatial = pooled([_pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
+    left = (intercept**2 / [level.trials for level in levels]) @ np.array([level.pixel_variance for level in levels])
+    spatial = pooled([pixel_variance(site) for _, site in by_site(offsets, body.cfa)], body.cfa)
     return DarkNoise(
         black_level=intercept @ mean,
         slope=slope @ mean,
         variance=np.maximum(intercept @ variance - QUANTISATION, 0.0),
-        dsnu=np.sqrt(np.maximum(spatial - temporal, 0.0)),
+        dsnu=np.sqrt(np.maximum(spatial - left, 0.0)),
         hot=hot,
     )
-
-
-def _pixel_variance(site: Array) -> float:
-    """Return the variance of a picture without its row and column means, since column noise does not count as DSNU."""
-    centred = site - site.mean(axis=0, keepdims=True)
-    centred -= centred.mean(axis=1, keepdims=True)
-    rows, cols = site.shape
-    return float((centred**2).sum() / max((rows - 1) * (cols - 1), 1))
 
 
 # ----------------------------------------------------------------------------------------------------------- white

@@ -6,6 +6,7 @@ spreads the work over several processes.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,8 @@ class Level:
     lit: float  # s, exposure time corrected for the reading of the lamp
     trials: int
     counts: Counts  # (channel, value) number of pixels in all frames
-    variance: Array  # (channel) DN², temporal
+    variance: Array  # (channel) DN², temporal, including rows and columns that vary from frame to frame
+    pixel_variance: Array  # (channel) DN², temporal, without the means of rows and columns
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
@@ -174,12 +176,12 @@ def share_from(counts: Counts, value: float) -> Array:
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
     """Return the histogram and temporal variance of a capture under even light or none.
 
-    The variance is half the variance of the difference of two frames about its mean. Fixed pattern and drift of the lamp or
+    A variance is half the variance of the difference of two frames about its mean. Fixed pattern and drift of the lamp or
     the black level cancel. Frames 1 and 2 form a pair, frames 3 and 4 the next. Raises InputFileError if the capture is a
     single frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
-    variances, trials = [], 0
+    variances, pixel_variances, trials = [], [], 0
     previous = None
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -189,11 +191,25 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
             continue
         difference = previous - frame
         difference[defects[:, 0], defects[:, 1]] = 0
-        variances.append(pooled([site.var(dtype=np.float64) / 2 for _, site in by_site(difference, body.cfa)], body.cfa))
+        sites = [site for _, site in by_site(difference, body.cfa)]
+        variances.append(pooled([site.var(dtype=np.float64) / 2 for site in sites], body.cfa))
+        pixel_variances.append(pooled([pixel_variance(site) / 2 for site in sites], body.cfa))
         previous = None
     if not variances:
         raise InputFileError(f"{capture.name} is a single frame; noise needs two or more of each exposure")
-    return Level(capture.exposure, capture.lit, trials, counts, np.mean(variances, axis=0))
+    variance, of_pixels = np.mean(variances, axis=0), np.mean(pixel_variances, axis=0)
+    return Level(capture.exposure, capture.lit, trials, counts, variance, of_pixels)
+
+
+def pixel_variance(picture: NDArray[Any]) -> float:
+    """Return the variance of a picture (row, col) without that of its row means and column means.
+
+    It is unbiased: without row and column noise, its mean is the variance of the pixels.
+    """
+    rows, cols = picture.shape
+    lines = [picture.mean(axis=axis, dtype=np.float64).var() for axis in (0, 1)]
+    left = picture.var(dtype=np.float64) - sum(lines)
+    return float(left * rows * cols / max((rows - 1) * (cols - 1), 1))
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:

@@ -9,15 +9,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Optics
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import (
     CfaRecipe,
     GainRecipe,
-    NoiseRecipe,
-    OpticsRecipe,
     SensorRecipe,
     camera_files,
     load_camera,
+    noise_recipe,
+    optics_recipe,
 )
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
@@ -332,7 +332,7 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
     if pixel.well_e is not None:
         noise, gain = dataclasses.replace(noise, well_capacity=pixel.well_e), gain * base.full_scale / pixel.well_e
     if pixel.f_number is not None:
-        optics = Optics(optics.focal_length, pixel.f_number, optics.object_distance)
+        optics = dataclasses.replace(optics, f_number=pixel.f_number)
     pitch = base.pixel_pitch if pixel.pitch_um is None else pixel.pitch_um * 1e-6
     return dataclasses.replace(base, noise=noise, gain=gain, optics=optics, pixel_pitch=pitch, readout=None, fit=None)
 
@@ -347,23 +347,21 @@ def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
     origin : str
         Comment on the first line.
     """
-    noise, optics = camera.noise, camera.optics
     pitch = round(camera.pixel_pitch * 1e6, 6)
-    dark = (noise.read_noise, noise.dark_current, noise.dsnu, noise.prnu, noise.column_noise)
     tables: dict[str, Recipe] = {
         "sensor": SensorRecipe(
-            camera.rows,
-            camera.cols,
-            pitch,
-            camera.bits,
-            camera.black_level,
-            camera.gain,
-            camera.white_level,
-            camera.fixed_pattern_seed,
+            rows=camera.rows,
+            cols=camera.cols,
+            pixel_pitch_um=pitch,
+            bits=camera.bits,
+            black_level_dn=camera.black_level,
+            gain_dn_per_e=camera.gain,
+            white_level_dn=camera.white_level,
+            fixed_pattern_seed=camera.fixed_pattern_seed,
         ),
         "cfa": CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
-        "noise": NoiseRecipe(noise.well_capacity, *dark),
-        "optics": OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
+        "noise": noise_recipe(camera.noise),
+        "optics": optics_recipe(camera.optics),
     }
     if (gains := camera.gains) is not None:
         tables["gain"] = GainRecipe(gains.iso, tuple(gains.analog_gain.tolist()), tuple(gains.gain_read_noise.tolist()))

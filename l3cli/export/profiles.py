@@ -42,7 +42,7 @@ DECLARED_AS = {  # quantity → its name among the camera's declared quantities
     "black level": "black level",
     "white level": "white level",
 }
-NOISE = ("dark current", "DSNU", "PRNU")
+NOISE = ("dark current", "DSNU", "PRNU", "column noise")
 Row = tuple[str, str, float | str, str, str]
 CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"  # of every camera
 DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"  # of some
@@ -281,7 +281,6 @@ def datasheet(camera: CameraModel) -> list[Row]:
         (name, "", value, unit, given if _declared(name, camera) else source)
         for name, (value, unit) in camera_figures(camera).items()
     ]
-    rows.append(("column noise", "", camera.noise.column_noise, "e-", given))
     peaks, unit = camera.responsivity.argmax(axis=1), "e-/photon" if camera.absolute else "relative"
     for index, (channel, peak) in enumerate(zip(camera.channels, peaks, strict=True)):
         height, band = camera.responsivity[index, peak], camera.responsivity_band[index, peak]

@@ -23,6 +23,7 @@ from l3cli.artifacts.camera_recipe import (
     cfa_faults,
     channel_faults,
     length_faults,
+    optics_recipe,
     settings_of,
     share_faults,
 )
@@ -360,12 +361,11 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
     **captures
         Lists `mono`, `chart`, `white` and `dark`.
     """
-    optics = camera.optics
     return MeasurementRecipe(
         name=camera.name,
         sensor=BodyRecipe(camera.rows, camera.cols, round(camera.pixel_pitch * 1e6, 9), camera.bits),
         cfa=CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
-        optics=OpticsRecipe(round(optics.focal_length * 1e3, 9), optics.f_number, optics.object_distance),
+        optics=optics_recipe(camera.optics),
         uncertainty=uncertainty,
         channel=settings_of(camera.readout, camera.channels),
         **captures,

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Optics
-from l3cli.artifacts.camera_recipe import camera_files, load_camera, noise_of, parse_cfa, settings_from
+from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera_recipe import camera_files, load_camera, noise_of, optics_of, parse_cfa, settings_from
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (
@@ -463,7 +463,7 @@ def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) ->
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:
-    sensor, optics = recipe.sensor, recipe.optics
+    sensor = recipe.sensor
     return Body(
         name=recipe.name,
         rows=sensor.rows,
@@ -472,7 +472,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         bits=sensor.bits,
         channels=tuple(recipe.cfa.channels),
         cfa=parse_cfa(recipe.cfa, str(path)),
-        optics=Optics(optics.focal_length_mm * 1e-3, optics.f_number, optics.object_distance_m),
+        optics=optics_of(recipe.optics),
         readout=settings_from(recipe.channel, recipe.cfa.channels, path),
     )
 

@@ -18,7 +18,7 @@ LIGHTS = ("D65", "A")
 LUMINANCE = 100.0  # cd/m²; luminance of a white indoors, for which exposure times are reported
 
 
-def camera_figures(camera: CameraModel) -> dict[str, Any]:
+def camera_summary(camera: CameraModel) -> dict[str, Any]:
     """Summarise a camera.
 
     Parameters
@@ -77,7 +77,7 @@ def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> 
     """Return the summary of a camera, with warnings and a note about unused columns in its file of curves."""
     camera = load_camera(source.path)
     unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
-    return camera_figures(camera) | {"note": columns_left_out(source.path)} | unknown, []
+    return camera_summary(camera) | {"note": columns_left_out(source.path)} | unknown, []
 
 
 def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:

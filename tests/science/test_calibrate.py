@@ -322,6 +322,22 @@ def test_dark_frames_give_read_noise_dark_current_and_dsnu(body: Body) -> None:
     np.testing.assert_allclose(dark.black_level, 64.0, atol=3.0)
 
 
+@pytest.mark.parametrize("line_noise", [0.0, 2.0])
+def test_noise_of_rows_and_columns_that_changes_from_frame_to_frame_is_no_dsnu(body: Body, line_noise: float) -> None:
+    """It belongs to the read noise. Row and column noise of 2 DN once made a DSNU of 1 DN 0."""
+    rng = np.random.default_rng(4)
+    offsets = 64.0 + rng.normal(0, 1.0, (192, 256))
+
+    def frame(mean: np.ndarray) -> np.ndarray:
+        lines = rng.normal(0, line_noise, (192, 1)) + rng.normal(0, line_noise, 256)
+        return np.rint(mean + rng.normal(0, 2.0, mean.shape) + lines).astype(np.uint16)
+
+    captures = [Capture(f"{t}", t, [frame(offsets) for _ in range(4)]) for t in (0.1, 1.0, 2.0, 3.0)]
+    dark = noise.dark_noise(captures, body)
+    np.testing.assert_allclose(np.sqrt(dark.variance), np.sqrt(2.0**2 + 2 * line_noise**2), rtol=0.06)
+    np.testing.assert_allclose(dark.dsnu, 1.0, rtol=0.03)
+
+
 def white_levels(well: float, exposures: list[float], trials: int) -> tuple[list[Capture], np.ndarray]:
     """White frames of K = 0.25 DN/e-, PRNU 1 %, light falling off by a third, that clip at `well` electrons."""
     rng = np.random.default_rng(2)

@@ -5,11 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecipe
+from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM, CfaRecipe, optics_recipe
 from l3cli.calibration.draft import sorting
 from l3cli.calibration.draft.sorting import (
     Group,
@@ -145,12 +146,10 @@ class Survey:
 
 def known_body(out: DraftText, camera: CameraModel) -> None:
     """Add [sensor], [cfa] and [optics] of a known camera."""
-    optics = camera.optics
     out.table("[sensor]", rows=camera.rows, cols=camera.cols, pixel_pitch_um=round(camera.pixel_pitch * 1e6, 9))
     out.key("bits", camera.bits)
     out.table("[cfa]", channels=list(camera.channels), pattern=array_rows(camera.channels, camera.cfa))
-    out.table("[optics]", focal_length_mm=round(optics.focal_length * 1e3, 9), f_number=optics.f_number)
-    out.key("object_distance_m", optics.object_distance)
+    out.table("[optics]", **msgspec.structs.asdict(optics_recipe(camera.optics)))
 
 
 def unknown_optics(out: DraftText) -> None:

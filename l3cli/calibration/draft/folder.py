@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import MAX_CHANNELS, CameraModel
-from l3cli.artifacts.camera_recipe import CfaRecipe
+from l3cli.artifacts.camera_recipe import CfaRecipe, noise_recipe
 from l3cli.calibration.draft.compose import HEAD, PITCH, DraftText, Survey, known_body, unknown_optics
 from l3cli.calibration.draft.names import altered, drawn, period_of, read_name, summarise, with_bare_wavelengths
 from l3cli.calibration.draft.sorting import Frame, Spectra, scale_of, sort_frames, with_plain_kinds
@@ -243,7 +244,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
         for other in curves[1:]:
             out.comment(f"or {other.path}")
         _per_energy(out, used)
-    _sheet(out, camera)
+    sensor_figures(out, camera)
     out.comment("", "How well photodiode and wavelengths were known: [uncertainty] (documentation, Measurement files)")
     out.head(HEAD)
     return out
@@ -333,14 +334,15 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
     return True
 
 
-def _sheet(out: DraftText, camera: CameraModel | None) -> None:
+def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
     """Add [datasheet], because tables of curves say nothing about the sensor."""
     if camera is None:
         out.todo_table("[datasheet]", "the sensor's figures: no white and dark frames measure them", *SHEET)
         return
-    noise = camera.noise
     out.table(
-        "[datasheet]", black_level_dn=camera.black_level, white_level_dn=camera.white_level, gain_dn_per_e=camera.gain,
-        well_capacity_e=noise.well_capacity, read_noise_e=noise.read_noise, dark_current_e_per_s=noise.dark_current,
-        dsnu_e=noise.dsnu, prnu=noise.prnu, column_noise_e=noise.column_noise,
-    )  # fmt: skip
+        "[datasheet]",
+        black_level_dn=camera.black_level,
+        white_level_dn=camera.white_level,
+        gain_dn_per_e=camera.gain,
+        **msgspec.structs.asdict(noise_recipe(camera.noise)),
+    )
