@@ -41,7 +41,7 @@ def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueErro
         raise kind(f"{name}: {error}{cure}") from error
 
 
-MOST = 240  # characters of a list of names
+MAX_CHARACTERS = 240  # characters of a list of names
 MOST_SHOWN = 40  # characters of what somebody wrote
 
 
@@ -53,7 +53,9 @@ def shortened(text: str) -> str:
 def listed(lines: Iterable[str]) -> str:
     """Return several names, as many as can be read, and how many more there are."""
     lines = list(lines)
-    shown = [line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MOST] or lines[:1]
+    shown = [
+        line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MAX_CHARACTERS
+    ] or lines[:1]
     return ", ".join(shown) + (f" and {len(lines) - len(shown)} more" if len(shown) < len(lines) else "")
 
 
@@ -72,4 +74,6 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     if close := nearest(name, known):
         return close
     named = ", ".join(known)
-    return f"there are {named}" if len(named) <= MOST else f"there are {named[:MOST].rpartition(',')[0]} …"
+    return (
+        f"there are {named}" if len(named) <= MAX_CHARACTERS else f"there are {named[:MAX_CHARACTERS].rpartition(',')[0]} …"
+    )

@@ -13,7 +13,7 @@ from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
 PART_LEAVES = 16  # largest number of leaves in a part of a tree; all tests of a part are evaluated at once
-NEVER = np.finfo(np.float32).max  # threshold stored for leaves; no value exceeds it
+UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold stored for leaves; no value exceeds it
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
@@ -96,7 +96,7 @@ def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
     """Return the nodes (node, word) of a tree in the layout of trees_by_item.cl."""
     leaf = rule.branch == 0
-    threshold = np.where(leaf, NEVER, rule.threshold).astype(np.float32)
+    threshold = np.where(leaf, UNREACHABLE_THRESHOLD, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
     return np.stack([threshold.view(np.uint32), _asked(rule, 6) | node << np.uint32(8)], axis=1)
 

@@ -20,7 +20,7 @@ from l3cli.errors import InputFileError
 MAX_FRACTION = 16
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
 COARSE, COARSE_TOP = 5, 2**15 - 1  # intermediate layers drop this number of bits, and clamp planes to this absolute value
-BLOCK = 256  # number of classes converted at once, so that they fit into the processor cache
+CLASSES_AT_ONCE = 256  # number of classes converted at once, so that they fit into the processor cache
 LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
@@ -150,8 +150,8 @@ def _fixed_point(
         order = np.argsort(channel, kind="stable")
         ends = [0, *np.cumsum(np.bincount(channel)).tolist()]
         distinct, like = _distinct(weights[classes], intercept[classes])
-        for start in range(0, len(distinct), BLOCK):
-            block = distinct[start : start + BLOCK] + classes.start
+        for start in range(0, len(distinct), CLASSES_AT_ONCE):
+            block = distinct[start : start + CLASSES_AT_ONCE] + classes.start
             # Classes are the last axis, because numpy sums over the first axis several times faster.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))

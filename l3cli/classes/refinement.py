@@ -12,7 +12,7 @@ from l3cli.artifacts.layers import RATIO_TAPS, PlaneRule
 from l3cli.artifacts.plane_rules import StructureRule
 from l3cli.classes import tree
 from l3cli.classes.planes import CHROMA, LUMINANCE
-from l3cli.classes.structure import REACH, structures
+from l3cli.classes.structure import BORDER_PIXELS, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
@@ -60,8 +60,8 @@ def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
     """Return the structure or the leaf (row, col) of pixels, as if nothing were saturated."""
     if isinstance(rule, StructureRule):
-        luminance = mirrored(planes[LUMINANCE].astype(np.int32), REACH)
-        return structures(luminance, mirrored(level, REACH - 1), site, rule)
+        luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
+        return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
     return tree.leaves(plane_evidence(planes, level, rule.gradient_factor, rule.gradient_shift), site, rule)
 
 
@@ -79,9 +79,9 @@ def plane_evidence(
     factor, shift : ndarray, (level,)
         Scale of gradients.
     """
-    place = mirrored(level, tree.REACH - 1)
+    place = mirrored(level, tree.BORDER_PIXELS - 1)
     return tree.evidence(
-        mirrored(planes.astype(np.int32), tree.REACH), factor.astype(np.int32)[place], shift.astype(np.int32)[place]
+        mirrored(planes.astype(np.int32), tree.BORDER_PIXELS), factor.astype(np.int32)[place], shift.astype(np.int32)[place]
     )
 
 

@@ -15,7 +15,7 @@ from l3cli.classes.windows import Integers
 WIDE, NEAR = 3, 2  # `length` of triangle_sums for weights 1 2 3 2 1 and 1 2 1
 SIGMA = 16  # gradient units per standard deviation of noise
 NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the tensor if there is only noise
-REACH = 3  # pixels; width of the margin that the structure of border pixels needs
+BORDER_PIXELS = 3  # pixels; width of the margin that the structure of border pixels needs
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:

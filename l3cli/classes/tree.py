@@ -19,7 +19,7 @@ from l3cli.classes.windows import Integers
 
 TOP, CHROMA_TOP = 2895, 2047  # limits of gradients, so that sums of 81 squares and their differences fit into 31 bits
 DARK = 512  # steps of a plane; smallest denominator (weighted luminance sum over 16 pixels) of the quotient of chroma
-REACH = 3  # pixels; width of the margin that the tests of border pixels need
+BORDER_PIXELS = 3  # pixels; width of the margin that the tests of border pixels need
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 

@@ -23,9 +23,9 @@ class AnyRecipe(declared.RecipeFile):
         return value
 
     def names(self) -> list[str]:
-        from l3cli.recipes.builtin import KINDS, known_recipes
+        from l3cli.recipes.builtin import KIND_OF_FOLDER, known_recipes
 
-        return list(dict.fromkeys(name for kind in KINDS for name in known_recipes(kind)))
+        return list(dict.fromkeys(name for kind in KIND_OF_FOLDER for name in known_recipes(kind)))
 
 
 @click.command()

@@ -17,12 +17,12 @@ from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS,
 Array = NDArray[np.floating]
 Sums = dict[str, NDArray[np.float64]]  # "patches", "weight", "mean" and "moment", as in LightMoments
 
-EDGE, LEVELS = 0.25, (0.06, 0.25)  # limits between groups: contrast; mean luminance relative to white
+EDGE_CONTRAST, LEVEL_LIMITS = 0.25, (0.06, 0.25)  # limits between groups: contrast; mean luminance relative to white
 NEUTRAL = 5.0  # largest ratio of chroma to luminance for a patch without hue
 CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # d(a*, b*) / d(XYZ over white), halved
-DARKEST = 0.02  # luminance offset relative to white, which limits the weights of dark patches
+LUMINANCE_OFFSET = 0.02  # luminance offset relative to white, which limits the weights of dark patches
 POWER = 2 / 3  # exponent of the slope of CIELAB
-KEPT = 0.9999  # fraction of the spectral power that the principal spectra represent
+KEPT_POWER = 0.9999  # fraction of the spectral power that the principal spectra represent
 SOFTNESS = 2.0  # pixels; standard deviation of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
 WINDOW = 2  # pixels; the group of a patch depends on its pixels up to this distance from the centre
 
@@ -63,7 +63,7 @@ def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
     values, vectors = np.linalg.eigh(power)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     held = np.cumsum(values) / values.sum()
-    terms = max(int(np.searchsorted(held, KEPT)) + 1, 3)
+    terms = max(int(np.searchsorted(held, KEPT_POWER)) + 1, 3)
     signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])])
     return np.asarray(vectors[:, :terms] * signs[:terms] * white.mean())
 
@@ -101,7 +101,7 @@ def gather(
     z = planes[:, row[:, None, None] + half[:, None], col[:, None, None] + half].transpose(1, 2, 3, 0).reshape(patches, -1)
     group = groups_of(target[:, row[:, None, None] + window[:, None], col[:, None, None] + window])
     entries = np.concatenate([z, target[:, row, col].T, soft[:, row, col].T, sharp[:, row, col].T], axis=1, dtype=np.float32)
-    seen = (np.maximum(target[1][row, col], 0) + np.float32(DARKEST)) ** np.float32(-POWER)
+    seen = (np.maximum(target[1][row, col], 0) + np.float32(LUMINANCE_OFFSET)) ** np.float32(-POWER)
     for number in np.unique(group):
         inside = group == number
         sums["patches"][number] += inside.sum()
@@ -124,9 +124,9 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
     """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
-    a, b = CHROMA @ mean / (mean[1] + DARKEST)
+    a, b = CHROMA @ mean / (mean[1] + LUMINANCE_OFFSET)
     hue = np.where(np.hypot(a, b) < NEUTRAL, 0, np.where(b > 0, np.where(a > 0, 1, 2), np.where(a > 0, 4, 3)))
-    kinds = (contrast > EDGE).astype(np.intp), np.searchsorted(LEVELS, mean[1]), hue
+    kinds = (contrast > EDGE_CONTRAST).astype(np.intp), np.searchsorted(LEVEL_LIMITS, mean[1]), hue
     return np.ravel_multi_index(kinds, tuple(map(len, KINDS)))
 
 
@@ -145,7 +145,7 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
 Cfa = NDArray[np.integer]  # (row, col) index of the filter at each site
 
 OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), with halved chroma
-RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
+TAP_RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
 EMPTY = 1.0  # noise added to groups without patches, so that the equations have a solution
 NOTHING = 1e6  # noise of a clipped tap relative to its power, so high that the tap contributes no information
 
@@ -283,7 +283,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
     power, mean = np.einsum("sKpp->sKp", matrix), seen.mean[:, tap, filters].transpose(1, 0, 2)
     dose, seconds = exposure(level, noise, float(seen.white[np.unique(cfa)].max()))
     variance = (noise.floor + noise.dark * seconds) * weight / dose**2 + mean / dose + noise.prnu**2 * power
-    variance += RIDGE * power.mean(axis=2, keepdims=True) + EMPTY * (seen.patches == 0)[:, None]
+    variance += TAP_RIDGE * power.mean(axis=2, keepdims=True) + EMPTY * (seen.patches == 0)[:, None]
     clipped = mean / np.maximum(weight, 1e-12) * dose > noise.full
     matrix[..., tap, tap] += np.where(clipped, NOTHING * power, variance)
     explained = np.einsum("sKpy,sKpy->sK", cross, np.linalg.solve(matrix, cross))

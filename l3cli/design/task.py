@@ -37,8 +37,8 @@ ANNEALING = 1000  # number of steps of simulated annealing
 MOST_REPEATED = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array
 SAME = 1e-6  # numbers agree if their relative difference is smaller
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
-STEPS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
-SPREAD = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
+VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
+START_DEVIATIONS = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
 DESCENT = {"maxiter": 60, "eps": 1e-4}  # options of the optimiser
 
 
@@ -230,22 +230,22 @@ class Task:
         assert asked is not None
         start = np.array([[one.centre_nm, one.sigma_nm, one.peak] for one in tuned], np.float64)
         if number > 0:
-            moved = start + SPREAD * np.random.default_rng([seed, number]).standard_normal(start.shape)
+            moved = start + START_DEVIATIONS * np.random.default_rng([seed, number]).standard_normal(start.shape)
             start = np.clip(moved, *BOUNDS.T)
         cfa, free = self.numbered(asked.pattern), slice(0, 3 if asked.peaks else 2)
         used = np.unique(cfa)
 
         def parameters(flat: NDArray[np.float64]) -> NDArray[np.float64]:
             values = start.copy()
-            values[:, free] = flat.reshape(len(start), -1) * STEPS[free]
+            values[:, free] = flat.reshape(len(start), -1) * VARIABLE_UNITS[free]
             return values
 
         def score(flat: NDArray[np.float64]) -> float:
             problem = self.problem_of(self.tuned_curves(parameters(flat))[used])
             return float(np.log(problem.score(np.searchsorted(used, cfa))))
 
-        bounds = np.tile(BOUNDS[free] / STEPS[free, None], (len(start), 1))
-        begin = (start / STEPS)[:, free].ravel()
+        bounds = np.tile(BOUNDS[free] / VARIABLE_UNITS[free, None], (len(start), 1))
+        begin = (start / VARIABLE_UNITS)[:, free].ravel()
         done = optimize.minimize(score, begin, method="L-BFGS-B", bounds=bounds, options=DESCENT)
         return {"score": np.array(done.fun), "parameters": parameters(done.x)}
 
@@ -257,7 +257,8 @@ def _task(recipe: Path, moments: Path) -> Task:
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-LISTED = 100  # number of best arrays in the report. It also lists the best Bayer array and the best array of each level.
+# Number of best arrays in the report. It also lists the best Bayer array and the best array of each level.
+LISTED_ARRAYS = 100
 SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
 
@@ -290,7 +291,7 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
     best = best_bayer(range(len(names)))
     leaders = [order[0], *([] if best is None else [best]), *levels.argmin(axis=0)]
-    listed = [place for place in order.tolist() if place in {*order[:LISTED].tolist(), *leaders}]
+    listed = [place for place in order.tolist() if place in {*order[:LISTED_ARRAYS].tolist(), *leaders}]
     dyes = [best_bayer(np.unique(arrays[place]).tolist()) for place in listed]
     mapped = [arrays[place] for place in dict.fromkeys(map(int, leaders))]
     over_light = tuple(Level("", 0, None, float(dose), 1.0) for dose in DOSES)

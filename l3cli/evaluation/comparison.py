@@ -15,7 +15,7 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
-LARGEST = 1e12  # largest plausible value of a metric, and of a luminance in cd/m²
+MAX_METRIC = 1e12  # largest plausible value of a metric, and of a luminance in cd/m²
 CLIPPING = 0.05  # smallest fraction of pixels at full scale that counts as clipping; highlights alone stay below it
 OTHER_SCENES = (
     "the evaluations have different scenes or lights and cannot be compared; simulate all with the same recipe and seed"
@@ -105,8 +105,10 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
             row = float(frame[OURS][figure]), float(frame["clipped"]), float(frame["exposure"])
             by_luminance.setdefault(float(frame["luminance"]), []).append(row)
         rows = [row for at_one in by_luminance.values() for row in at_one]
-        sound = all(abs(value) <= LARGEST and 0 <= clipped <= 1 and 0 < time <= LARGEST for value, clipped, time in rows)
-        if not sound or not all(0 < at <= LARGEST for at in by_luminance):
+        sound = all(
+            abs(value) <= MAX_METRIC and 0 <= clipped <= 1 and 0 < time <= MAX_METRIC for value, clipped, time in rows
+        )
+        if not sound or not all(0 < at <= MAX_METRIC for at in by_luminance):
             raise ValueError("no number that a figure can be")
         rising = sorted(by_luminance)
         name = str(document["camera"])

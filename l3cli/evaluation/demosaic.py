@@ -27,10 +27,11 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # signs of a row offset and a column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-PERIODS = 4  # periods; width of the margin for methods for bands, which wrap around. Wider than their support.
+BAND_MARGIN_PERIODS = 4  # periods; width of the margin for methods for bands, which wrap around. Wider than their support.
 CODES = 255.0  # code of a perfect white, the scale of the constant 1 in PPID's weights
-SIGMA = 0.55  # sigma of the Gaussian in distances between samples of a channel; the best value for dead leaves (five-band)
-MARGIN = 8  # pixels; width of the margin for Bayer methods. Even, and wider than their support.
+# Sigma of the Gaussian in distances between samples of a channel; the best value for dead leaves (five-band)
+SIGMA_SAMPLES = 0.55
+BAYER_MARGIN_PIXELS = 8  # pixels; width of the margin for Bayer methods. Even, and wider than their support.
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
@@ -45,7 +46,7 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
     planes = []
     for index in range(int(cfa.max()) + 1):
         sampled = (channel == index).astype(np.float64)
-        sigma = SIGMA * np.sqrt(cfa.size / (cfa == index).sum())
+        sigma = SIGMA_SAMPLES * np.sqrt(cfa.size / (cfa == index).sum())
         reach = max(cfa.shape)  # every pixel has a sample of the channel within this distance
         planes.append(
             gaussian_filter(mosaic * sampled, sigma, mode="mirror", radius=reach)
@@ -148,8 +149,8 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        padded = pad_mosaic(mosaic, MARGIN, cfa.shape)  # the package's own padding would break the CFA pattern
-        planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), MARGIN)
+        padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)  # the package's own padding would break the CFA pattern
+        planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), BAYER_MARGIN_PIXELS)
     return planes[[roles.index(channel) for channel in range(3)]]
 
 
@@ -273,7 +274,7 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
     """Pad the mosaic, apply a method at the pixels of every CFA site, and remove the margin."""
-    margin = PERIODS * math.lcm(*cfa.shape)
+    margin = BAND_MARGIN_PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
 

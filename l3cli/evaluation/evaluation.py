@@ -20,7 +20,7 @@ from l3cli.classes.names import EVERY_FEATURE
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.basic import Colour, develop, develop_bands, fit_colour, light_of, merges
 from l3cli.evaluation.demosaic import band_baselines, baselines, interpolate
-from l3cli.evaluation.quality import KINDS, VIEWING, Target, band_figures, cropped, judge_bands, judge_single, mottle
+from l3cli.evaluation.quality import PATCH_KINDS, VIEWING, Target, band_figures, cropped, judge_bands, judge_single, mottle
 from l3cli.evaluation.reflectance import ESTIMATES, Drawn, Estimates, judge_reflectances
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
@@ -30,7 +30,7 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 
 Array = NDArray[np.floating]
 LEAST_SHARE = 1e-3  # a class with a smaller fraction of all pixels is not listed among the worst classes
-LISTED = 10  # number of worst classes in the document
+LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
@@ -85,7 +85,7 @@ class ClassErrors:
         seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
         entries = []
-        for flat in np.argsort(mean, axis=None, kind="stable")[::-1][: min(LISTED, int(seen.sum()))]:
+        for flat in np.argsort(mean, axis=None, kind="stable")[::-1][: min(LISTED_CLASSES, int(seen.sum()))]:
             place = self._rule.split(int(flat))
             case = int(self._rule.case(place.kind))
             about = level.entry(self._table, place.level) | contrast.entry(self._table, place.contrast)
@@ -108,7 +108,7 @@ TAKEN = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
 }  # fmt: skip # names with another meaning in documents and pictures, which no pipeline may have
-LARGEST = 1e24  # cd/m²; largest permitted output of a table, so that sums of squares stay finite
+MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest permitted output of a table, so that sums of squares stay finite
 
 
 class Evaluation:
@@ -221,7 +221,7 @@ class Evaluation:
             raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the frame again")
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
-        if not np.abs(ours).max() <= LARGEST:
+        if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:
             raise InputFileError(f"the table gives impossibly large values in frame {frame.scene}; train the table again")
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
@@ -356,7 +356,7 @@ class Evaluation:
     def _by_patch(self) -> list[dict[str, Any]]:
         """Return the mottle of uniform patches for each kind of patch and each range of frame levels."""
         entries = []
-        for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), KINDS):
+        for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), PATCH_KINDS):
             members = [
                 (variances, index)
                 for between, kinds, variances in self._patches

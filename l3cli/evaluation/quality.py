@@ -17,12 +17,13 @@ Array = NDArray[np.floating]
 BLUR = 4.0  # pixels; σ of the Gaussian that removes grain and keeps blotches
 CUT = 6  # pixels; margin of a patch that is left out because edges affect it
 EVEN = 1.0  # largest range of L*, a* and b* of the target within a uniform window
-LEAST = 24 * 24  # pixels; area of the smallest patch
-MOST = 64  # largest number of evaluated patches per frame; the largest patches are taken first
-DARK, WHITE, GREY = 30.0, 85.0, 10.0  # L* below or above which a patch is dark or white; C*ab below which it is grey
+MIN_PATCH_AREA_PIXELS = 24 * 24  # pixels; area of the smallest patch
+MAX_PATCHES = 64  # largest number of evaluated patches per frame; the largest patches are taken first
+# L* below or above which a patch is dark or white; C*ab below which it is grey
+DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
 HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which a hue begins
 VISUAL = np.array([1.0, 0.852, 0.323])  # weights of the σ of L*, a* and b*; ISO 15739:2013 defines them for L*u*v*
-KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
+PATCH_KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
 
 class PlainPatches:
@@ -48,10 +49,12 @@ class PlainPatches:
         numbers, _ = label(plain if counted is None else plain & counted)
         sizes = np.bincount(numbers.ravel())
         sizes[0] = 0
-        largest = np.argsort(-sizes, kind="stable")[:MOST]
+        largest = np.argsort(-sizes, kind="stable")[:MAX_PATCHES]
         places = find_objects(numbers)
         self._patches = [
-            (places[number - 1], numbers[places[number - 1]] == number) for number in largest if sizes[number] >= LEAST
+            (places[number - 1], numbers[places[number - 1]] == number)
+            for number in largest
+            if sizes[number] >= MIN_PATCH_AREA_PIXELS
         ]
 
     @property
@@ -93,10 +96,10 @@ def mottle(variances: Array) -> float | None:
 def kind_of(lab: Array) -> str:
     """Return the kind of a patch (dark, white, grey or a hue) from its mean CIELAB (3)."""
     chroma, hue = float(np.hypot(lab[1], lab[2])), float(np.degrees(np.arctan2(lab[2], lab[1])))
-    if lab[0] < DARK:
+    if lab[0] < DARK_LIGHTNESS:
         return "dark"
-    if chroma < GREY:
-        return "white" if lab[0] >= WHITE else "grey"
+    if chroma < GREY_CHROMA:
+        return "white" if lab[0] >= WHITE_LIGHTNESS else "grey"
     return [name for start, name in HUES if start <= (hue - HUES[0][0]) % 360 + HUES[0][0]][-1]
 
 

@@ -18,15 +18,15 @@ from l3cli.physics.display import displayed_delta_e, lightness, srgb_curve
 from l3cli.system.limits import read_bounded
 
 Array = NDArray[np.floating]
-LEVELS = 3  # number of pyramid levels; the coarsest has a quarter of the width and height
-REACH = 5  # pixels; search range at the coarsest level
+PYRAMID_LEVELS = 3  # number of pyramid levels; the coarsest has a quarter of the width and height
+SEARCH_PIXELS = 5  # pixels; search range at the coarsest level
 WINDOW = 15  # pixels; side of the windows that are matched
-BLOCK = 4  # pixels; distance between the positions at which the median of the motion is computed
+GRID_PIXELS = 4  # pixels; distance between the positions at which the median of the motion is computed
 PENALTY = 0.1  # L*² per pixel of displacement, so that uniform areas move with their surroundings
 MISMATCH = 3.0  # L*; windows whose mean difference is larger are assumed to show different objects
 MISMATCH_WINDOW = 5  # pixels; side of the windows for MISMATCH
-STEPS = 4  # number of iterations of the subpixel refinement
-TINY = 1e-6  # pixels; tolerance for rounding
+SUBPIXEL_ITERATIONS = 4  # number of iterations of the subpixel refinement
+ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding
 FLAT = 0.1  # L*² per pixel²; windows with a smaller mean square gradient are not refined to subpixels
 
 
@@ -42,13 +42,13 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
         object, otherwise 0.
     """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
-    while len(pairs) < LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
+    while len(pairs) < PYRAMID_LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
         pairs.append((_halved(pairs[-1][0]), _halved(pairs[-1][1])))
     vector = np.zeros((2, *pairs[-1][0].shape), int)
     for level, (frame, before) in enumerate(reversed(pairs)):
         if level:
             vector = _doubled(vector, frame.shape)
-        vector = _refined(frame, before, vector, REACH if level == 0 else 1)
+        vector = _refined(frame, before, vector, SEARCH_PIXELS if level == 0 else 1)
     fine = _exact(*pairs[0], vector)
     return np.concatenate([fine, _seen(light, last, fine)[None]]).astype(np.float32)
 
@@ -89,7 +89,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
     from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
     place, spline = np.indices(frame.shape), spline_filter(before)
-    for _ in range(STEPS):
+    for _ in range(SUBPIXEL_ITERATIONS):
         warped = map_coordinates(spline, place - motion, order=3, mode="mirror", prefilter=False)
         down, right = np.gradient(warped)
         rest = frame - warped
@@ -106,9 +106,13 @@ def _without_outliers(plane: Array) -> Array:
     """Return the median (row, col) of a plane over a window, computed at every BLOCK-th pixel and interpolated between."""
     from scipy.ndimage import median_filter, uniform_filter
 
-    side = -(-WINDOW // BLOCK) | 1
-    whole = median_filter(plane[::BLOCK, ::BLOCK], side, mode="nearest").repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
-    return np.asarray(uniform_filter(whole[: plane.shape[0], : plane.shape[1]], BLOCK, mode="nearest"))
+    side = -(-WINDOW // GRID_PIXELS) | 1
+    whole = (
+        median_filter(plane[::GRID_PIXELS, ::GRID_PIXELS], side, mode="nearest")
+        .repeat(GRID_PIXELS, axis=0)
+        .repeat(GRID_PIXELS, axis=1)
+    )
+    return np.asarray(uniform_filter(whole[: plane.shape[0], : plane.shape[1]], GRID_PIXELS, mode="nearest"))
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
@@ -117,7 +121,10 @@ def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
 
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
-        [(at > -TINY) & (at < length - 1 + TINY) for at, length in zip(source, light.shape, strict=True)]
+        [
+            (at > -ROUNDING_PIXELS) & (at < length - 1 + ROUNDING_PIXELS)
+            for at, length in zip(source, light.shape, strict=True)
+        ]
     )
     wrong = uniform_filter(abs(light - map_coordinates(last, source, order=3, mode="mirror")), MISMATCH_WINDOW)
     return np.asarray(inside & (wrong < MISMATCH))

@@ -18,15 +18,15 @@ from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.lens import diffraction_transfer
 
 Array = NDArray[np.floating]
-BINS = 4  # number of bins per pixel in the edge profile
-REACH = 48.0  # pixels; half length of the edge profile, as far as a lens spreads light
+BINS_PER_PIXEL = 4  # number of bins per pixel in the edge profile
+HALF_PROFILE_PIXELS = 48.0  # pixels; half length of the edge profile, as far as a lens spreads light
 TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered
 SEARCHED = 6.0  # pixels; the edge of each row is searched within this distance of the first estimate
-TOP = 1.0  # cycles/pixel; highest frequency of the curves
+MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the curves
 HALF = 0.5  # value of the MTF that defines MTF50
-SIZE = int(2 * REACH * BINS)  # number of bins
-FREQUENCIES = np.fft.rfftfreq(2 * SIZE, 1 / BINS)
-FREQUENCIES = FREQUENCIES[FREQUENCIES <= TOP]  # (sample) cycles/pixel of every curve
+PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins
+FREQUENCIES = np.fft.rfftfreq(2 * PROFILE_BINS, 1 / BINS_PER_PIXEL)
+FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # (sample) cycles/pixel of every curve
 
 
 class EdgeError(ValueError):
@@ -89,21 +89,25 @@ def edge_sharpness(plane: Array) -> Sharpness:
     turns = int(len(rows) * abs(line[0]))  # number of whole columns by which the edge moves
     rows = rows[: round(turns / abs(line[0]))]  # over whole columns, all subpixel phases occur equally often
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
-    inside = np.abs(distance) < REACH
-    number = np.floor((distance[inside] + REACH) * BINS).astype(int)
-    count = np.bincount(number, minlength=SIZE)
+    inside = np.abs(distance) < HALF_PROFILE_PIXELS
+    number = np.floor((distance[inside] + HALF_PROFILE_PIXELS) * BINS_PER_PIXEL).astype(int)
+    count = np.bincount(number, minlength=PROFILE_BINS)
     if not count.min():
-        raise EdgeError(f"the plane does not extend {REACH:g} pixels beyond the edge on both sides in every phase")
-    profile = np.bincount(number, plane[: len(rows)][inside], SIZE) / count
-    ends = np.minimum(np.arange(1, SIZE), np.arange(1, SIZE)[::-1]) / (TAPER * BINS)
+        raise EdgeError(
+            f"the plane does not extend {HALF_PROFILE_PIXELS:g} pixels beyond the edge on both sides in every phase"
+        )
+    profile = np.bincount(number, plane[: len(rows)][inside], PROFILE_BINS) / count
+    ends = np.minimum(np.arange(1, PROFILE_BINS), np.arange(1, PROFILE_BINS)[::-1]) / (TAPER * BINS_PER_PIXEL)
     spread = np.diff(profile) * np.sin(np.pi / 2 * np.minimum(ends, 1.0)) ** 2
-    spectrum = np.abs(np.fft.rfft(spread, 2 * SIZE))[: FREQUENCIES.size]
-    return Sharpness(FREQUENCIES, spectrum / spectrum[0] / np.sinc(FREQUENCIES / BINS) ** 2, float(np.degrees(angle)))
+    spectrum = np.abs(np.fft.rfft(spread, 2 * PROFILE_BINS))[: FREQUENCIES.size]
+    return Sharpness(
+        FREQUENCIES, spectrum / spectrum[0] / np.sinc(FREQUENCIES / BINS_PER_PIXEL) ** 2, float(np.degrees(angle))
+    )
 
 
 DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, 4:1 as in ISO 12233
 ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees; side of a frame in pixels
-EXPOSED = 0.8  # signal of a perfect white in the frames with edges, as a fraction of full scale
+EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in the frames with edges, as a fraction of full scale
 GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey, and its exposure time in s
 LIGHT = "D65"
 SNR = 10.0  # signal-to-noise ratio that defines SNR10
@@ -113,7 +117,7 @@ KNOWN = "lens and pixel"  # name of the MTF curve of an ideal lens and pixel
 # Number of random cameras, correlation length of their errors in nm, and half width of a 95 % band in standard deviations.
 DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96
 PATCHES = 4, 6  # rows and columns of the chart for random cameras
-MARGIN = 24  # pixels; width of the margin that is left out at each edge of a frame
+MARGIN_PIXELS = 24  # pixels; width of the margin that is left out at each edge of a frame
 
 
 @dataclass(frozen=True)
@@ -196,7 +200,7 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
     """Return the luminance (row, col) of a picture without its margin, or the mean of its outputs if Y is not an output."""
     plane = planes[outputs.index("Y")] if "Y" in outputs else planes.mean(axis=0)
-    return np.asarray(plane[MARGIN:-MARGIN, MARGIN:-MARGIN], np.float64)
+    return np.asarray(plane[MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS], np.float64)
 
 
 def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Array], across: str) -> dict[str, Any]:

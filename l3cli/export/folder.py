@@ -18,14 +18,14 @@ from l3cli.classes.refinement import RATIO_DARKEST
 from l3cli.classes.structure import NOISE_TRACE
 from l3cli.classes.tree import CHROMA_TOP, DARK, EVERY, TOP, turned_tests
 from l3cli.classes.windows import neighbourhoods
-from l3cli.export.wordlengths import ENOUGH, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
+from l3cli.export.wordlengths import ENOUGH_PSNR_DB, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
 from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
 from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
-HEAD = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
+TABLE_FIELDS = ("bits", "black_level", "white_level", "outputs", "output_unit", "white_point", "channels", "cfa")
 LEFT_OUT = ("samples", "condition")  # fields of layers that only document the training
 
 FORMULAS = {
@@ -99,7 +99,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         "version": VERSION,
         "made_by": f"l3cli {__version__}",
         "camera": printable(table.camera_name),
-        "table": arrays.add_fields("", table, HEAD),
+        "table": arrays.add_fields("", table, TABLE_FIELDS),
         **_set(arrays, table),
         "formulas": FORMULAS | CLIPPED_WHITE | (LAYERS if table.later else ONE_LAYER),
         "constants": _constants(table) | _clipped_white(table),
@@ -243,7 +243,7 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
         "psnr_db: outputs against those of float weights, of a full output 1, on a drawn mosaic",
         "mosaic": {"rows": SHAPE[0], "columns": SHAPE[1], "seed": SEED},
         "costs": [{"bits": cost.bits, "binary_point_of": cost.scale, "psnr_db": round(cost.psnr, 1)} for cost in costs],
-        "chosen": {"bits": words.bits, "binary_point_of": words.scale, "least_psnr_db": ENOUGH},
+        "chosen": {"bits": words.bits, "binary_point_of": words.scale, "least_psnr_db": ENOUGH_PSNR_DB},
     }
 
 

@@ -24,7 +24,7 @@ from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab,
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated colour temperature
-STEP = 5.0  # nm
+STEP_NM = 5.0  # nm
 VISIBLE = (380.0, 780.0)  # nm
 DIMMEST = 1e-4  # of the brightest channel; white balance would only amplify noise in dimmer channels
 TYPICAL = 0.2  # fraction of a white's signal at which noise is weighed against colour errors
@@ -130,7 +130,7 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 def _grid(camera: CameraModel) -> Array:
     """Return the wavelengths in nm that the eye or the camera sees."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
-    return np.arange(STEP * np.floor(low / STEP), high + STEP / 2, STEP)
+    return np.arange(STEP_NM * np.floor(low / STEP_NM), high + STEP_NM / 2, STEP_NM)
 
 
 def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:

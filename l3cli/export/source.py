@@ -39,7 +39,7 @@ from l3cli.export.wordlengths import (
 )
 from l3cli.io.raw.cfa_codes import channel_codes, code_of
 from l3cli.physics.display import XYZ
-from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
+from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, MIN_DIVISOR, gamut_of
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.opencl.layout import source_folder
@@ -53,7 +53,7 @@ Words = Literal["float32", "int16"]  # type of the outputs, and of the last laye
 PREFIX = "l3"  # default prefix of symbols
 MIN_BLOCK = 128  # pixels that loops process at a time, at least
 CODES = 256  # number of codes of a picture
-BINS = 4096  # of linear values; sRGB is nowhere so steep that one bin contains two thresholds
+LINEAR_BINS = 4096  # of linear values; sRGB is nowhere so steep that one bin contains two thresholds
 DATA = (
     "/* The numbers of a transform table; l3_table.h says how many. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
@@ -381,11 +381,11 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
     matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
     assert SRGB.curve is not None
     least = _thresholds(SRGB.curve).astype(np.float32)
-    codes = np.searchsorted(least, np.arange(BINS) / BINS, side="right")
+    codes = np.searchsorted(least, np.arange(LINEAR_BINS) / LINEAR_BINS, side="right")
     return string.Template(text).substitute(
-        bins=BINS,
+        bins=LINEAR_BINS,
         thresholds="\n".join(f"    {_floats(row)}," for row in np.array_split(np.append(least, 2.0), 32)),
-        codes="\n".join(f"    {', '.join(map(str, row.tolist()))}," for row in np.array_split(codes, BINS // 32)),
+        codes="\n".join(f"    {', '.join(map(str, row.tolist()))}," for row in np.array_split(codes, LINEAR_BINS // 32)),
         gains=", ".join(f"{gain!r}" for gain in balance.gains.tolist()),
         luminance=_floats(np.array([balance.luminance])),
         matrix=_rows(matrix),
@@ -396,7 +396,7 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
         least_cone=_float(LEAST_CONE),
         cone_share=_float(CONE_SHARE),
         least_lightness=_float(LEAST_LIGHTNESS),
-        tiny=_float(TINY),
+        tiny=_float(MIN_DIVISOR),
         top=float(math.ceil(table.white_level)),
     )
 

@@ -39,7 +39,7 @@ MAX_FRACTION = 24
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
 LENGTHS = (8, 10, 12, 14, 16)  # bits
 SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic
-ENOUGH = 60.0  # dB, PSNR relative to a full output, which is an error of a thousandth
+ENOUGH_PSNR_DB = 60.0  # dB, PSNR relative to a full output, which is an error of a thousandth
 Scale = Literal["class", "table"]  # whether each class has a binary point, or the table has one
 
 
@@ -253,7 +253,7 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
     """Return the shortest words with a binary point per class whose PSNR reaches ENOUGH, otherwise the longest."""
-    enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH]
+    enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
 
 

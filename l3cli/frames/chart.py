@@ -233,7 +233,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
 
 SEARCHED = 480  # pixels; longer side of the reduced picture in which charts are searched
 SLOPES = (0.02, 0.04, 0.08, 0.15)  # largest relative change between adjacent pixels of a uniform area; tried in this order
-DARK = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
+DARK_FRACTION = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
 MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: smallest in pixels, and largest as a fraction of the picture
 LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: largest aspect ratio, and range of its area relative to a parallelogram
 NEIGHBOURS, SEEDS = 8, 160  # number of neighbours that may define the grid steps, and of regions from which grids start
@@ -322,7 +322,7 @@ def _steepest(picture: Array) -> Array:
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = max(DARK * float(np.percentile(plane, 99)), 1e-9)  # above zero even for a black frame
+        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # above zero even for a black frame
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     return steepest

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
 NEIGHBOURS = 4  # number of neighbours of a bad pixel; the mean of the middle two replaces it
-FARTHEST = 16  # pixels; neighbours are searched up to this distance in rows and columns
+SEARCH_PIXELS = 16  # pixels; neighbours are searched up to this distance in rows and columns
 MAX_BAD = 0.1  # largest fraction of bad pixels; a map with more is probably not a map of defects
 MIN_EXCESS = 8.0  # standard deviations of noise by which a hot pixel exceeds its brightest neighbour
 RANGE = 2.0  # a hot pixel exceeds its brightest neighbour by more than this multiple of the range of its neighbours
@@ -90,7 +90,9 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
             count[found] += 1
         if not count.all():
             row, col = defects[int(count.argmin())]
-            raise InputFileError(f"pixel ({row}, {col}) has no good neighbour within {FARTHEST} pixels; mark fewer defects")
+            raise InputFileError(
+                f"pixel ({row}, {col}) has no good neighbour within {SEARCH_PIXELS} pixels; mark fewer defects"
+            )
         again = np.arange(NEIGHBOURS) % count[:, None]  # repeats the neighbours if there are too few
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
@@ -104,7 +106,7 @@ def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int6
 
     Among pixels at equal distance, opposite pixels are adjacent in the list.
     """
-    down, across = np.mgrid[-FARTHEST : FARTHEST + 1, -FARTHEST : FARTHEST + 1].reshape(2, -1)
+    down, across = np.mgrid[-SEARCH_PIXELS : SEARCH_PIXELS + 1, -SEARCH_PIXELS : SEARCH_PIXELS + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
     distance = down**2 + across**2
     same &= distance > 0

@@ -24,20 +24,22 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-SIDE, MIN_STEP = 8, 4  # pixels; side of a patch, and smallest step between patches, which is a multiple of the CFA period
+# Pixels; side of a patch, and smallest step between patches, which is a multiple of the CFA period
+PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
 MAX_PATCHES = 20_000  # largest number of patches taken from a frame
 ROUNDS, CLOSE = 10, 0.01  # largest number of rounds, and the relative change of the gain below which they end
 STRIPE = 8  # width, in columns of patches, of the stripes that alternate between the two halves of the frame
 CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale at which a pixel clips; largest fraction of clipped pixels
-CLEAR = 2.5  # smallest distance of a signal from black and white, in standard deviations, so that its noise does not clip
-LEVELS, MIN_PLAIN = 8, 32  # number of signal ranges, and smallest number of uniform patches in each
+# Smallest distance of a signal from black and white, in standard deviations, so that its noise does not clip
+MIN_DEVIATIONS = 2.5
+SIGNAL_RANGES, MIN_PLAIN = 8, 32  # number of signal ranges, and smallest number of uniform patches in each
 # Criteria for uniform patches, tried in turn: fraction of a signal range that is taken, and its largest ratio of strong to
 # weak components.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
 AGREE = 1.3  # largest ratio between measured and predicted variance of a signal range that agrees with the gain
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of the estimate
 USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and the largest multiple of it
-STEPS, SMALL = 50, 1e-4  # Fisher scoring: largest number of steps, and the step below which it ends
+MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: largest number of steps, and the step below which it ends
 SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py), and largest in total
 Array = NDArray[np.float64]
 
@@ -103,9 +105,9 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
     """Return the patches of a frame that have few clipped pixels. Raises ValueError if the frame is too small."""
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
-    if min(aligned.shape) < SIDE:
-        raise ValueError(f"the frame is smaller than {SIDE}×{SIDE} pixels")
-    windows = sliding_window_view(aligned, (SIDE, SIDE))
+    if min(aligned.shape) < PATCH_SIDE_PIXELS:
+        raise ValueError(f"the frame is smaller than {PATCH_SIDE_PIXELS}×{PATCH_SIDE_PIXELS} pixels")
+    windows = sliding_window_view(aligned, (PATCH_SIDE_PIXELS, PATCH_SIDE_PIXELS))
     down, across = (period * -(-MIN_STEP // period) for period in camera.cfa.shape)
     thin = max(1, int(np.ceil(np.sqrt(windows.shape[0] * windows.shape[1] / (down * across * MAX_PATCHES)))))
     windows = windows[:: down * thin, :: across * thin]
@@ -115,7 +117,7 @@ def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
     sound = clipped.mean(axis=1) <= MAX_CLIPPED
     span = camera.white_level - camera.black_level
     signal = (values[sound] - frame.black_level) * (span / full)
-    sites, channel = np.unique(camera.channel_map((SIDE, SIDE)), return_inverse=True)
+    sites, channel = np.unique(camera.channel_map((PATCH_SIDE_PIXELS, PATCH_SIDE_PIXELS)), return_inverse=True)
     member = channel.ravel()[:, None] == np.arange(len(sites))
     means = signal @ (member / member.sum(axis=0))
     return _Patches(signal, means, half[sound], channel.ravel(), sites, frame.black_level * span / full, span)
@@ -157,7 +159,7 @@ def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
     """Select the uniform patches for an assumed gain. Raises ValueError if there are none."""
     signal = np.maximum(patches.means, 0.0)
-    room = CLEAR * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
+    room = MIN_DEVIATIONS * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
     clear = np.asarray(((patches.means - room > -patches.black) & (patches.means + room < patches.span)).all(axis=1))
     if clear.sum() < 4 * MIN_PLAIN:
         raise ValueError("nearly all pixels are clipped at black or white")
@@ -166,7 +168,7 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
     whitened = (patches.values - patches.means[:, patches.channel]) / np.sqrt(variance)[:, patches.channel]
     weak, strong, components = _energies(whitened, patches)
     share = patches.member.mean(axis=0)
-    ranges = np.clip(len(signal) // (4 * MIN_PLAIN), 1, LEVELS)
+    ranges = np.clip(len(signal) // (4 * MIN_PLAIN), 1, SIGNAL_RANGES)
     plain = []
     for level in np.array_split(np.argsort(signal @ share, kind="stable"), ranges):
         plainest = level[np.argsort(strong[level], kind="stable")]
@@ -220,7 +222,7 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
     with a standard deviation of 1. If `excess` is None, the excess is fixed at 0.
     """
     free, excess = excess is not None, excess or 0.0
-    for _ in range(STEPS):
+    for _ in range(MAX_SCORING_STEPS):
         slopes = plain.slopes(camera, gain, excess)
         if not slopes[0].any():  # the frame is black and the camera has no read noise
             if free:

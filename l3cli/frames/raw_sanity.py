@@ -16,17 +16,17 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 # Differences of sites are relative to the signal.
-SIDE, MOST = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
+BLOCK_SIDE, MAX_BLOCKS = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
 SITES_DIFFER = 0.02  # difference that indicates a wrong phase; at the right phase it is up to 0.007, otherwise from 0.045 on
 FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey; coloured scenes reach 0.67
 BETTER = 0.4  # another phase is accepted if its difference, relative to that of the stated phase, is below this value
 ALIKE = 1.5  # phases fit about equally well up to this ratio of their differences
-DARKEST = 0.1  # percentile of a channel's values that is close to black in most pictures
+BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
 MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
 ROUGH, SMOOTHER = 0.01, 3.0  # roughness of a misread frame: least fraction of full scale; least ratio to the right reading
 MAX_BANDS = 32  # largest number of bands, each two super-pixels high, in which roughness is measured
-PERIODS, PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
+ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
 TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; largest number of tiles along a frame
 # Mean difference of sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
 ARRAYS_DIFFER = 0.05
@@ -37,7 +37,7 @@ CONTROL = 3.0  # a difference is evidence if it exceeds that of a period that no
 FITS = 0.01  # a CFA fits if the sites of each channel differ by less
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
 BELOW = 0.5  # fraction of the black level; with a correct black level, even dark pixels with noise are brighter
-FEW = 0.05  # fraction of the pixels below which nothing is reported
+MIN_REPORTED_FRACTION = 0.05  # fraction of the pixels below which nothing is reported
 Phase = tuple[int, int]
 
 
@@ -99,7 +99,9 @@ class ArrayDoubt:
         Large CFAs with a different channel at every site fit any pixels and are left out.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
-        misfits = {name: self._misfit(cfa) for name, cfa in judged.items() if not (PERIOD % np.array(cfa.shape)).any()}
+        misfits = {
+            name: self._misfit(cfa) for name, cfa in judged.items() if not (COMMON_PERIOD % np.array(cfa.shape)).any()
+        }
         limit = max(ALIKE * min(misfits.values()), FITS)
         fitting = [name for name, misfit in misfits.items() if misfit <= limit]
         return sorted(fitting, key=lambda name: (len(set(arrays[name].flat)), misfits[name]))
@@ -129,13 +131,13 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
         return None
     places = np.arange(cfa.size).reshape(cfa.shape)
     _, usual = _differences(_means(tile, control), places)
-    modulo = [_means(tile, tuple(np.lcm(cfa.shape, each))) for each in PERIODS]
+    modulo = [_means(tile, tuple(np.lcm(cfa.shape, each))) for each in ARRAY_PERIODS_PIXELS]
     found = [_differences(means, places) for means in modulo if not _are_stripes(means, cfa.shape)]
     if phase_doubt(frame, cfa) is None:
         found.append(_differences(_means(tile, cfa.shape), shifted_cfa(cfa, frame.phase)))
     limit = max(ARRAYS_DIFFER, CONTROL * usual)
     differ = max((mean for most, mean in found if most >= MOST_SITES_DIFFER and mean >= limit), default=0.0)
-    return ArrayDoubt(differ, _means(tile, (PERIOD, PERIOD))) if differ else None
+    return ArrayDoubt(differ, _means(tile, (COMMON_PERIOD, COMMON_PERIOD))) if differ else None
 
 
 def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
@@ -214,12 +216,14 @@ def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]
     Signals are in DN above black and dark current. The first site is the site of the frame's first pixel.
     """
     rows, cols = period
-    side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // SIDE, 1, SIDE))
+    side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // BLOCK_SIDE, 1, BLOCK_SIDE))
     down, across = frame.values.shape[0] // (rows * side), frame.values.shape[1] // (cols * side)
     if not down * across:
         return np.zeros((0, rows, cols))
-    whole = frame.values[: down * side * rows].reshape(down, side * rows, -1)[:: -(-down // MOST)]
-    whole = whole[..., : across * side * cols].reshape(-1, side, rows, across, side, cols)[:, :, :, :: -(-across // MOST)]
+    whole = frame.values[: down * side * rows].reshape(down, side * rows, -1)[:: -(-down // MAX_BLOCKS)]
+    whole = whole[..., : across * side * cols].reshape(-1, side, rows, across, side, cols)[
+        :, :, :, :: -(-across // MAX_BLOCKS)
+    ]
     means = whole.mean(axis=(1, 4)).transpose(0, 2, 1, 3).reshape(-1, rows, cols)
     return np.asarray(means - frame.black_level - frame.dark)
 
@@ -257,7 +261,7 @@ def share_below_black(frame: RawFrame) -> float:
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
     share = float((frame.values < BELOW * frame.black_level).mean())
-    return share if share >= FEW else 0.0
+    return share if share >= MIN_REPORTED_FRACTION else 0.0
 
 
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
@@ -270,7 +274,7 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     if frame.black_level > 0:
         return None
     sites = tiled(cfa, frame.values.shape)
-    levels = np.array([np.percentile(frame.values[sites == each], (DARKEST, 50)) for each in np.unique(cfa)])
+    levels = np.array([np.percentile(frame.values[sites == each], (BLACK_PERCENTILE, 50)) for each in np.unique(cfa)])
     darkest, usual = levels.T
     if not MIN_BLACK * frame.white_level <= darkest.min() <= darkest.max() <= MAX_BLACK * frame.white_level:
         return None

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-BRIGHTEST = 1e6  # highest value relative to a perfect white, such as the sun beside a sheet of paper
+MAX_TIMES_WHITE = 1e6  # highest value relative to a perfect white, such as the sun beside a sheet of paper
 BRIGHTEST_UNLIT = 1e26  # highest value of scenes without illuminant, because linear pictures may have any scale
 SHOWN = 390.0, 710.0  # nm; range that drawn scenes cover for every camera, and in which fingerprints are computed
 PROJECTIONS = 8  # number of values in a fingerprint
@@ -43,7 +43,7 @@ class Scene:
             raise ValueError(f"scene {self.name}: the illuminant does not fit {bands} wavelengths")
         if not np.isfinite(self.reflectance).all():
             raise ValueError(f"scene {self.name}: contains values that are not finite")
-        brightest = BRIGHTEST_UNLIT if self.illuminant is NO_ILLUMINANT else BRIGHTEST
+        brightest = BRIGHTEST_UNLIT if self.illuminant is NO_ILLUMINANT else MAX_TIMES_WHITE
         if float(np.max(self.reflectance, initial=0.0)) > brightest:
             raise ValueError(
                 f"scene {self.name}: contains values above {brightest:g}, brighter than any light; check its white"
@@ -67,8 +67,8 @@ class ChannelPicture:
     signal: NDArray[np.float32]  # (row, col, channel) ≥ 0; 1 is the signal of a perfect white in the brightest channel
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.signal).all() and float(np.max(self.signal, initial=0.0)) <= BRIGHTEST):
-            raise ValueError(f"scene {self.name}: contains values that are not finite, or above {BRIGHTEST:g}")
+        if not (np.isfinite(self.signal).all() and float(np.max(self.signal, initial=0.0)) <= MAX_TIMES_WHITE):
+            raise ValueError(f"scene {self.name}: contains values that are not finite, or above {MAX_TIMES_WHITE:g}")
 
     @functools.cached_property
     def fingerprint(self) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # not imported at run time, which saves 80 ms in the start of
     from l3cli.artifacts.camera import FlatField
 
 CLIPPED = 0.985  # fraction of full scale; brighter pixels are not corrected, because they are clipped
-STEP = 16  # columns between the nodes of the gain
+NODE_SPACING_COLUMNS = 16  # columns between the nodes of the gain
 FRACTION = 15  # number of fractional bits of colour shading
 MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differences between channels are ignored
 
@@ -33,7 +33,7 @@ class Shading:
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
         """Return the gain (row, col) on the outputs at the given rows and columns."""
-        node, part = cols // STEP, (cols % STEP) / STEP
+        node, part = cols // NODE_SPACING_COLUMNS, (cols % NODE_SPACING_COLUMNS) / NODE_SPACING_COLUMNS
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
 
@@ -54,7 +54,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = interpolation(field.grid_row, np.arange(rows))
-    nodes = down @ mean @ interpolation(field.grid_col, np.arange(0, cols + STEP, STEP)).T
+    nodes = down @ mean @ interpolation(field.grid_col, np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS)).T
     colour = np.zeros(shape, np.int16)
     across = interpolation(field.grid_col, np.arange(cols))
     for row, col in np.ndindex(cfa.shape):
@@ -68,7 +68,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
     """Return the shading correction from gains (row, col) of single pixels, for a CFA with a `period` (rows, cols)."""
     (rows, cols), (down, across) = gain.shape, period
-    first = np.clip(np.arange(0, cols + STEP, STEP) - across // 2, 0, max(cols - across, 0))
+    first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
     means = gain[:, columns].mean(axis=2, dtype=np.float64)  # (row, node) over a period of columns
     first = np.clip(np.arange(rows) - down // 2, 0, max(rows - down, 0))

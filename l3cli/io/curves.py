@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import DIODE, CurveStatistics, FinishedCurves, SweepTable
 from l3cli.recipes.builtin import recipe_folder
-from l3cli.recipes.toml import LARGEST, Recipe, load_recipe
+from l3cli.recipes.toml import MAX_NUMBER, Recipe, load_recipe
 from l3cli.spectra.file import other_unit, read_table
 from l3cli.spectra.table import CurveTable, without_noise
 from l3cli.system.files import write_whole
@@ -118,8 +118,8 @@ def _read_json(path: Path) -> CurveTable:
     if table.ndim != 2 or table.shape[1] < 2:
         raise InputFileError(f"{path} is not a rawtoaces JSON: it holds no curves")
     table = table[np.argsort(table[:, 0])]
-    if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{LARGEST:g}")
+    if not (np.abs(table) <= MAX_NUMBER).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{MAX_NUMBER:g}")
     if other := other_unit(float(table[0, 0]), float(table[-1, 0])):
         raise InputFileError(f"{path}: {other[0]}; give them in nm")
     values = table[:, 1:].T
@@ -131,8 +131,8 @@ def _read_json(path: Path) -> CurveTable:
 
 ROLES = ("r", "g", "b")  # channels of the included table and of cameras in a folder
 CURVE_FILES = (".csv", ".json")
-LEAST = 8  # cameras in a folder; fewer say too little about the variation of curves
-MOST = 2000  # cameras in a folder
+MIN_CAMERAS = 8  # cameras in a folder; fewer say too little about the variation of curves
+MAX_CAMERAS = 2000  # cameras in a folder
 
 
 class PriorRecipe(Recipe):
@@ -163,9 +163,10 @@ def shipped_statistics() -> CurveStatistics:
 def prior_files(folder: Path) -> list[Path]:
     """Return the files of curves in a folder. Raises InputFileError if there are too few or too many."""
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
-    if not LEAST <= len(files) <= MOST:
+    if not MIN_CAMERAS <= len(files) <= MAX_CAMERAS:
         raise InputFileError(
-            f"{folder} holds {len(files)} files of curves (CSV or rawtoaces JSON); a prior needs {LEAST} cameras or more"
+            f"{folder} holds {len(files)} files of curves (CSV or rawtoaces JSON); "
+            f"a prior needs {MIN_CAMERAS} cameras or more"
         )
     return files
 

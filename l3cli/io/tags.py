@@ -26,8 +26,8 @@ LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # flip codes for the values 0…8 of 
 # exceptions that reading damaged tags may raise
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 LONGEST_NAME = 80  # characters; longer camera names are cut
-FINE = 10**9  # largest denominator
-LARGEST = 2**31 - 1  # largest numerator or denominator
+MAX_DENOMINATOR = 10**9  # largest denominator
+MAX_INTEGER = 2**31 - 1  # largest numerator or denominator
 Entry = tuple[int, int, int, object, bool]  # a tag in the form that tifffile takes
 
 
@@ -102,7 +102,7 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 def _fraction(value: float) -> Fraction:
     """Return the nearest fraction with 32-bit numerator and denominator."""
-    return Fraction(value).limit_denominator(min(FINE, int(LARGEST / max(1.0, abs(value)))))
+    return Fraction(value).limit_denominator(min(MAX_DENOMINATOR, int(MAX_INTEGER / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
@@ -119,7 +119,7 @@ def _code(name: str) -> int:
 # ------------------------------------------------------------------------------------------- settings of a shot
 
 LONGEST_TEXT = 100  # characters
-MOST = 1e7  # largest believable number; ISO speeds go up to 4 million
+MAX_BELIEVABLE = 1e7  # largest believable number; ISO speeds go up to 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
 SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif directory, and in OpenImageIO
     "f_number": ("FNumber", "FNumber"),
@@ -142,7 +142,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
         if wanted is str and isinstance(value, str):
             text = "".join(letter for letter in value if letter.isprintable()).strip()[:LONGEST_TEXT]
             fields[name] = text if name != "date" or DATE.fullmatch(text) else ""
-        elif wanted is float and isinstance(value, int | float) and 0 < value <= MOST:
+        elif wanted is float and isinstance(value, int | float) and 0 < value <= MAX_BELIEVABLE:
             fields[name] = float(value)
     return Shot(**fields)
 

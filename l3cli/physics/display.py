@@ -294,7 +294,7 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-STEP = 2.0**-26  # step of numerical derivatives, the square root of float64's precision
+DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives, the square root of float64's precision
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
@@ -325,7 +325,7 @@ def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
     def sloped(change: Array) -> tuple[float, Array]:  # evaluating all neighbours at once takes a fifth of the time
-        first, *others = errors(change + np.vstack([np.zeros(6), STEP * np.eye(6)]))
-        return float(first), (np.array(others) - first) / STEP
+        first, *others = errors(change + np.vstack([np.zeros(6), DERIVATIVE_STEP * np.eye(6)]))
+        return float(first), (np.array(others) - first) / DERIVATIVE_STEP
 
     return turned(minimize(sloped, np.zeros(6), jac=True, method="BFGS", options={"gtol": PRECISION}).x)[0]

@@ -37,7 +37,7 @@ LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ 
 LEAST_CONE = 1e-12  # smallest cone response, which black gets
 CONE_SHARE = 0.02  # smaller cone responses are raised to this fraction of the largest; real colours have at least 0.07
 LEAST_LIGHTNESS = 1e-4  # avoids division by zero
-TINY = 1e-30  # avoids division by zero
+MIN_DIVISOR = 1e-30  # avoids division by zero
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
     value = 1 + t * (first + t * (second + t * third))
     slope = first + t * (2 * second + t * (3 * third))
     bend = 2 * second + t * (6 * third)
-    square = slope * slope + TINY
+    square = slope * slope + MIN_DIVISOR
     roots_of = t - 2 * value * slope / np.maximum(2 * square - value * bend, square)
     t = np.clip(np.where(ends < 0, roots_of, 1).min(axis=1, keepdims=True), 0, 1)
     return lightness**3 * ((1 + t * chroma) ** 3 @ gamut.linear.T)

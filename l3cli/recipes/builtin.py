@@ -11,7 +11,7 @@ from pathlib import Path
 from l3cli.errors import InputFileError, RecipeError, suggestion
 
 # Subfolder of configs/ → kind of recipe in it.
-KINDS = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
+KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
 CURVES = "curves.csv"  # name of the file with the camera's curves in a starter folder
 # The other files of a starter folder, beside camera.toml: name in the folder → name in configs/.
 COMMON = {
@@ -90,7 +90,7 @@ def find_recipe(text: str, kind: str) -> Path:
     if os.path.exists(text):
         return path
     if os.sep not in text and not path.suffix:
-        raise RecipeError(f'no file and no {KINDS[kind]} recipe is called "{text}"; {suggestion(text, known)}')
+        raise RecipeError(f'no file and no {KIND_OF_FOLDER[kind]} recipe is called "{text}"; {suggestion(text, known)}')
     if path.suffix == ".toml" and path.stem in known:
         raise InputFileError(f'{text} does not exist; give "{path.stem}" without a path for the recipe that comes with l3')
     return path

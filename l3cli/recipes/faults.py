@@ -15,7 +15,7 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import KeyPath, Recipe, place, plain, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED = 100  # faults listed with a message; the rest are only counted
+LISTED_FAULTS = 100  # faults listed with a message; the rest are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
@@ -136,7 +136,7 @@ class _Judge:
         if key in self._faulty:
             return
         self._faulty.add(key)
-        if len(self.faults) >= LISTED:
+        if len(self.faults) >= LISTED_FAULTS:
             self.faults.append(Fault("", (key,)))
             return
         written = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)

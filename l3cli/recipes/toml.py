@@ -17,7 +17,7 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened, sug
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE, counted
 
-LARGEST = 1e24  # largest number in a recipe: above any photon flux, and far below overflow
+MAX_NUMBER = 1e24  # largest number in a recipe: above any photon flux, and far below overflow
 DEEPEST = 100  # largest depth of nested tables and lists
 STRING = (
     r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may stand before the three that end it
@@ -26,10 +26,10 @@ STRING = (
     r"|'[^'\n]*'"
 )
 TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # TOML token; words include adjacent blanks
-PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # one key or index of a path in a message of msgspec, such as `$.scene[1].size`
-MOST = 1_000_000  # largest count in a recipe
-Count = Annotated[int, msgspec.Meta(ge=1, le=MOST)]
-CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MOST)]
+PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # one key or index of a path in a message of msgspec, such as `$.scene[1].size`
+MAX_COUNT = 1_000_000  # largest count in a recipe
+Count = Annotated[int, msgspec.Meta(ge=1, le=MAX_COUNT)]
+CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
@@ -254,8 +254,8 @@ def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
             str(value) if abs(value) < 10**MOST_SHOWN else hex(value)
         )  # Python refuses to print long integers in decimal
         yield key, f"{_named(key)} is {shortened(written)}; a whole number has at most 64 bits"
-    elif isinstance(value, float) and not abs(value) <= LARGEST:
-        yield key, f"{_named(key)} is {value:g}; give a number within ±{LARGEST:g}"
+    elif isinstance(value, float) and not abs(value) <= MAX_NUMBER:
+        yield key, f"{_named(key)} is {value:g}; give a number within ±{MAX_NUMBER:g}"
     elif isinstance(value, str) and "\0" in value:
         yield key, f"{_named(key)} contains a null character; remove it"
 
@@ -294,7 +294,7 @@ def place(message: str) -> KeyPath:
     """Return the key to which a message of msgspec refers, even if it is unknown. For a missing key, return its table."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
-    return (*(int(number) if number else key for key, number in re.findall(PART, where)), *unknown)
+    return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
@@ -305,7 +305,7 @@ def _written(where: str) -> str:
 
 def _value_at(content: Any, where: str) -> Any:
     """Return the value at a path from a message of msgspec, or None if a key contains a period."""
-    for key, number in re.findall(PART, where):
+    for key, number in re.findall(PATH_PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 

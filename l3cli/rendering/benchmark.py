@@ -27,7 +27,7 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-SIDE = 5  # pixels, side of the second layer's windows
+WINDOW_SIDE_PIXELS = 5  # pixels, side of the second layer's windows
 TWO_LAYERS = ("default",)  # class recipes with a second layer
 STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # values of configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
@@ -140,10 +140,10 @@ def _second_layer(
         cases=first.cases,
     )
     classes = sites * rule.classes_per_site
-    weights = 0.02 * rng.standard_normal((classes, white.size, 3, SIDE**2)) / SIDE
-    weights[:, :, 1] += white[:, None] / SIDE**2  # of luminance, the second plane
+    weights = 0.02 * rng.standard_normal((classes, white.size, 3, WINDOW_SIDE_PIXELS**2)) / WINDOW_SIDE_PIXELS
+    weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # of luminance, the second plane
     single = weights.reshape(classes, white.size, -1).astype(np.float32)
-    return PlaneLayer(SIDE, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
+    return PlaneLayer(WINDOW_SIDE_PIXELS, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -191,13 +191,13 @@ FULL = (
     Case(1280, 720, 9, "five-band", "fast", 1),
     Case(1280, 720, 9, "five-band", "fast", 8),
 )
-TINY = (Case(64, 48, 9, "five-band", "fast"),)
+SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
     """Return the measurements of a variant on a device. Without `variant`, the reference renderer is measured, too."""
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
-    return planned + [functools.partial(measure_reference, case) for case in TINY if variant is None]
+    return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
 
 
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:

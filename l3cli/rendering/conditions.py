@@ -31,7 +31,7 @@ from l3cli.physics.correlated_lights import mired_of
 MIN_VARIANCE = 1e-30  # DN², assumed where all channels clip
 DARKEST_REFINED = 2.0  # signal-to-noise ratio; transforms of darker levels would leave more noise than those at this level
 LEFT = (1 / 16, 1 / 4)  # fractions of the noise left by a temporal filter, for which transforms at lower gains are used
-STEPS = 12  # gains per doubling at which frames are rendered
+GAINS_PER_DOUBLING = 12  # gains per doubling at which frames are rendered
 SAME_GAIN = 0.01  # relative difference up to which gains count as equal
 FAR_GAIN = 1.5  # factor beyond the known analog gains from which a frame is reported
 CLEARLY_LESS = 0.75  # fraction of a noise; transforms for hardly less noise are not worth a set
@@ -155,7 +155,7 @@ def nearest_step(gain: float) -> float:
 
     A gain that drifts then needs few renderers. The noise differs by at most 3 % from that of the transforms.
     """
-    return float(2.0 ** (round(STEPS * np.log2(gain)) / STEPS))
+    return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:

@@ -23,10 +23,10 @@ MAX_OVERSHOOT = 1.5  # times the white level; no saturated pixel is higher
 SHALLOW = 0.55  # times the white level; a sensor of the same bit depth does not clip below it
 CLIPPED = 1e-3  # fraction of the pixels with the highest value, from which the sensor is assumed to clip
 NEAR_BLACK = 0.75  # lowest ratio to the black level of a value that counts as black; its inverse is the highest
-DARKEST = 0.1  # percentile of the values that is close to black in most pictures
+BLACK_PERCENTILE = 0.1  # percentile of the values that is close to black in most pictures
 SAME_DEPTH = 0.02  # relative difference of white levels up to which bit depths are the same
 SHEARED = 1.5  # differences between rows, relative to those with rows and columns exchanged, from which a size is wrong
-LINES = 64  # pairs of rows that are compared
+ROW_PAIRS = 64  # pairs of rows that are compared
 
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fractions of a frame that are reported
 # Exposure times above so many seconds, or times the training's exposure, are probably in another unit.
@@ -290,7 +290,7 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
         return ""
-    darkest = float(np.percentile(frame.values[::3, ::3], DARKEST))
+    darkest = float(np.percentile(frame.values[::3, ::3], BLACK_PERCENTILE))
     if not NEAR_BLACK * black <= darkest <= black / NEAR_BLACK:
         return ""
     return (
@@ -314,5 +314,5 @@ def _step(values: NDArray[np.uint16], period: int) -> float:
     last = len(values) - period
     if last < 1:
         return 0.0
-    first = np.unique(np.linspace(0, last - 1, LINES).astype(int))
+    first = np.unique(np.linspace(0, last - 1, ROW_PAIRS).astype(int))
     return float(np.abs(values[first + period].astype(np.float32) - values[first]).mean())

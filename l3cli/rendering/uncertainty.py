@@ -35,16 +35,17 @@ Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
 # Bits of a mask: clipped values decide the class or the result; the class has no training patches.
 CLIPPED, UNTRAINED = 1, 2
-PIECE, PIECES, SEAM = 96, 4, 8  # pixels, side of a piece of a large frame; pieces per side; pixels ignored at seams
+# Pixels, side of a piece of a large frame; pieces per side; pixels ignored at seams
+PIECE_PIXELS, PIECES_PER_SIDE, SEAM_PIXELS = 96, 4, 8
 BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels in all renderings together; fewest and most renderings
 SMOOTHED = 0.5  # pixels, σ of a Gaussian that removes noise left in the picture, which would otherwise count twice
 FITS = 3  # rounds of reweighted least squares from outputs to signals
 ROUNDS = 4  # of fitting gains and factors, until they settle
 PRIOR = 50  # pixels, weight of the prior that a class behaves like its coarser classes
-EDGE = 4  # pixels; rows and columns at each side with their own factors. Further inside, mirroring adds less than 2 %
+EDGE_PIXELS = 4  # pixels; rows and columns at each side with their own factors. Further inside, mirroring adds less than 2 %
 TILES = (1, 2, 4, 8, 16)  # pixels, sides of the tiles whose means are compared; each side fits the size of a piece
 MIN_TILES = 9  # of a frame
-TINY = 1e-30  # avoids division by zero where noise changes no raw value and σ is 0, as in a black frame
+MIN_VARIANCE = 1e-30  # avoids division by zero where noise changes no raw value and σ is 0, as in a black frame
 MIN_SIDE = 32  # pixels, of a frame
 STRIP = 1 << 16  # pixels of the maps that are computed at once, so that they fit the processor's cache
 SEED = 20
@@ -232,7 +233,7 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
     The sides are top, bottom, left and right.
     """
     turned = planes.swapaxes(-1, -2)
-    return [each[..., :EDGE, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
+    return [each[..., :EDGE_PIXELS, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
 
 
 def _raw_sigma(
@@ -324,7 +325,7 @@ def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]
     """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
-    ratios = [_along(seen, along) / np.maximum(_along(wanted, along), TINY) for along, seen, wanted in pairs]
+    ratios = [_along(seen, along) / np.maximum(_along(wanted, along), MIN_VARIANCE) for along, seen, wanted in pairs]
     return np.moveaxis(np.array(ratios), 1, 2)
 
 
@@ -370,18 +371,18 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
     The first piece begins and the last ends with the frame.
     """
-    piece = max(PIECE // unit, 1) * unit
-    if length <= piece * PIECES:
+    piece = max(PIECE_PIXELS // unit, 1) * unit
+    if length <= piece * PIECES_PER_SIDE:
         return np.arange(length)
-    starts = np.linspace(0, length - piece, PIECES).astype(np.int64) // unit * unit
-    lengths = [*[piece] * (PIECES - 1), length - starts[-1]]
+    starts = np.linspace(0, length - piece, PIECES_PER_SIDE).astype(np.int64) // unit * unit
+    lengths = [*[piece] * (PIECES_PER_SIDE - 1), length - starts[-1]]
     return np.concatenate([start + np.arange(size) for start, size in zip(starts, lengths, strict=True)])
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which of the `_sampled` indices lie away from the seams between pieces and from the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
-    return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM)
+    return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
 
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
@@ -419,7 +420,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
         for factor, part, of in zip(factors, parts, seen, strict=True):
             by_cell = math.prod(each[at] for each, at in zip(factors, parts, strict=True))
             predicted = _summed(part, alone * by_cell + by_others @ by_cell, len(factor))
-            factor *= (of + prior) / np.maximum(predicted + prior, TINY)
+            factor *= (of + prior) / np.maximum(predicted + prior, MIN_VARIANCE)
     gains = math.prod(factor[axis] for factor, axis in zip(factors[:3], axes, strict=False))
     return np.asarray(gains), factors[3][kind] if table.later else np.ones((1, len(measured)))
 
@@ -440,4 +441,4 @@ def _areas(deviations: Array) -> Array:
         if means[0, 0].size < MIN_TILES:
             break
         areas.append(side**2 * np.square(means).mean(axis=(1, 2, 3)))
-    return np.array(areas) / np.maximum(areas[0], TINY)
+    return np.array(areas) / np.maximum(areas[0], MIN_VARIANCE)

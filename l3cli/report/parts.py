@@ -272,7 +272,7 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
     return "data:image/jpeg;base64," + coded.decode(), (small.shape[0], small.shape[1])
 
 
-LIMIT = 10_000_000  # bytes; approximate maximum size of a page
+MAX_PAGE_BYTES = 10_000_000  # bytes; approximate maximum size of a page
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet treats a cell that begins with one of these as a formula
 MAX_FILE_NAME = 60  # characters; maximum length of a file name
 

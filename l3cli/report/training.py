@@ -34,7 +34,7 @@ MAX_PICTURES = 24  # maximum number of frames shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
 SATURATED = 0.985  # fraction of full scale, as in docs/method.md#saturation-cases
 CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram
-CELLS = 100  # number of cells along x and along y
+CELLS_PER_SIDE = 100  # number of cells along x and along y
 MIN_RELATIVE_LUMINANCE = 1e-4  # luminance relative to white; darker pixels have no reliable chromaticity
 
 
@@ -49,7 +49,7 @@ class Survey:
     pixels: int = 0
     sizes: Counter = field(default_factory=Counter)
     lights: dict = field(default_factory=dict)  # illuminant → list of (white, luminance in cd/m², exposure in s)
-    chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS, CELLS)))
+    chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))
     pairs: int = 0
 
 
@@ -126,7 +126,7 @@ def _count_colours(survey: Survey, frame: TrainingPair) -> None:
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
-    edges = np.linspace(0, CELLS * CELL_SIZE, CELLS + 1)
+    edges = np.linspace(0, CELLS_PER_SIDE * CELL_SIZE, CELLS_PER_SIDE + 1)
     survey.chromaticity += np.histogram2d(x, y, (edges, edges))[0]
 
 
@@ -250,7 +250,7 @@ def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
     covered : float
         Fraction of the triangle's cells that contain any pixel.
     """
-    centre = (np.arange(CELLS) + 0.5) * CELL_SIZE
+    centre = (np.arange(CELLS_PER_SIDE) + 0.5) * CELL_SIZE
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)
     sides = np.roll(triangle, -1, axis=0) - triangle
     rel = points[:, :, None] - triangle

@@ -23,7 +23,7 @@ FINEST_STEP = 0.25  # pixels between the samples of a leaf
 MAX_RADIUS_SAMPLES = 256  # larger leaves are sampled more coarsely, which limits their memory
 TEXTURE_CONTRAST = 0.3  # standard deviation of the natural logarithm of the brightness within a leaf
 COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of it
-TINY = 1e-6  # pixels; tolerance for rounding at the border of the frame
+ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding at the border of the frame
 EDGE_MARGIN = 2  # pixels; lens blur and demosaicking mix both sides of an edge within this distance
 
 
@@ -206,7 +206,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
     pixel = np.indices(size)
     nearest = np.rint(source).astype(int)
     inside = np.logical_and.reduce(
-        [(at > -TINY) & (at < length - 1 + TINY) for at, length in zip(source, size, strict=True)]
+        [(at > -ROUNDING_PIXELS) & (at < length - 1 + ROUNDING_PIXELS) for at, length in zip(source, size, strict=True)]
     )
     nearest = np.stack([np.clip(at, 0, length - 1) for at, length in zip(nearest, size, strict=True)])
     seen = inside & (was[nearest[0], nearest[1]] == top) & _sure(top) & _sure(was)[nearest[0], nearest[1]]

@@ -31,12 +31,12 @@ TEXTURES = len(PINK) + 2
 WIDEST = 1024  # samples; largest side of a piece, a power of two. Leaves are at most 400 samples wide.
 Array = NDArray[np.floating]
 
-KINDS = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
-PERIODS = (2.0, 16.0)  # pixels; range of the periods, which are drawn log-uniformly
+PATTERN_FREQUENCIES = {"grating": 0.4, "lattice": 0.35, "lettering": 0.25}  # relative frequency of each kind of pattern
+PERIOD_RANGE = (2.0, 16.0)  # pixels; range of the periods, which are drawn log-uniformly
 DUTIES = (0.15, 0.6)  # range of the fraction of a period that the strokes cover
 NEUTRAL, PALE = 0.5, 0.2  # fraction of patterns that are nearly neutral, and the highest saturation of these patterns
 CONTRAST = 0.5  # standard deviation of the natural logarithm of a random factor on the reflectance of the strokes
-LINES = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
+LINE_DISTANCE = (2.0, 3.5)  # distance between two lines of lettering, in periods of the strokes
 
 
 def pink(rng: np.random.Generator, shape: tuple[int, int], exponent: float, stretch: float = 1.0) -> Field:
@@ -330,10 +330,12 @@ def draw_patterns(
         first[leaf] = with_saturation(first[leaf], saturation[leaf], drawn)
         second[leaf] = with_saturation(second[leaf], saturation[leaf], drawn)
     second = np.minimum(second * np.exp(CONTRAST * rng.standard_normal(count))[:, None], 1.0)
-    across = oversampling * np.exp(rng.uniform(math.log(PERIODS[0]), math.log(PERIODS[1]), count))
-    kind = rng.choice(len(KINDS), size=count, p=list(KINDS.values()))
-    along = across * np.where(kind == 2, rng.uniform(*LINES, count), np.exp(rng.uniform(np.log(0.5), np.log(3.0), count)))
-    period = np.maximum([across, along], oversampling * PERIODS[0])
+    across = oversampling * np.exp(rng.uniform(math.log(PERIOD_RANGE[0]), math.log(PERIOD_RANGE[1]), count))
+    kind = rng.choice(len(PATTERN_FREQUENCIES), size=count, p=list(PATTERN_FREQUENCIES.values()))
+    along = across * np.where(
+        kind == 2, rng.uniform(*LINE_DISTANCE, count), np.exp(rng.uniform(np.log(0.5), np.log(3.0), count))
+    )
+    period = np.maximum([across, along], oversampling * PERIOD_RANGE[0])
     duty = rng.uniform(*DUTIES, (2, count))
     duty[1] = np.where(kind == 2, 1.5 / (along / across), duty[1])  # lettering is blank between its lines
     return Patterns(

@@ -15,20 +15,20 @@ from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES
 from l3cli.physics import spectra
 from l3cli.physics.lens import relative_illumination
 from l3cli.recipes.faults import Fault, fault, refuse_first
-from l3cli.recipes.toml import MOST, Count, CountOrNone, NotNegative, Positive, Recipe
+from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
 SPECTROMETER_MARGIN = 5.0  # nm; the spectrometer covers this much more than the camera and the slits
 MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # highest stray light and lamp drift of a usable lab, as fractions
 FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # one folder for each kind of capture, and one for measured spectra
 PATCH_SIDE = 0.8  # side of a patch as a fraction of its cell in the chart; the rest of the cell is black mount
-MARGIN = 0.08  # fraction of the frame's height; width of the border around the chart
+BORDER_FRACTION = 0.08  # fraction of the frame's height; width of the border around the chart
 MOUNT = 0.03  # reflectance between and around the patches
 OVEREXPOSED = 2.0  # signal of the overexposed monochromator steps, relative to full scale
 MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=spectra.LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
-Trials = Annotated[int, msgspec.Meta(ge=2, le=MOST)]  # at least two, because noise is measured from pairs of frames
+Trials = Annotated[int, msgspec.Meta(ge=2, le=MAX_COUNT)]  # at least two, because noise is measured from pairs of frames
 SMALLEST_SENSOR = (64, 96)  # rows, columns; a smaller sensor does not resolve the patches of a chart
 Array = NDArray[np.float64]
 
@@ -280,7 +280,7 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
     """Return the outer corners (column, row), in pixels, of patches 1, 6, 24 and 19."""
-    margin = round(MARGIN * camera.rows)
+    margin = round(BORDER_FRACTION * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 

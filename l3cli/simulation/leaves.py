@@ -17,14 +17,14 @@ Size = float | Field
 
 EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
 UNCOVERED = 0.003  # fraction of the picture left to the background, because covering it too would take long
-BATCH = 1.5  # summed area of the bounding squares of a batch of leaves, relative to the picture
+BATCH_AREA = 1.5  # summed area of the bounding squares of a batch of leaves, relative to the picture
 BLOCK = 8  # pixels; side of the blocks tested for uncovered pixels. A row of a block is one 64-bit word.
 SMALL = 40.0  # pixels; leaves up to this radius are drawn in groups
-WIDER = 1.15  # ratio between successive window sizes for small leaves
+WINDOW_RATIO = 1.15  # ratio between successive window sizes for small leaves
 CHUNK = 1 << 16  # number of samples drawn at once, few enough to stay in the processor cache
-FEW = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
+SPARSE_FRACTION = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
 FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than every leaf
-BEYOND = -1  # label of pixels outside the picture, lower than every leaf
+OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than every leaf
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
     Of all leaves that cover a pixel, the one with the lowest number is visible. The order in which leaves are drawn
     therefore does not matter, and many can be drawn at once.
     """
-    room = int(2 * min(SMALL, largest) * WIDER) + 3  # pixels; margin for windows that extend beyond the picture
-    canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], BEYOND, np.int32)
+    room = int(2 * min(SMALL, largest) * WINDOW_RATIO) + 3  # pixels; margin for windows that extend beyond the picture
+    canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], OUTSIDE_LABEL, np.int32)
     label = canvas[room : room + shape[0], room : room + shape[1]]
     label[:] = FREE
-    count = max(1, int(BATCH * label.size / (4 * _mean_square(smallest, largest))))
+    count = max(1, int(BATCH_AREA * label.size / (4 * _mean_square(smallest, largest))))
     batches: list[Drawn] = []
     while np.count_nonzero(label == FREE) > UNCOVERED * label.size:
         drawn = _drawn(rng, count * len(batches), count, shape, smallest, largest)
@@ -151,7 +151,7 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
     x = np.arange(left, left + window.shape[1], dtype=np.float32) - np.float32(col)
     look = radius, float(drawn.angle[leaf]), float(drawn.slimness[leaf])
     free = window > drawn.number[leaf]
-    if np.count_nonzero(free) > FEW * free.size:
+    if np.count_nonzero(free) > SPARSE_FRACTION * free.size:
         window[free & inside(int(drawn.shape[leaf]), y, x, *look)] = drawn.number[leaf]
         return
     rows, cols = np.divmod(np.flatnonzero(free), free.shape[1])
@@ -168,8 +168,8 @@ def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
     if not drawn.number.size:
         return
     smallest = drawn.radius.min()
-    step = np.ceil(np.log(drawn.radius / smallest) / np.log(WIDER))
-    side = np.ceil(2 * smallest * WIDER**step).astype(int) + 1
+    step = np.ceil(np.log(drawn.radius / smallest) / np.log(WINDOW_RATIO))
+    side = np.ceil(2 * smallest * WINDOW_RATIO**step).astype(int) + 1
     order = np.lexsort((side, drawn.shape))
     ends = np.flatnonzero(np.diff(side[order]) | np.diff(drawn.shape[order])) + 1
     for group in np.split(order, ends):

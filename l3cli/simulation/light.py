@@ -26,7 +26,7 @@ Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
 
 SCENE_LIGHT = "scene"  # in a recipe, the illuminant under which the scene was measured
 WIDEST_GAP = 20.0  # nm; largest permitted distance between samples of a measured illuminant
-DARK = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
+INCOMPLETE_FRACTION = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
 
 OUTPUTS = {
     "CIE 1931": ("X", "Y", "Z"),
@@ -438,7 +438,7 @@ def check_measured(curve: Curve, name: str) -> None:
             "dark spectrum again, and give the power at each wavelength"
         )
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
-        if visible and power[end] > DARK * power.max():
+        if visible and power[end] > INCOMPLETE_FRACTION * power.max():
             raise InputFileError(f"{name} ends at {wavelength[end]:g} nm where the light still shines; measure 400–700 nm")
 
 

@@ -23,7 +23,7 @@ Cube = NDArray[np.float32]  # (row, col, band)
 
 OVERSAMPLING = 2  # samples per pixel in each direction; their mean places edges at fractions of a pixel
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels; range of the leaf radii
-BRIGHTEST = 3.0  # highest value of a scene relative to a perfect white, including highlights
+MAX_TIMES_WHITE = 3.0  # highest value of a scene relative to a perfect white, including highlights
 STRIP = 8  # number of rows drawn at once, few enough to stay in the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
@@ -162,8 +162,8 @@ def _draw(
     shine = _block_mean(gloss)
     glossy = np.nonzero(shine)
     cube[glossy] += shine[glossy][:, None]
-    bright = np.nonzero(_block_mean(amount) + shine > BRIGHTEST)  # pixels that are implausibly bright
-    cube[bright] = np.minimum(cube[bright], np.float32(BRIGHTEST))
+    bright = np.nonzero(_block_mean(amount) + shine > MAX_TIMES_WHITE)  # pixels that are implausibly bright
+    cube[bright] = np.minimum(cube[bright], np.float32(MAX_TIMES_WHITE))
 
 
 def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -29,7 +29,7 @@ COMPONENTS = 8  # number of principal components of the Gaussian in logit space
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
 # Relative frequency of each kind of material (docs/method.md#procedural-scenes).
-KINDS = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
+KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
 # Kinds whose saturation is drawn at random for each scene. The other kinds have their natural saturation.
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
@@ -104,10 +104,10 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
     One kind of material dominates in half of the scenes.
     """
     count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
-    shares = np.array(list(KINDS.values()))
+    shares = np.array(list(KIND_FREQUENCIES.values()))
     if rng.random() < 0.5:
         shares[rng.choice(len(shares), p=shares / shares.sum())] += 1.0
-    kinds = rng.choice(list(KINDS), size=count, p=shares / shares.sum())
+    kinds = rng.choice(list(KIND_FREQUENCIES), size=count, p=shares / shares.sum())
     saturation = rng.uniform(0.3, 1.2)
     return np.array([_material(rng, of, kind, saturation) for kind in kinds])
 
@@ -119,7 +119,7 @@ def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
     """Draw `count` reflectances (material, band) of dyed surfaces, from grey to slightly more vivid than measured."""
-    shares = np.array([KINDS[kind] for kind in DYED])
+    shares = np.array([KIND_FREQUENCIES[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
 

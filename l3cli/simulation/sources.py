@@ -26,7 +26,7 @@ from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
 CODED = ("r", "g", "b")  # channels of a picture that contains camera codes instead of colours, in this order
-SMALLEST = 16  # pixels; smallest permitted number of rows and of columns
+MIN_SIDE_PIXELS = 16  # pixels; smallest permitted number of rows and of columns
 
 
 class Framing(Recipe, kw_only=True):
@@ -269,9 +269,11 @@ def can_be_relit(source: Source) -> bool:
 def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3Error], name: str) -> None:
     """Raise `error` if a scene of `size` (rows, cols) is too small for training, or larger than the sensor of `camera`."""
     rows, cols = size
-    if min(size) < SMALLEST:
+    if min(size) < MIN_SIDE_PIXELS:
         larger = "give scale" if error is InputFileError else "make it larger"
-        raise error(f"{name} is {rows}×{cols}, but a scene needs at least {SMALLEST}×{SMALLEST} pixels; {larger}")
+        raise error(
+            f"{name} is {rows}×{cols}, but a scene needs at least {MIN_SIDE_PIXELS}×{MIN_SIDE_PIXELS} pixels; {larger}"
+        )
     if camera and (rows > camera.rows or cols > camera.cols):
         smaller = "give scale, crop or (rgb only) shrink" if error is InputFileError else "make the scene smaller"
         raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; {smaller}")

@@ -24,7 +24,10 @@ COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
 NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the sample's name, in order of preference
 PERCENT_ABOVE = 2.0  # larger values must be percent, because no surface reflects twice the incident light
-KINDS = {"REFLECTIVE": "reflectance", "TRANSMISSIVE": "transmittance"}  # MEAS_TYPE → unit; all other types are lights
+MEAS_TYPE_UNITS = {
+    "REFLECTIVE": "reflectance",
+    "TRANSMISSIVE": "transmittance",
+}  # MEAS_TYPE → unit; all other types are lights
 
 
 @dataclass
@@ -133,7 +136,7 @@ def _number(text: str) -> float:
 
 def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
     upper = [name.upper() for name in table.fields]
-    kind = KINDS.get(table.keywords.get("MEAS_TYPE", "").upper())
+    kind = MEAS_TYPE_UNITS.get(table.keywords.get("MEAS_TYPE", "").upper())
     if kind is None and identifier.startswith("CTI") and table.keywords.get("DEVICE_CLASS", "OUTPUT").upper() != "DISPLAY":
         kind = "reflectance"
     norm = 100.0 if identifier.startswith("CTI") else None

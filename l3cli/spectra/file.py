@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from l3cli.errors import InputFileError
 from l3cli.physics.spectra import LONGEST_NM, colour_science
-from l3cli.recipes.toml import LARGEST
+from l3cli.recipes.toml import MAX_NUMBER
 from l3cli.spectra import units
 from l3cli.spectra.cgats import is_cgats, read_cgats
 from l3cli.spectra.jcamp import is_jcamp, read_jcamp
@@ -359,7 +359,7 @@ def _stated_unit(line: str) -> str | None:
 
 MOST_ROWS = 100_000  # largest number of wavelengths in a text table
 WIDEST_GAP = 20.0  # nm; largest distance between points of a digitised curve
-EDGE = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off there
+PLOT_EDGE_NM = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off there
 FOOT = 0.05  # fraction of the peak; a curve may end inside the plot if it has fallen below this value
 JITTER = 0.02  # fraction of the peak by which a digitised curve may fall below zero
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which wavelengths are probably in these units, not in nm
@@ -493,8 +493,8 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
     every = np.concatenate([x for x, _ in lines])
     if every.size and (other := other_unit(float(every.min()), float(every.max()))):
         wrong.append(f"{other[0]}; give X in nm")
-    elif not all((np.abs(line) <= LARGEST).all() for line in lines) or every.max(initial=0.0) > LONGEST_NM:
-        wrong.append(f"every X must lie within 0…{LONGEST_NM} nm, and every Y must be a number within ±{LARGEST:g}")
+    elif not all((np.abs(line) <= MAX_NUMBER).all() for line in lines) or every.max(initial=0.0) > LONGEST_NM:
+        wrong.append(f"every X must lie within 0…{LONGEST_NM} nm, and every Y must be a number within ±{MAX_NUMBER:g}")
     elif every.size:
         grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
         wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
@@ -503,7 +503,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
     values = []
     for x, y in lines:
         y = np.where((y < 0) & (y >= -JITTER * y.max()), 0.0, y)
-        left, right = (y[0] if x[0] <= grid[0] + EDGE else 0.0), (y[-1] if x[-1] >= grid[-1] - EDGE else 0.0)
+        left, right = (y[0] if x[0] <= grid[0] + PLOT_EDGE_NM else 0.0), (y[-1] if x[-1] >= grid[-1] - PLOT_EDGE_NM else 0.0)
         values.append(np.interp(grid, x, y, left, right))
     names, column_units = zip(*(units.split(name) for name, _ in curves), strict=True)
     return CurveTable(path, grid, np.array(values), names if any(names) else None, column_units)
@@ -519,7 +519,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
     peak = float(y.max())
     for first, last in gaps(x, y[None], WIDEST_GAP):
         yield f'"{name}" has a gap between {first:g} and {last:g} nm, and at most {WIDEST_GAP:g} nm are permitted'
-    for end, inside in ((0, x[0] > grid[0] + EDGE), (-1, x[-1] < grid[-1] - EDGE)):
+    for end, inside in ((0, x[0] > grid[0] + PLOT_EDGE_NM), (-1, x[-1] < grid[-1] - PLOT_EDGE_NM)):
         if inside and y[end] > FOOT * peak:
             yield f'"{name}" ends at {x[end]:g} nm, where it is still at {y[end] / peak:.0%} of its peak'
 
@@ -548,8 +548,8 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
     `column` is the description of the wavelength column in the message.
     """
     steps = np.diff(wavelength)
-    if not (np.abs(values) <= LARGEST).all() or not ((steps > 0).all() or (steps < 0).all()):
-        raise InputFileError(f"{path}: wavelengths must increase, and every value must be a number within ±{LARGEST:g}")
+    if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
+        raise InputFileError(f"{path}: wavelengths must increase, and every value must be a number within ±{MAX_NUMBER:g}")
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
         raise InputFileError(f"{path}: give at most {MOST_ROWS} wavelengths, within 0…{LONGEST_NM} nm{column}")
 

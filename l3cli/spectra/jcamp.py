@@ -47,7 +47,10 @@ NM = {  # size in nm of each unit of the abscissae
     "ANGSTROMS": 0.1,
     "A": 0.1,
 }
-SHARES = {"T": "transmittance", "R": "reflectance"}  # first letters of transmittance, transmission, reflectance, reflection
+FRACTION_OF_LETTER = {
+    "T": "transmittance",
+    "R": "reflectance",
+}  # first letters of transmittance, transmission, reflectance, reflection
 
 
 @dataclass
@@ -213,7 +216,7 @@ def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:
         percent = bool(share[1] or share[5])
-        return values / (100.0 if percent else 1.0), SHARES[share[2] or share[3] or share[4]]
+        return values / (100.0 if percent else 1.0), FRACTION_OF_LETTER[share[2] or share[3] or share[4]]
     if not text or re.search(r"ARBITRARY|RELATIVE|INTENSITY$|IRRADIANCE$|RADIANCE$|POWER$|FLUX$", text, re.I):
         return values, None
     name, unit = units.split(text)

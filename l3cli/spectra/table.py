@@ -17,7 +17,8 @@ DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm; no pixel detects less, an
 RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with unknown scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
 VISIBLE = 400.0, 700.0  # nm
-DARK, DARK_OUTSIDE = 0.01, 0.05  # a curve is dark below this fraction of its peak, inside and outside the visible range
+# A curve is dark below this fraction of its peak, inside and outside the visible range
+DARK_FRACTION, DARK_FRACTION_OUTSIDE = 0.01, 0.05
 NOISE = 0.01  # fraction of the peak by which values may be negative because of the spectrometer's dark noise
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
 OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # other spellings of channel names
@@ -200,7 +201,7 @@ class CurveTable:
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
-            if heading is not None and heading not in units.PLAIN and not _is_power(unit):
+            if heading is not None and heading not in units.RELATIVE_UNITS and not _is_power(unit):
                 raw = units.RAW.fullmatch(heading) is not None
                 why = ", because it includes the response of the instrument" if raw else ""
                 raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm{why}; give "W/nm", or photons')
@@ -216,7 +217,7 @@ class CurveTable:
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
-            if heading not in (*units.PLAIN, *units.SHARES) and (unit is None or unit.powers):
+            if heading not in (*units.RELATIVE_UNITS, *units.FRACTION_UNITS) and (unit is None or unit.powers):
                 raise InputFileError(
                     f'{self.path}: "{heading}" is not a fraction of light; give fractions, or percent as "(%)"'
                 )
@@ -237,7 +238,7 @@ class CurveTable:
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
-            if heading in units.PLAIN or (unit is not None and not unit.powers):
+            if heading in units.RELATIVE_UNITS or (unit is not None and not unit.powers):
                 continue
             by_energy = None if unit is None else _energy_response(unit)
             if by_energy is None:
@@ -260,7 +261,7 @@ class CurveTable:
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
-            if heading in units.PLAIN or (per_energy and unit is None):
+            if heading in units.RELATIVE_UNITS or (per_energy and unit is None):
                 what = f'"{heading}"' if heading else "per energy without a unit"
                 raise InputFileError(
                     f'{self.path}: {what} is not a quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of '
@@ -322,7 +323,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
     peaks = curves.max(axis=1, keepdims=True)
     relative = (curves / np.where(peaks > 0, peaks, 1.0)).max(axis=0)
     visible = (wavelength[1:] > VISIBLE[0]) & (wavelength[:-1] < VISIBLE[1])
-    lit = np.maximum(relative[1:], relative[:-1]) > np.where(visible, DARK, DARK_OUTSIDE)
+    lit = np.maximum(relative[1:], relative[:-1]) > np.where(visible, DARK_FRACTION, DARK_FRACTION_OUTSIDE)
     at = np.flatnonzero((np.diff(wavelength) > widest) & lit)
     return [(float(wavelength[place]), float(wavelength[place + 1])) for place in at]
 

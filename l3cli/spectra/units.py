@@ -36,9 +36,9 @@ TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<
 # Units of raw readings, which include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
 RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # the same at the end of a name, without brackets
-SHARES = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
-PLAIN = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
-LONGEST = 80  # characters; a longer text is not a unit
+FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
+RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
+MAX_UNIT_CHARACTERS = 80  # characters; a longer text is not a unit
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
@@ -52,7 +52,7 @@ class Unit:
 
 def parse(text: str) -> Unit | None:
     """Parse a unit in any common spelling. Returns None if the text is not a unit."""
-    if len(text) > LONGEST:
+    if len(text) > MAX_UNIT_CHARACTERS:
         return None
     plain = re.sub(r"\bper\b", "/", "".join(SPELLINGS.get(letter, letter) for letter in text)).replace("^^", "^")
     plain = re.sub(r"\^-\^", "^-", plain).strip()
@@ -135,6 +135,8 @@ def split(heading: str) -> tuple[str, str | None]:
         if depth == 0:
             break
     inside = heading[at + 1 : -1].strip()
-    if inside and (inside in PLAIN or parse(inside) or RAW.fullmatch(inside) or re.search(r"/|\bper\b|\^|⁻", inside)):
+    if inside and (
+        inside in RELATIVE_UNITS or parse(inside) or RAW.fullmatch(inside) or re.search(r"/|\bper\b|\^|⁻", inside)
+    ):
         return heading[:at].strip(), inside
     return heading, None

@@ -25,7 +25,7 @@ from l3cli.io.file_names import find_scenes
 from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_meaning
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
-from l3cli.recipes.faults import LISTED, Fault, about_others, fault, typed
+from l3cli.recipes.faults import LISTED_FAULTS, Fault, about_others, fault, typed
 from l3cli.recipes.schema import schema_of
 from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
 from l3cli.simulation.frame import SimulationRun
@@ -322,7 +322,7 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
         message = f"its keys do not show its kind; it may be {kinds}: add what only one of them has, such as responsivity"
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, RecipeSource(path, content, camera))
-    findings = _findings([each for each in faults if each.message][:LISTED], text)
+    findings = _findings([each for each in faults if each.message][:LISTED_FAULTS], text)
     more = len(faults) - len(findings)
     return Judgement(path, kind.name, findings, more, {} if faults else meaning, files_named(path, content))
 
@@ -332,7 +332,9 @@ def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Faul
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
         others = about_others(JUDGES[kind.name].faults(recipe, source), faults)
-        faults += itertools.islice(others, max(LISTED + 1 - len(faults), 0))  # what follows would take long and help nobody
+        faults += itertools.islice(
+            others, max(LISTED_FAULTS + 1 - len(faults), 0)
+        )  # what follows would take long and help nobody
     meaning: dict[str, Any] = {}
     if not faults:
         try:

@@ -94,7 +94,7 @@ def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -
     size = standards.SIDE, standards.SIDE
     cube = slanted_edge(size, BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
     scene = Scene("edge", BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
-    seconds = automatic_exposure(camera, light, standards.EXPOSED)
+    seconds = automatic_exposure(camera, light, standards.EDGE_FRAME_WHITE)
     return simulate(camera, scene, light, seconds, Lens(), (0,), target, noises="none")
 
 
@@ -106,7 +106,10 @@ def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) 
     """
     size = standards.SIDE, standards.SIDE
     cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, BANDS)
-    scene, seconds = Scene("chart", BANDS, cube, NO_ILLUMINANT), automatic_exposure(camera, light, standards.EXPOSED)
+    scene, seconds = (
+        Scene("chart", BANDS, cube, NO_ILLUMINANT),
+        automatic_exposure(camera, light, standards.EDGE_FRAME_WHITE),
+    )
     seen: dict[str, list[NDArray[np.floating]]] = {}
     for each in (camera, *standards.drawn_cameras(camera, np.random.default_rng(0))):
         frame = simulate(each, scene, light, seconds, Lens(), (0,), target, noises="none")

@@ -32,7 +32,7 @@ from l3cli.report.colours import channel_light
 from l3cli.report.design import design_section
 from l3cli.report.evaluation import evaluation_section, front_section, lit_as, shown_frames
 from l3cli.report.given import Entry, Given, Pair, cameras_within, lead_without_evaluation, role_of
-from l3cli.report.parts import LIMIT, Figures, Pixels, Section, Subsection, history_section, render_page
+from l3cli.report.parts import MAX_PAGE_BYTES, Figures, Pixels, Section, Subsection, history_section, render_page
 from l3cli.report.pixels import crop_of, picker
 from l3cli.report.sequence import sequence_section
 from l3cli.report.side_by_side import Side, shared_frame, side_by_side_section
@@ -72,7 +72,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         write_whole(output, page)
         if reason := cache_warning():
             console.warn(reason)
-        much = "; fewer files would make a lighter page" if len(page) > LIMIT else ""
+        much = "; fewer files would make a lighter page" if len(page) > MAX_PAGE_BYTES else ""
         console.info(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
         return files.and_wrote(output)
 

@@ -20,9 +20,9 @@ from l3cli.classes.windows import Neighbourhoods, TapOrder, neighbourhoods, tap_
 from l3cli.training.patches import Floats, Patches, colourless_frame, expose_patches, lacking_variance, levels_at, patches_of
 from l3cli.training.sample_weighting import TARGET_FLOOR, SampleWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
-from l3cli.training.training_pass import BATCH, TrainingPass
+from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
-EXPOSED = 4096  # patches exposed at a time, so that their arrays stay in the processor's caches
+EXPOSED_PATCHES = 4096  # patches exposed at a time, so that their arrays stay in the processor's caches
 CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at clipped edges, such as text on over-exposed paper
 DARKEST_LEVEL = 1e-4  # fraction of full scale below which the weight of a sample no longer rises
 
@@ -72,7 +72,7 @@ def _batches(
         for site, rng in rngs.items():
             rest = -(-pass_.patches[index] // pass_.divisors[site])
             while rest:
-                count = min(rest, BATCH)
+                count = min(rest, BATCH_PATCHES)
                 rest -= count
                 how = pass_.recipe.orientations, pass_.recipe.achromatic, colourless
                 waiting[site].append(patches_of(frame, pass_.head, neighbours, site, count, rng, *how))
@@ -114,8 +114,8 @@ class _Batch:
         label = np.empty(scale.shape, dtype=np.min_scalar_type(pass_.rule.classes_per_site))
         level = np.empty_like(scale)
         order = tap_order(pass_.rule, self.neighbours, self.site)
-        for first in range(0, len(signal), EXPOSED):
-            batch = slice(first, first + EXPOSED)
+        for first in range(0, len(signal), EXPOSED_PATCHES):
+            batch = slice(first, first + EXPOSED_PATCHES)
             for draw, seen in enumerate(self._seen(batch, scale[:, batch], order, rng)):
                 label[draw, batch], level[draw, batch] = seen
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)

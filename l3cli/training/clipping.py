@@ -14,11 +14,11 @@ from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
 EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure that fills a surface's first channel
-EVERY = 7  # every seventh surface is used, because there are many
-RIDGE = 1e-3  # relative to the samples
+SURFACE_STEP = 7  # every seventh surface is used, because there are many
+SAMPLE_RIDGE = 1e-3  # relative to the samples
 COLOUR_RIDGE = 1e-3  # relative to the power of colour
-RARER = 2  # exponent with which the weight falls with exposure, because brighter areas are rarer
-STEADY = 3.0  # weight of changes between exposures, because steps are more visible than a wrong colour
+EXPOSURE_POWER = 2  # exponent with which the weight falls with exposure, because brighter areas are rarer
+CHANGE_WEIGHT = 3.0  # weight of changes between exposures, because steps are more visible than a wrong colour
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
@@ -44,7 +44,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     if surfaces is None:
         return None
     of_white = surfaces.white * (camera.output_unit / camera.full_scale)
-    signals, outputs = surfaces.signals[::EVERY], surfaces.outputs[::EVERY]
+    signals, outputs = surfaces.signals[::SURFACE_STEP], surfaces.outputs[::SURFACE_STEP]
     colours = _colours(signals / of_white, outputs / white) * white / of_white[:, None]
     over = np.broadcast_to(EXPOSURES[:, None], (EXPOSURES.size, len(signals))).reshape(-1)
     scale = (EXPOSURES[:, None] / signals.max(axis=1)).reshape(-1, 1)
@@ -54,13 +54,13 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     grey = np.minimum(level * of_white, 1.0)
     features = (added_terms(seen.T) - added_terms(grey.T)).reshape(-1, len(seen)).T
     missing = np.where(over[:, None] >= CLIPS, target - (seen - grey + level * of_white) @ colours, 0.0)
-    weight = np.maximum(over, 1.0) ** -RARER / (len(signals) * target[:, 1] * seen.mean(axis=1))
+    weight = np.maximum(over, 1.0) ** -EXPOSURE_POWER / (len(signals) * target[:, 1] * seen.mean(axis=1))
     features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))
-    weight = np.concatenate([weight, STEADY * weight[len(weight) // EXPOSURES.size :]])
+    weight = np.concatenate([weight, CHANGE_WEIGHT * weight[len(weight) // EXPOSURES.size :]])
     # Not by BLAS, whose sums depend on how many threads it has.
     system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
     right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
-    system += RIDGE * np.eye(len(system))
+    system += SAMPLE_RIDGE * np.eye(len(system))
     added = np.linalg.solve(system, right).reshape(len(of_white), -1, len(white))
     usual = np.append(colours, np.zeros((1, len(white))), axis=0)
     return Clipping(np.append(usual[None], added, axis=0), of_white)

@@ -19,14 +19,15 @@ from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-DARKEST, BRIGHTEST = 0.3, 1.6  # range of greys, relative to those that just clip the first and the last channel
-STEP = 1.02  # ratio of successive greys
-NEARLY = (0.94, 0.97, 1.0)  # fractions of the saturation threshold at which noise can make greys clip
-ODDS = 4.0  # greys per patch, times the ratio of clipped to unclipped channels; with 1, seams between classes show
-SUREST = 30.0  # greys per patch if every channel clips
-NOTHING_LOST = 0.2  # fraction of clipped filters used if none clips: one grey per patch, which prevents a cast
-FARTHEST = 0.1  # tolerated relative difference between known signals of white and those that patches suggest
-FAINTEST = 1e-6  # relative cut-off for directions in which the outputs hardly vary
+MIN_GREY, MAX_GREY = 0.3, 1.6  # range of greys, relative to those that just clip the first and the last channel
+GREY_RATIO = 1.02  # ratio of successive greys
+CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)  # fractions of the saturation threshold at which noise can make greys clip
+# Greys per patch, times the ratio of clipped to unclipped channels; with 1, seams between classes show
+GREYS_PER_PATCH = 4.0
+MAX_GREYS_PER_PATCH = 30.0  # greys per patch if every channel clips
+UNCLIPPED_FRACTION = 0.2  # fraction of clipped filters used if none clips: one grey per patch, which prevents a cast
+WHITE_TOLERANCE = 0.1  # tolerated relative difference between known signals of white and those that patches suggest
+OUTPUT_CUTOFF = 1e-6  # relative cut-off for directions in which the outputs hardly vary
 
 
 def grey_patches(
@@ -42,8 +43,8 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return moments of uniform greys for the classes of uniform areas near saturation.
 
-    The moments are the mean over the greys that fall into a class, times the number of greys per patch (`ODDS`). If every
-    channel clips, only completely clipped greys are used.
+    The moments are the mean over the greys that fall into a class, times the number of greys per patch. If every channel
+    clips, only completely clipped greys are used.
 
     Parameters
     ----------
@@ -73,20 +74,20 @@ def grey_patches(
     relative = np.ones(signal.size) if sensitivity is None else sensitivity
     samples: dict[tuple[int, int], list[Array]] = {}  # by level and saturation case
     threshold = (rule.saturation - black_level) / (white_level - black_level)
-    for grey in np.exp(np.arange(np.log(DARKEST / signal.max()), np.log(BRIGHTEST / signal.min()), np.log(STEP))):
+    for grey in np.exp(np.arange(np.log(MIN_GREY / signal.max()), np.log(MAX_GREY / signal.min()), np.log(GREY_RATIO))):
         clipped = np.minimum(grey * signal, 1.0)
         at = level.level_of_mean(rule, float((clipped * (white_level - black_level) + black_level).sum()))
         seen = level.unclipped_level(clipped.mean(), relative)
         sample = np.concatenate([clipped[window], [1.0], grey * white]) / np.sqrt(seen * grey)
-        for nearly in NEARLY:
+        for nearly in CLIPPING_FRACTIONS:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
             # Where all channels clip, all greys give the same values. Greys whose last channel is just below clipping would
             # concentrate the whole rise in its last per cent, and textures, whose taps are far from it, would become black.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
-            share = (saturated[:, None] | ~same).all(axis=0).mean() or NOTHING_LOST  # of the filters
-            weight = np.sqrt(min(ODDS * share / max(1.0 - share, 1e-9), SUREST))
+            share = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION  # of the filters
+            weight = np.sqrt(min(GREYS_PER_PATCH * share / max(1.0 - share, 1e-9), MAX_GREYS_PER_PATCH))
             for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
                 samples.setdefault((neighbour, case), []).append(weight * sample)
     taught: dict[int, Array] = {}
@@ -121,7 +122,7 @@ def steps_back(
         Luminance that each of them lacks relative to the brightest darker grey; at least 0.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
-    greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(STEP)))
+    greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
     clipped = np.append(np.minimum(greys[:, None] * signal, 1.0), np.ones((1, signal.size)), axis=0)
     totals = (clipped * (white_level - black_level) + black_level).sum(axis=1)
     levels = np.array([level.level_of_mean(rule, float(total)) for total in totals])
@@ -164,7 +165,7 @@ def white_channels(
         that were taken through another lens. None without patches.
     """
     likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
-    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, FARTHEST)).any():
+    if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, WHITE_TOLERANCE)).any():
         return likely
     return known
 
@@ -210,6 +211,6 @@ def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Arr
     power = moments[taps + 1 :, taps + 1 :]
     if not power.any():
         return None
-    of_outputs = moments[:taps, taps + 1 :] @ np.linalg.pinv(power, rcond=FAINTEST, hermitian=True)
+    of_outputs = moments[:taps, taps + 1 :] @ np.linalg.pinv(power, rcond=OUTPUT_CUTOFF, hermitian=True)
     signal = np.bincount(window, of_outputs @ white) / np.bincount(window)
     return signal if signal.min() > 0 else None

@@ -29,8 +29,9 @@ Array = NDArray[np.float64]
 
 MODULATIONS = np.linspace(0.3, 0.95, 8)  # of the stripes in the training
 CENTRE = 0.65  # modulation at the centre of a chroma of stripes; the chroma begins half way from there to white
-FARTHEST = 8  # largest number of stripes with a chroma of their own
-APART = 0.1  # least distance to the chroma of white in channel fractions; nearer, noisy greys would count as stripes
+MAX_STRIPE_CHROMAS = 8  # largest number of stripes with a chroma of their own
+# Least distance to the chroma of white in channel fractions; nearer, noisy greys would count as stripes
+MIN_STRIPE_CHROMA = 0.1
 UNLIKE = 0.5  # least distance of stripes to any optimal colour, relative to their distance to white
 BAND_EDGES = 31  # wavelengths at which an optimal colour may begin or end
 BLACKS = (0.02, 0.1, 0.3)  # reflectances of an optimal colour where it is dark
@@ -90,8 +91,8 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
     centres = stripe_shares(white, stripes)
     distance = np.linalg.norm(centres - shares(white[None]), axis=1)
     nearest = np.linalg.norm(centres[:, None] - optimal[None], axis=2).min(axis=1)
-    false = (distance >= APART) & (nearest >= UNLIKE * distance)
-    order = np.argsort(-nearest[false], kind="stable")[:FARTHEST]
+    false = (distance >= MIN_STRIPE_CHROMA) & (nearest >= UNLIKE * distance)
+    order = np.argsort(-nearest[false], kind="stable")[:MAX_STRIPE_CHROMAS]
     return np.asarray(stripes[false][order])
 
 
@@ -128,7 +129,7 @@ GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye
 GREY_SHARE = 100.0  # weight of all GREYS together, relative to the other surfaces of their chroma
 OF_WHITE = 3.0  # weight of the chroma of white, where a colour cast is most visible
 NEAR_WHITE = 0.2  # distance to white, relative to the mean channel fraction, that noise gives to dark greys
-FEWEST = 4  # surfaces per channel that a chroma needs
+MIN_SURFACES = 4  # surfaces per channel that a chroma needs
 SAME_WHITE = 0.005  # relative tolerance for the white of X, Y, Z on a coarse wavelength grid
 
 
@@ -197,7 +198,7 @@ class PlainSurfaces:
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
         # A chroma belongs to stripes if it contains half of the modulations of one; other chromas contain only pale ones.
-        theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < FEWEST * self.signals.shape[1]))
+        theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < MIN_SURFACES * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
             # Stripes and vivid colours have the same total weight, because a lamp may have a colour that no surface has.
@@ -208,7 +209,7 @@ class PlainSurfaces:
 
     def _mean(self, members: NDArray[np.bool_], window: NDArray[np.int64]) -> Array | None:
         dyed = np.count_nonzero(members[: -self.greys])
-        if dyed < FEWEST * self.signals.shape[1]:
+        if dyed < MIN_SURFACES * self.signals.shape[1]:
             return None
         count = np.append(np.ones(len(members) - self.greys), np.full(self.greys, GREY_SHARE * dyed / self.greys))[members]
         return _moments(self.signals[members], self.outputs[members], count, window)
@@ -275,7 +276,7 @@ def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-SPREAD = 0.1  # standard deviation of a band that varies on its own, relative to its mean
+BAND_DEVIATION = 0.1  # standard deviation of a band that varies on its own, relative to its mean
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
@@ -313,12 +314,12 @@ def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Arr
     Returns
     -------
     ndarray, (column, column)
-        The standard deviation of a band is `SPREAD` of its mean.
+        The standard deviation of a band is `BAND_DEVIATION` of its mean.
     """
     taps, member = window.size, _membership(window)
     mean = moments[:taps, taps] @ member / np.bincount(window)  # times the number of patches, as weighed
     columns = np.concatenate([member, np.zeros((1, gains.size)), np.diag(gains)])
-    power = (SPREAD * mean) ** 2 / max(moments[taps, taps], 1e-12)
+    power = (BAND_DEVIATION * mean) ** 2 / max(moments[taps, taps], 1e-12)
     return np.asarray((columns * power) @ columns.T)
 
 

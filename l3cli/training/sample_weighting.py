@@ -12,7 +12,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
-DARKEST = 0.02  # fraction of the level; errors of darker targets are measured as if they had this brightness
+MIN_TARGET = 0.02  # fraction of the level; errors of darker targets are measured as if they had this brightness
 TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#sample-weights)
 ERROR_FLOOR = 0.25  # ΔE² or degrees²; smaller errors have about the same weight
 # Factors from errors of f(X), f(Y), f(Z) to errors of L*, a*, b*; those of chroma are reduced, as it is less visible.
@@ -49,7 +49,9 @@ class ColourWeighting:
         ndarray, (patch)
         """
         relative = 1 / level[:, None]
-        slope = np.maximum(target * relative / self.white, DARKEST) ** np.float32(-2 / 3) / (3 * self.white)  # d f / d XYZ
+        slope = np.maximum(target * relative / self.white, MIN_TARGET) ** np.float32(-2 / 3) / (
+            3 * self.white
+        )  # d f / d XYZ
         bias, noise = np.empty_like(target), np.empty((len(target), 5), np.float32)
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
@@ -87,7 +89,7 @@ class SpectralWeighting:
             noise[first:last] = variance[first:last] @ self.squares[index]
         bias -= target
         outputs = target.shape[1]
-        size = np.maximum((target**2).sum(axis=1), outputs * (DARKEST * level) ** 2)
+        size = np.maximum((target**2).sum(axis=1), outputs * (MIN_TARGET * level) ** 2)
         across = np.maximum((bias**2).sum(axis=1) - (bias * target).sum(axis=1) ** 2 / size, 0)
         error = (across + noise * np.float32(1 - 1 / outputs)) / size * np.float32(np.degrees(1) ** 2)
         return np.asarray((error + ERROR_FLOOR) ** np.float32(-self.power))
@@ -124,6 +126,6 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
     """Return squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
     relative = 1 / level[..., None]
-    slope = np.maximum(target * relative / white, DARKEST) ** np.float32(-2 / 3) / (3 * white)
+    slope = np.maximum(target * relative / white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * white)
     x, y, z = np.moveaxis(slope * error * relative, -1, 0)
     return np.asarray((LIGHTNESS * y) ** 2 + (RED_GREEN * (x - y)) ** 2 + (YELLOW_BLUE * (y - z)) ** 2)

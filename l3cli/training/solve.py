@@ -104,10 +104,10 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-PLAIN = 0.2  # uniform patches per textured patch on which a difference between sites counts as an error
+UNIFORM_WEIGHT = 0.2  # uniform patches per textured patch on which a difference between sites counts as an error
 NOISE_FADES = 1000.0  # rate at which uniform surfaces lose weight with the ratio of noise to signal power
 WHITE_FADES = 2000.0  # rate with the square of that ratio, for chromas near white, which may be greys
-AT_ONCE = 64  # classes that are solved together
+CLASSES_AT_ONCE = 64  # classes that are solved together
 
 
 class OutputKind(NamedTuple):
@@ -205,8 +205,8 @@ def solve(
     for clips in (False, True):
         used = groups.size if clips else groups.size - 1  # an intercept if saturated
         every = np.flatnonzero(solved & (saturated == clips))
-        for first in range(0, every.size, AT_ONCE):
-            batch = every[first : first + AT_ONCE]
+        for first in range(0, every.size, CLASSES_AT_ONCE):
+            batch = every[first : first + CLASSES_AT_ONCE]
             moments, noise = _averaged(sums, parents, batch, turns, rule, recipe)
             taught = moments.copy()
             for place, index in enumerate(batch.tolist()):
@@ -348,7 +348,7 @@ def _constrained(
             stiffness = []
             for solution in solutions:
                 compliance_response = solution.compliance_response[members, number][:, used, used]
-                wide = np.where(free[members], 1 / (PLAIN * np.maximum(solution.power[members], 1e-12)), 0.0)
+                wide = np.where(free[members], 1 / (UNIFORM_WEIGHT * np.maximum(solution.power[members], 1e-12)), 0.0)
                 compliance_response = compliance_response + wide[:, None, None] * colour_compliance[used, used]
                 stiffness.append(np.linalg.inv(compliance_response))
             response = [solution.response[members][:, used, output, None] for solution in solutions]

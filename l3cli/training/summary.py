@@ -21,7 +21,7 @@ from l3cli.physics.correlated_lights import temperature
 from l3cli.system.text import counted, size_text
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe
 
-WORST = 8  # number of noisiest classes to list
+LISTED_CLASSES = 8  # number of noisiest classes to list
 
 
 def insight(table: TransformTable) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
     # sites that are mirror images share their training: the first of them stands for all
     _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
-    worst = order[np.sort(first)[:WORST]]
+    worst = order[np.sort(first)[:LISTED_CLASSES]]
     per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
     return {
         "target": table.target_description,

@@ -19,10 +19,10 @@ from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
-STEP = 2.0**-24  # grid step for a product of columns of scale one
-EXACT = 2.0**53  # largest number of steps that float64 counts without rounding
-PIECE = 1024  # samples that are computed and multiplied at a time
-LARGEST_PIECE = 4096  # the same if all belong to one class
+PRODUCT_STEP = 2.0**-24  # grid step for a product of columns of scale one
+MAX_EXACT_STEPS = 2.0**53  # largest number of steps that float64 counts without rounding
+PIECE_SAMPLES = 1024  # samples that are computed and multiplied at a time
+MAX_CLASS_PIECE_SAMPLES = 4096  # the same if all belong to one class
 
 Array = NDArray[np.float64]
 
@@ -76,16 +76,16 @@ def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Yield slices of about `PIECE` samples, given their sorted classes.
+    """Yield slices of about `PIECE_SAMPLES` samples, given their sorted classes.
 
     A piece ends where a class ends unless the class is large, because the product of a class costs little more for many
     samples than for few.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
-    first = start[np.unique(start // PIECE, return_index=True)[1]].tolist()
+    first = start[np.unique(start // PIECE_SAMPLES, return_index=True)[1]].tolist()
     for begin, end in itertools.pairwise([*first, len(label)]):
-        for part in range(begin, end, LARGEST_PIECE):
-            yield slice(part, min(part + LARGEST_PIECE, end))
+        for part in range(begin, end, MAX_CLASS_PIECE_SAMPLES):
+            yield slice(part, min(part + MAX_CLASS_PIECE_SAMPLES, end))
 
 
 def add_products(
@@ -144,7 +144,7 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
-    return STEP * scale[:, row] * scale[:, col]
+    return PRODUCT_STEP * scale[:, row] * scale[:, col]
 
 
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
@@ -154,7 +154,7 @@ def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
     """
     row, col = pairs(width_of(sums.moments))
     squares = rule.by_feature(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
-    if max(squares.max(), sums.noise.max() / STEP) >= EXACT:
+    if max(squares.max(), sums.noise.max() / PRODUCT_STEP) >= MAX_EXACT_STEPS:
         raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
 
 

@@ -12,9 +12,9 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-STEPS = 5  # largest number of times that a ridge is raised tenfold
-SPARE = 4.0  # margin for the equal response of sites, which changes the transforms afterwards
-ROUNDED = 1.001  # margin for rounding, because transforms are stored as float32
+MAX_RIDGE_STEPS = 5  # largest number of times that a ridge is raised tenfold
+EQUAL_RESPONSE_MARGIN = 4.0  # margin for the equal response of sites, which changes the transforms afterwards
+ROUNDING_MARGIN = 1.001  # margin for rounding, because transforms are stored as float32
 
 
 class Integers(NamedTuple):
@@ -41,8 +41,8 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
     ----------
     equations : Equations
     ridge : float
-        Relative ridge. It is raised by factors of ten, at most `STEPS` times, for classes whose transforms would be too
-        large. So it is if the change that adapts a transform to another response of the channels would be too large.
+        Relative ridge. It is raised by factors of ten, at most `MAX_RIDGE_STEPS` times, for classes whose transforms would
+        be too large. So it is if the change that adapts a transform to another response of the channels would be too large.
     member : ndarray, (channel, tap)
         Which taps belong to each channel.
     integers : Integers or None
@@ -57,7 +57,7 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
     """
     solutions, conditions = np.empty_like(equations.right), np.empty(len(equations.right))
     left = np.arange(len(solutions))
-    for step in range(STEPS + 1):
+    for step in range(MAX_RIDGE_STEPS + 1):
         systems = _systems(equations, left, ridge * 10**step)
         for index, system in zip(left.tolist(), systems, strict=True):
             solutions[index], conditions[index] = solve_positive(system, equations.right[index])
@@ -84,17 +84,17 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
     ndarray of bool, (class)
     """
     planes = np.swapaxes(transforms @ opponent_basis(white) if len(white) == PLANES else transforms, 1, 2)
-    return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDED
+    return room_for(planes[..., :-1], planes[..., -1], *integers) > ROUNDING_MARGIN
 
 
 def fits_between(transforms: Array) -> NDArray[np.bool_]:
     """Return which transforms (class, tap + 1, plane) of planes fit the integers, as bool (class)."""
     planes = np.swapaxes(transforms, 1, 2)
-    return room_between(planes[..., :-1], planes[..., -1]) > ROUNDED
+    return room_between(planes[..., :-1], planes[..., -1]) > ROUNDING_MARGIN
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return which transforms are smaller than the largest ones by the factor `SPARE`.
+    """Return which transforms are smaller than the largest ones by the factor `EQUAL_RESPONSE_MARGIN`.
 
     The change for a response that is larger by one in a channel must be as small, too.
     """
@@ -102,7 +102,7 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
     compliance = solutions[..., outputs:][..., used]
     bends = compliance @ np.linalg.pinv(member[used] @ compliance)
     changes = np.concatenate([solutions[..., :outputs], bends], axis=2).swapaxes(1, 2)
-    return np.asarray(room_for(changes[..., :taps], changes[..., taps:].sum(axis=2), *integers) > SPARE)
+    return np.asarray(room_for(changes[..., :taps], changes[..., taps:].sum(axis=2), *integers) > EQUAL_RESPONSE_MARGIN)
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:

@@ -141,7 +141,7 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
     return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
-BATCH = 50_000  # patches sorted together: few enough for the memory, many enough for fast products per class
+BATCH_PATCHES = 50_000  # patches sorted together: few enough for the memory, many enough for fast products per class
 LAYER_SAMPLES = 300_000  # samples of a refinement layer that are sorted together
 SUM_BYTES = 200 << 20  # memory for the sums that one process fills at a time; at least two sites are
 
@@ -176,7 +176,7 @@ def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]
         Frames of each block.
     """
     total, before = sum(patches), 0
-    blocks = -(-total // (most or BATCH))
+    blocks = -(-total // (most or BATCH_PATCHES))
     starts: list[int] = []
     for index, count in enumerate(patches):
         if before * blocks // total >= len(starts):

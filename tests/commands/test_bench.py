@@ -17,7 +17,7 @@ STAGES = ["upload", "classes", "transforms", "encode", "download"]
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "FULL", (benchmark.Case(80, 50, 5, "bayer", "fast"),))
-    monkeypatch.setattr(benchmark, "TINY", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
+    monkeypatch.setattr(benchmark, "SMALL_CASES", (benchmark.Case(20, 10, 5, "bayer", "fast"),))
 
 
 def test_json_states_what_was_measured_how(l3: L3) -> None:

@@ -147,7 +147,7 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
 def test_a_design_keeps_the_best_of_each_level(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(task, "LISTED", 1)
+    monkeypatch.setattr(task, "LISTED_ARRAYS", 1)
     call = ("design", folder / "design.toml", "--moments", folder / "scenes.h5", "-o", tmp_path / "d.h5")
     assert l3(*call)[0] == 0
     few, made = load(Design, tmp_path / "d.h5"), load(Design, folder / "design.h5")

@@ -24,7 +24,7 @@ from l3cli.errors import InputFileError
 from l3cli.frames.correction import NEIGHBOURS, CameraFile, Correction, HotTest, correction_of, plan_correction
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.measurement import Body
-from l3cli.frames.shading import FRACTION, STEP, clipped_from, colour_corrected, shading_of
+from l3cli.frames.shading import FRACTION, NODE_SPACING_COLUMNS, clipped_from, colour_corrected, shading_of
 from l3cli.io.sequences import FrameReference
 from l3cli.physics.display import displayed, srgb_curve
 from l3cli.rendering.display import make_display
@@ -299,7 +299,7 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
         exposed = Exposed(reference, given, 1.0, None)
         ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
         np.testing.assert_array_equal(made.pixels, place.pixels)
-    assert STEP % 16 == 0  # of the kernels' vectors none lies over a node
+    assert NODE_SPACING_COLUMNS % 16 == 0  # of the kernels' vectors none lies over a node
 
 
 def frame_of(camera: CameraModel, electrons: np.ndarray, seed: int = 1) -> RawFrame:

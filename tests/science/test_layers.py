@@ -23,13 +23,13 @@ from l3cli.physics.display import lab
 from l3cli.recipes.toml import load_recipe
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.layers.coarse_chroma import LUMINANCES, measured_noise
-from l3cli.training.layers.learn import FADING, LayerPass, add_sums, learn_layer, no_sums, sum_layer
+from l3cli.training.layers.learn import FADED_RESPONSE, LayerPass, add_sums, learn_layer, no_sums, sum_layer
 from l3cli.training.layers.mosaics import Seen, mosaics_of, sheets_of
 from l3cli.training.layers.rules import gradient_scale, structure_rule
 from l3cli.training.layers.samples import GatheredSamples, require_exact, sample_weights
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe
 from l3cli.training.sample_weighting import TARGET_FLOOR
-from l3cli.training.sums import STEP
+from l3cli.training.sums import PRODUCT_STEP
 from l3cli.training.symmetry import orientations, turned_structures
 from l3cli.training.table import layer_pass
 from tests.helpers.artifacts import a_table
@@ -261,7 +261,7 @@ def test_plain_areas_keep_their_colour_where_chroma_comes_from_far_around(bayer:
     free = rule.case(rule.split(np.arange(len(learned[0]))).kind) == 0
     before, after = (each.sum(axis=-1) for each in learned)  # (class, plane of the output, plane)
     for plane in (0, 2):
-        fades = free & (before[:, plane, plane] < FADING)
+        fades = free & (before[:, plane, plane] < FADED_RESPONSE)
         assert fades.any()
         assert after[fades, plane] == pytest.approx(np.broadcast_to(np.eye(3)[plane], (fades.sum(), 3)), abs=1e-4)
         assert (learned[0][~fades, plane] == learned[1][~fades, plane]).all()
@@ -310,7 +310,7 @@ def test_sums_are_the_same_however_frames_are_divided(bayer: CameraModel) -> Non
         for name in ("moments", "noise", "count"):
             assert (getattr(sums, name) == getattr(divided[site], name)).all()
         assert (sums.moments / steps == np.rint(sums.moments / steps)).all()
-        assert (sums.noise / STEP == np.rint(sums.noise / STEP)).all()
+        assert (sums.noise / PRODUCT_STEP == np.rint(sums.noise / PRODUCT_STEP)).all()
         require_exact(sums, rule, layer.grid_steps(rule))
         huge = LayerSums(sums.moments * 2.0**40, sums.noise, sums.count)
         with pytest.raises(L3Error):

@@ -17,7 +17,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 from l3cli.simulation.light import make_light
-from l3cli.training.plain_surfaces import FEWEST, GREY_SHARE, PlainSurfaces, false_colours, plain_surfaces
+from l3cli.training.plain_surfaces import GREY_SHARE, MIN_SURFACES, PlainSurfaces, false_colours, plain_surfaces
 from tests.helpers.calls import L3
 from tests.helpers.paths import CONFIGS
 
@@ -112,7 +112,7 @@ def test_outputs_of_another_observer_are_not_taught(fiveband: CameraModel) -> No
 def test_a_chroma_of_few_surfaces_is_left_to_its_patches(fiveband: CameraModel) -> None:
     surfaces, _ = surfaces_of(fiveband, "D65")
     assert surfaces is not None
-    left = np.r_[: FEWEST * 5 - 1, len(surfaces.signals) - surfaces.greys : len(surfaces.signals)]
+    left = np.r_[: MIN_SURFACES * 5 - 1, len(surfaces.signals) - surfaces.greys : len(surfaces.signals)]
     few = replace(surfaces, signals=surfaces.signals[left], outputs=surfaces.outputs[left])
     rule = make_rule(ClassRecipe(patch=5, levels=2, chromas=0), fiveband, np.zeros(32, np.uint16))
     assert few.moments(rule, neighbourhoods(fiveband.cfa, 5, 5).channel[0]) == [None]

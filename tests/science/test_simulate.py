@@ -224,7 +224,7 @@ def test_patterns_lie_on_their_share_of_the_leaves_and_change_nothing_else() -> 
     assert 0.05 < changed[0] < changed[1]
     for cube in (half, every):
         assert cube.min() >= 0
-        assert cube.max() <= procedural.BRIGHTEST
+        assert cube.max() <= procedural.MAX_TIMES_WHITE
 
 
 def test_a_grating_covers_its_duty_at_two_pixels_a_period() -> None:

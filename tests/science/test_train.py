@@ -39,7 +39,7 @@ from l3cli.training.patches import (
 )
 from l3cli.training.recipe import LayerRecipe, LearningRecipe, TrainingRecipe, for_camera
 from l3cli.training.solve import parent_of, parents_of
-from l3cli.training.sums import EXACT, STEP, grid_steps, moment_matrix
+from l3cli.training.sums import MAX_EXACT_STEPS, PRODUCT_STEP, grid_steps, moment_matrix
 from l3cli.training.symmetry import EVERY_ORIENTATION, IDENTITY_ONLY, orientations, site_maps, stabilisers
 from l3cli.training.table import add_up
 from l3cli.training.training_pass import LAST, TrainingPass
@@ -243,8 +243,8 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     steps = grid_steps(rule, bayer, 3)  # every sum is a whole number of steps, far from where float64 would round
     whole = forward.moments.reshape(len(steps), -1, steps.shape[1]) / steps[:, None]
     assert (whole == np.rint(whole)).all()
-    assert (forward.noise / STEP == np.rint(forward.noise / STEP)).all()
-    assert np.abs(whole).max() < EXACT / 1000
+    assert (forward.noise / PRODUCT_STEP == np.rint(forward.noise / PRODUCT_STEP)).all()
+    assert np.abs(whole).max() < MAX_EXACT_STEPS / 1000
     assert forward.count.sum() == 12000
     patches = sample_patches(
         frames[0],

@@ -24,7 +24,7 @@ from scipy.ndimage import gaussian_filter
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import TrainingPair, open_training_set
 from l3cli.evaluation.basic import CLIPPED, develop, fit_colour, light_of
-from l3cli.evaluation.demosaic import SIGMA as PLAIN_SIGMA
+from l3cli.evaluation.demosaic import SIGMA_SAMPLES as PLAIN_SIGMA
 from l3cli.evaluation.quality import quality
 from l3cli.physics.mosaic import tiled
 from l3cli.recipes.builtin import CLASSES

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.design import GROUPS, SIDE, LightMoments
 from l3cli.design.error import (
-    RIDGE,
+    TAP_RIDGE,
     Level,
     Noise,
     Seen,
@@ -113,7 +113,7 @@ def test_the_closed_form_is_what_regression_on_noisy_patches_reaches(output: str
         wide = np.tile(y, (draws, 1))
         fit = np.linalg.lstsq(rows, wide, rcond=None)[0]
         residuals.append(np.sqrt(np.square(wide - rows @ fit).sum(axis=1).mean()))
-    assert RIDGE < 1e-5
+    assert TAP_RIDGE < 1e-5
     assert errors == pytest.approx(np.mean(residuals), rel=0.01)
 
 

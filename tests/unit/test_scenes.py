@@ -187,7 +187,7 @@ def test_decoded_pictures_are_linear(tmp_path: Path) -> None:
 def test_every_material_is_a_smooth_reflectance() -> None:
     of = reflectances.surfaces(tuple(WAVELENGTH))
     rng = np.random.default_rng(0)
-    for kind in reflectances.KINDS:
+    for kind in reflectances.KIND_FREQUENCIES:
         drawn = np.array([reflectances._material(rng, of, kind, 1.0) for _ in range(200)])
         assert drawn.shape == (200, WAVELENGTH.size)
         assert drawn.min() >= spectra.BLACKEST
@@ -228,7 +228,7 @@ def test_cameras_of_any_wavelengths_are_shown_the_same_scenes(camera: tuple[floa
         assert np.array_equal(there.reflectance[..., reflectances.drawn_bands(other)], place.reflectance), name
         assert there.fingerprint == pytest.approx(place.fingerprint, abs=1e-6)
         assert np.isfinite(there.reflectance).all()
-        assert there.reflectance.max() <= procedural.BRIGHTEST, name
+        assert there.reflectance.max() <= procedural.MAX_TIMES_WHITE, name
         known, nearly = ({"scene": of, "light": ""} for of in (place.fingerprint, place.fingerprint * (1 + 1e-6)))
         changed = place.reflectance.copy()
         changed[2, 3] += 0.2  # one pixel
@@ -262,7 +262,7 @@ def test_dead_leaves_are_what_the_method_asks_for() -> None:
         assert frame.dtype == np.float32
         assert frame.shape == (96, 96, 31)
         assert frame.min() >= 0
-        assert frame.max() <= procedural.BRIGHTEST
+        assert frame.max() <= procedural.MAX_TIMES_WHITE
     means = np.array([frame.mean() for frame in frames])
     assert 0.1 < means.mean() < 0.5
     assert max(frame.max() for frame in frames) > 1.2  # highlights

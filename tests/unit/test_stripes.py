@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.physics import spectra
 from l3cli.training.plain_surfaces import (
-    APART,
-    FARTHEST,
+    MAX_STRIPE_CHROMAS,
+    MIN_STRIPE_CHROMA,
     UNLIKE,
     false_colours,
     optimal_reflectances,
@@ -54,7 +54,7 @@ def test_stripes_are_gratings_that_each_channel_sees_as_uniform(cfa: np.ndarray)
         ("xtrans", 0, None),
         ("fiveband", 6, [1, 0, -1, -1, 1]),  # r and c bright, b and o dark
         ("rccb", 1, [1, -1, 1]),  # red and blue without what lies between
-        ("snapshot16", FARTHEST, None),
+        ("snapshot16", MAX_STRIPE_CHROMAS, None),
     ],
 )
 def test_colours_are_false_that_no_surface_has(camera: str, count: int, one: Sequence[int] | None) -> None:
@@ -70,7 +70,7 @@ def test_colours_are_false_that_no_surface_has(camera: str, count: int, one: Seq
     for stripe in false:
         colour = shares(white * (1 + 0.65 * stripe))
         distance = np.linalg.norm(colour - white)
-        assert distance >= APART
+        assert distance >= MIN_STRIPE_CHROMA
         assert np.linalg.norm(optimal - colour, axis=1).min() >= UNLIKE * distance
 
 

@@ -15,7 +15,7 @@ from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.layers.learn import LayerGoal, solve_layer
 from l3cli.training.recipe import LearningRecipe
-from l3cli.training.sample_weighting import DARKEST, ERROR_FLOOR, SpectralWeighting
+from l3cli.training.sample_weighting import ERROR_FLOOR, MIN_TARGET, SpectralWeighting
 from l3cli.training.solve import Solution, equal_responses, solve
 from l3cli.training.sums import pairs
 from l3cli.training.symmetry import Turn
@@ -89,7 +89,7 @@ def solutions_of(camera: CameraModel, recipe: LearningRecipe, bits: Integers | N
     return [solve(sums, rule, window, [Turn(np.arange(9), np.arange(count.size))], recipe, goal)], goal
 
 
-@pytest.mark.parametrize("steps", [systems.STEPS, 0])
+@pytest.mark.parametrize("steps", [systems.MAX_RIDGE_STEPS, 0])
 def test_no_transform_of_a_table_is_too_large(steps: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where no ridge makes a class fit, which then takes the transform of the nearest."""
     camera = random_camera([[0, 1], [1, 0]], 2, 12, 64.0)
@@ -103,7 +103,7 @@ def test_no_transform_of_a_table_is_too_large(steps: int, monkeypatch: pytest.Mo
         planes = np.einsum("cot,op->cpt", table.weights, basis)
         return float(room_for(planes, table.intercept @ basis, *BITS).min())
 
-    monkeypatch.setattr(systems, "STEPS", steps)
+    monkeypatch.setattr(systems, "MAX_RIDGE_STEPS", steps)
     assert room(None) < 1
     assert room(BITS) > 1
 
@@ -218,4 +218,4 @@ def test_targets_darker_than_a_fiftieth_of_their_level_are_judged_no_more_strict
     about["level"] = np.ones(COUNT, np.float32)
     weight = weighting.weight(variance=np.zeros((COUNT, TAPS), np.float32), **about)
     made = np.linalg.norm(outputs(weighting, about["clean"]), axis=1)
-    np.testing.assert_allclose(error(weight), (np.degrees(made / DARKEST) ** 2) / OUTPUTS, rtol=1e-3)
+    np.testing.assert_allclose(error(weight), (np.degrees(made / MIN_TARGET) ** 2) / OUTPUTS, rtol=1e-3)

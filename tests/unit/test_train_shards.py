@@ -40,7 +40,15 @@ from l3cli.training.layers import learn
 from l3cli.training.patches import colourless_frame
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
-from l3cli.training.training_pass import BATCH, LAST, SUM_BYTES, TrainingPass, frame_blocks, spread_patches, work_shares
+from l3cli.training.training_pass import (
+    BATCH_PATCHES,
+    LAST,
+    SUM_BYTES,
+    TrainingPass,
+    frame_blocks,
+    spread_patches,
+    work_shares,
+)
 from tests.helpers.calls import L3, Refused
 from tests.helpers.training_sets import a_frame, a_set, frame_of_squares, in_shards
 
@@ -85,7 +93,7 @@ def test_blocks_hold_every_frame_once_and_bounded_patches(bayer: CameraModel, pa
     blocks = frame_blocks(patches)
     assert [index for block in blocks for index in block] == list(range(len(patches)))
     for block in blocks:
-        assert sum(patches[index] for index in block) <= BATCH + max(patches[index] for index in block)
+        assert sum(patches[index] for index in block) <= BATCH_PATCHES + max(patches[index] for index in block)
 
 
 def test_blocks_are_nearly_equal(bayer: CameraModel) -> None:
@@ -182,7 +190,7 @@ def test_three_layers_have_the_same_bytes_in_shards(
 ) -> None:
     """A layer by structure and one by a tree, each in a pass of its own, with a set for another gain: by one process, two,
     and in shards, at last more of them than frames; a shard takes only the table of the pass before."""
-    monkeypatch.setattr(training_pass, "BATCH", 500)  # two blocks of frames, one for each shard
+    monkeypatch.setattr(training_pass, "BATCH_PATCHES", 500)  # two blocks of frames, one for each shard
     monkeypatch.setattr(learn, "LAYER_SAMPLES", 2000)  # two of the refinement layers, too
     training = a_set(tmp_path / "training.h5", bayer, 3, smooth=False)
     (tmp_path / "classes.toml").write_text(

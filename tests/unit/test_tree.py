@@ -18,7 +18,7 @@ from l3cli.training.layers.rules import SAMPLES_PER_TAP, TreeSamples, grow
 from l3cli.training.symmetry import orientations
 from tests.helpers.tables import random_tree
 
-SIDE = 2 * tree.REACH + 1
+SIDE = 2 * tree.BORDER_PIXELS + 1
 
 
 def a_rule(**fields: Any) -> TreeRule:

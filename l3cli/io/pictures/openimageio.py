@@ -143,7 +143,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-ROOM = 4_000_000_000  # bytes of pixels that fit into a file with 32-bit offsets
+MAX_PIXEL_BYTES = 4_000_000_000  # bytes of pixels that fit into a file with 32-bit offsets
 
 
 class Pages:
@@ -167,7 +167,7 @@ class Pages:
 
         pixels, label = picture.pixels, picture.label
         if self._file is None:
-            is_big = self._count is None or self._count * pixels.nbytes > ROOM
+            is_big = self._count is None or self._count * pixels.nbytes > MAX_PIXEL_BYTES
             self._file = tifffile.TiffWriter(self._path, bigtiff=is_big, byteorder="<")
         rows, _, values = pixels.shape
         try:

@@ -15,7 +15,7 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BEYOND = 16  # elements after the last one, which vectors may read
+READ_AHEAD = 16  # elements after the last one, which vectors may read
 
 
 class DeviceCoarseChroma:
@@ -59,7 +59,7 @@ class DeviceCoarseChroma:
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
-            size = 4 * (3 * (rows + 2 * COARSE_MARGIN) * (columns + 2 * COARSE_MARGIN + BEYOND) + BEYOND)
+            size = 4 * (3 * (rows + 2 * COARSE_MARGIN) * (columns + 2 * COARSE_MARGIN + READ_AHEAD) + READ_AHEAD)
             buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(3)]
             for buffer in buffers:
                 cl.enqueue_fill_buffer(track.queue, buffer, np.float32(UNLIKE_ANY), 0, size)
@@ -101,7 +101,7 @@ class DeviceClipping:
         context, size = track.queue.context, 4 * blocks[0] * blocks[1]
         track.means = scratch(context, track.means, size * (len(table.channels) + 1))
         track.maps = scratch(context, track.maps, size * MAPS)
-        track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + BEYOND) + BEYOND))
+        track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + READ_AHEAD) + READ_AHEAD))
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
         where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns

@@ -23,7 +23,7 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-ROOM = 16 << 20  # bytes that must be free, several times the need of a table's kernels while they are compiled
+MIN_FREE_BYTES = 16 << 20  # bytes that must be free, several times the need of a table's kernels while they are compiled
 LEFT = 86400  # seconds after which empty files are removed; each process that uses PoCL 3.0 leaves one
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
 LINKER = "ld"  # PoCL links each kernel with it and a C compiler's libraries; without them it ends the process
@@ -96,7 +96,7 @@ def _require_room(folder: Path) -> None:
     if os.statvfs(folder).f_flag & os.ST_NOEXEC:
         raise PermissionError(errno.EACCES, "programs cannot be run from it")
     with tempfile.TemporaryFile(dir=folder) as room:
-        os.posix_fallocate(room.fileno(), 0, ROOM)
+        os.posix_fallocate(room.fileno(), 0, MIN_FREE_BYTES)
 
 
 def _remove_empty(folder: Path) -> None:
@@ -117,7 +117,7 @@ def _temporary_folder() -> str:
             atexit.register(_remove, folder, os.getpid())
             return folder
     raise DeviceError(
-        f"no disk has {ROOM >> 20} MB to compile kernels in ({', '.join(places)}); free some space or set TMPDIR"
+        f"no disk has {MIN_FREE_BYTES >> 20} MB to compile kernels in ({', '.join(places)}); free some space or set TMPDIR"
     )
 
 

@@ -19,12 +19,12 @@ from l3cli.classes.planes import COARSE, COARSE_TOP, LUMINANCE, FixedPoint, plan
 from l3cli.classes.refinement import RATIO_DARKEST, first_label_words
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.physics.display import TONE_LIMIT
-from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, TINY, gamut_of
+from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, MIN_DIVISOR, gamut_of
 from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
-PERIODS = 31  # columns by which a row of the CFA is extended, so that two vectors of 16 fit from any phase on
+EXTRA_CFA_COLUMNS = 31  # columns by which a row of the CFA is extended, so that two vectors of 16 fit from any phase on
 SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # outputs and largest number of taps of side_by_side.cl, for floats
 FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # below opencl/, by variant
 SHARED = ("common/rule.cl", "common/encoding.cl")
@@ -75,7 +75,7 @@ def gamut_macros(space: Space) -> dict[str, int | str]:
     arrays = {"CONES": gamut.cones, "LINEAR": gamut.linear, "LUMINANCE": gamut.luminance, "LIGHTNESS": LIGHTNESS}
     return {
         **{f"GAMUT_{name}": ",".join(_literal(value) for value in array.flat) for name, array in arrays.items()},
-        "GAMUT_TINY": _literal(TINY),
+        "GAMUT_TINY": _literal(MIN_DIVISOR),
         "LEAST_CONE": _literal(LEAST_CONE),
         "CONE_SHARE": _literal(CONE_SHARE),
         "LEAST_LIGHTNESS": _literal(LEAST_LIGHTNESS),
@@ -162,7 +162,7 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
         "OUTPUTS": len(table.outputs),
         "CFA_ROWS": table.cfa.shape[0],
         "CFA_COLUMNS": table.cfa.shape[1],
-        "PERIOD": table.cfa.shape[1] + PERIODS,
+        "PERIOD": table.cfa.shape[1] + EXTRA_CFA_COLUMNS,
         "SHIFT": rule.shift,
         "MAX_RAW": 2**table.bits - 1,
         "RAW_MIDDLE": raw_middle(table.bits),
@@ -272,7 +272,7 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
     """Return the constants of the kernel `classes` in the order of its arguments. `others` are further sets of the table."""
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
-    period = np.arange(table.cfa.shape[1] + PERIODS) % table.cfa.shape[1]
+    period = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
     cfa = table.cfa[:, period].astype(np.uint16)
     member = np.where(cfa == np.arange(channels, dtype=np.uint16)[:, None, None], np.uint16(0xFFFF), np.uint16(0))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
-from l3cli.frames.shading import FRACTION, STEP, Shading, clipped_from
+from l3cli.frames.shading import FRACTION, NODE_SPACING_COLUMNS, Shading, clipped_from
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl import layout
@@ -59,7 +59,7 @@ class DeviceShading:
     @staticmethod
     def macros(shading: Shading | None) -> Macros:
         """Return the macros for a kernel of the last layer."""
-        return {} if shading is None else {"SHADED": 1, "GAIN_STEP": STEP}
+        return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
         """Return the buffer of a band's gains, which is an argument of kernels for frames with shading."""
@@ -150,7 +150,7 @@ class Unread:
 TRACKS = 2
 Labels = Mapping[int, NDArray]  # layer → array (row, col) that receives its classes
 NO_LABELS: Labels = {}
-BEYOND = 16  # bytes after the last pixel, which vectors may read
+READ_AHEAD_BYTES = 16  # bytes after the last pixel, which vectors may read
 
 
 class OpenCLRenderer:
@@ -375,8 +375,8 @@ class OpenCLRenderer:
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
         """Return the buffer with the number of the set that renders each pixel of a band."""
         rows = band.reads[0]
-        pixels = np.zeros((rows.stop - rows.start) * band.columns + BEYOND, np.uint8)
-        pixels[:-BEYOND].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
+        pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD_BYTES, np.uint8)
+        pixels[:-READ_AHEAD_BYTES].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
         if self._in_place:
             return (work.in_place(track.queue, pixels),)
         track.sets = self._scratch(track.sets, pixels.nbytes)
@@ -443,7 +443,7 @@ class OpenCLRenderer:
         """Enqueue the outputs of the first layer, which a band's last transforms correct, and return their buffer."""
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
-        track.first = self._scratch(track.first, size + 4 * BEYOND)
+        track.first = self._scratch(track.first, size + 4 * READ_AHEAD_BYTES)
         reads, ends = (track.raw, *band.mosaic_source, track.labels), (np.float32(frame.black_level), np.int32(0))
         buffers = *reads, self._first_weights, step.nothing, track.first
         work.add("transforms", self._run(self._programs.first_outputs(), track, (rows, columns), *buffers, *ends))

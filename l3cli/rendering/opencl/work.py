@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
-from l3cli.classes.structure import REACH
+from l3cli.classes.structure import BORDER_PIXELS
 from l3cli.frames.frame import mirrored_indices
 from l3cli.rendering.opencl.devices import pyopencl, refusals
 
@@ -207,7 +207,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     coarse = bool(table.later and table.later[-1].coarse_chroma)
     height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # higher bands have relatively smaller margins
 
-    sides = {REACH, *(layer.radius for layer in table.later)}
+    sides = {BORDER_PIXELS, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
@@ -216,7 +216,9 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
 
     for first in range(0, rows, height):
         reads = [slice(first, min(first + height, rows))]
-        margins = [max(REACH, layer.radius) for layer in table.later] + ([table.spectra.radius] if table.spectra else [])
+        margins = [max(BORDER_PIXELS, layer.radius) for layer in table.later] + (
+            [table.spectra.radius] if table.spectra else []
+        )
         if coarse:
             margins[-1] = COARSE_REACH
         for margin in reversed(margins):
@@ -228,7 +230,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
         later = tuple(
             PlaneSource(
-                (outside(made, REACH, read), outside(made, REACH, reads[0]), across[REACH]),
+                (outside(made, BORDER_PIXELS, read), outside(made, BORDER_PIXELS, reads[0]), across[BORDER_PIXELS]),
                 (outside(made, layer.radius, read), across[layer.radius]),
             )
             for layer, read, made in zip(table.later, reads, reads[1:], strict=False)

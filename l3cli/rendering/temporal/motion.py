@@ -17,7 +17,7 @@ from l3cli.rendering.temporal.noise import DEEP, Grid, NoiseTerms
 Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns
 
-FARTHEST = 2  # samples of the coarsest plane, largest displacement in each direction
+MAX_COARSE_DISPLACEMENT = 2  # samples of the coarsest plane, largest displacement in each direction
 CLIPPED = (1 << 12) - 1  # u, clamp of differences, so that the sums of a window's columns fit 16 bits in kernels
 SETTLED = 5  # eighths of the noise of a difference; blocks that differ by no more on average are not searched
 RELUCTANCE = 2  # standard deviations of the noise by which a vector must fit better than the starting vector
@@ -49,7 +49,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
         still = np.zeros_like(parents)
         start = still if coarsest else search.best_of([still, parents, *_neighbours(parents)])
         start = np.where(search.settled(still)[..., None], still, start)
-        reach = FARTHEST if coarsest else 1
+        reach = MAX_COARSE_DISPLACEMENT if coarsest else 1
         steps = itertools.product(range(-reach, reach + 1), repeat=2)
         best = search.best_of([start, *(start + np.array(step, np.int32) for step in steps if any(step))])
         found = np.where(search.settled(start)[..., None], start, best)

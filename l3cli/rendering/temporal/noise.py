@@ -17,10 +17,10 @@ MIN_CELL, MIN_BLOCK = 4, 16  # pixels, shortest side of a cell and of a block
 LANES = 8  # pixels that kernels process side by side; the columns of a block are a multiple
 DEEP = 16  # bits of a value
 LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # fractional bits of the linear and the quadratic term
-SHARES = (1.0, 0.5, 0.25)  # fractions of a camera's noise for which there are class edges
+NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of a camera's noise for which there are class edges
 MAX_UNEVEN, MAX_FIXED = 1 << 20, 1 << 28  # clamps of the fixed-pattern terms: a quarter of the signal, and of the range
-EVERY = 8  # periods of rows, one of which is read for the mean level of a frame
-LEVELS = 256  # levels at which the noise of a difference is tabulated
+ROW_PERIODS_PER_READ = 8  # periods of rows, one of which is read for the mean level of a frame
+TABULATED_LEVELS = 256  # levels at which the noise of a difference is tabulated
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     constant, linear, uneven = camera.noise_terms()
     fixed = camera.gain**2 * camera.noise.fixed
     black = round(black_level * 2**protect)
-    signal = np.maximum((np.arange(LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
+    signal = np.maximum((np.arange(TABULATED_LEVELS) + 0.5) * 2 ** (DEEP - 8) - black, 0.0)
     variance = (constant - fixed) * unit**2 + linear * unit * signal
     return NoiseTerms(
         protect=protect,
@@ -146,13 +146,13 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
     fixed = camera.gain**2 * camera.noise.fixed + quadratic * signal**2
     whole = constant + (linear + quadratic * signal) * signal
     share = (fixed + left * (whole - fixed)) / whole
-    return min((each for each in SHARES if each >= share), default=1.0)
+    return min((each for each in NOISE_FRACTIONS if each >= share), default=1.0)
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
     """Return the approximate mean of values (row, col), from one of every EVERY periods of rows."""
-    whole = values[: len(values) // (period * EVERY) * period * EVERY]
-    sampled = whole.reshape(-1, period * EVERY, values.shape[1])[:, :period] if whole.size else values
+    whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
+    sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 

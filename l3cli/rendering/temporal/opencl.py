@@ -27,7 +27,7 @@ from l3cli.rendering.temporal.noise import (
 )
 
 STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods per work-item
-MARGIN, PADDING = 4, 8  # rows and columns around a plane; columns after it
+MARGIN_PIXELS, PADDING_COLUMNS = 4, 8  # rows and columns around a plane; columns after it
 TILE_ROWS = 4  # rows of a window that are read at a time
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
@@ -97,14 +97,14 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
         "SHARE_BITS": reference.ONE.bit_length() - 1,
         "LINEAR_FRACTION": LINEAR_FRACTION,
         "UNEVEN_FRACTION": UNEVEN_FRACTION,
-        "MARGIN": MARGIN,
-        "PADDING": PADDING,
+        "MARGIN": MARGIN_PIXELS,
+        "PADDING": PADDING_COLUMNS,
         "TILE_ROWS": TILE_ROWS,
         "MOST_BEYOND": f"{reference.MOST_BEYOND}L",
         "MOST_DIFFERENCE": motion.CLIPPED,
         "SETTLED": motion.SETTLED,
         "RELUCTANCE": motion.RELUCTANCE,
-        "FARTHEST": motion.FARTHEST,
+        "FARTHEST": motion.MAX_COARSE_DISPLACEMENT,
         **{name: getattr(reference, name) for name in names},
     }
 
@@ -119,7 +119,7 @@ class _Buffers:
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
         # Of cells, with what lies beside them.
-        self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING), np.uint16)
+        self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING_COLUMNS), np.uint16)
         self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
         self.weights = device.cleared(self.host_left.nbytes)
         self.found = [device.cleared(4 * self.host_left.size) for _ in ("power", "sum", "variance")]
@@ -168,7 +168,7 @@ class OpenCLFilter:
             rows, cols = frame.values.shape
             left = int(buffers.host_left.sum(dtype=np.int64)) / (int(np.prod(grid.cells)) * reference.ONE)
             share = share_left(self._camera.at_gain(frame.gain), frame, left)
-            of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING:-PADDING].copy(), reference.ONE, grid.cell)
+            of_cells = NoiseLeft(buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS].copy(), reference.ONE, grid.cell)
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
@@ -184,7 +184,7 @@ class OpenCLFilter:
     def _rescale(self, frame: RawFrame) -> None:
         """Rescale the state to the gain and exposure time of this frame, on the host, because they rarely change."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
-        left = buffers.host_left[1:-1, PADDING:-PADDING]
+        left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
         made = reference.rescaled(before, times_brighter(settings_of(frame), self._settings), grid, noises)
         left[:], self._noise = made.left, noises[1]
@@ -235,7 +235,9 @@ def _units(grid: Grid) -> int:
     """Return the size of all planes together, including the rows that the last window may read beyond them."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
-    return sum((down + 2 * MARGIN + TILE_ROWS) * (across + 2 * MARGIN + PADDING) for down, across in planes)
+    return sum(
+        (down + 2 * MARGIN_PIXELS + TILE_ROWS) * (across + 2 * MARGIN_PIXELS + PADDING_COLUMNS) for down, across in planes
+    )
 
 
 def opencl_filters(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.tree import REACH
+from l3cli.classes.tree import BORDER_PIXELS
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics import spectra
@@ -25,7 +25,7 @@ from l3cli.rendering.reference import ReferenceRenderer
 Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # fraction of a square's pixels that may be clipped
 FLAT = 0.5  # fraction of a channel's pixels with the frame's highest value, from which it counts as clipped
-DARK = 0.01  # of full scale; below it a low certainty is attributed to noise, above it to a pattern
+DARK_FRACTION = 0.01  # of full scale; below it a low certainty is attributed to noise, above it to a pattern
 MIN_CERTAINTY = 50.0  # mean signal of a channel in a square, divided by the standard deviation of that mean
 
 
@@ -69,7 +69,7 @@ class GreyRenderer:
     def __init__(self, table: TransformTable) -> None:
         self.table = table
         self._renderer = ReferenceRenderer(table)
-        self._reach = table.first.rule.radius + sum(max(REACH, layer.radius) for layer in table.later)
+        self._reach = table.first.rule.radius + sum(max(BORDER_PIXELS, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
         """Return the outputs (area, output) of uniform areas with signals (area, channel) as fractions of full scale."""
@@ -137,7 +137,7 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
             return means, f"has too few pixels of channel {letter}; give a larger size"
         means[index] = seen.mean()
         if not means[index] > MIN_CERTAINTY * seen.std() / np.sqrt(seen.size):
-            if means[index] > DARK * (frame.white_level - frame.black_level):
+            if means[index] > DARK_FRACTION * (frame.white_level - frame.black_level):
                 varies = seen.std() / means[index]
                 return means, f"is not uniform: channel {letter} varies by {varies:.0%}; give an area of one colour"
             return means, f"is too dark: channel {letter} has {means[index]:.3g} DN; give a brighter grey"
@@ -233,7 +233,7 @@ GREY_LEVEL = 0.4  # of full scale in the brightest channel, where tables have mo
 MAX_GAIN = 8.0  # of a channel; with more it would mostly be noise
 SURFACES = 64  # measured reflectances from which the colour correction under a light is fitted
 UNSURE = 1e-3  # error of a rendered surface, which the correction must not amplify
-DARKEST = 0.05  # of white; errors of darker surfaces are weighted as at this luminance
+MIN_WEIGHT_LUMINANCE = 0.05  # of white; errors of darker surfaces are weighted as at this luminance
 MAX_DUV = 0.03  # distance from the black bodies in CIE 1960 uv, beyond which no lamp for lighting lies
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv up to which whites are the same when written with four digits
 MAX_MISFIT = 0.12  # RMS misfit of the logarithms of the channels; fluorescent and LED lamps reach half of it
@@ -376,7 +376,7 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], DARKEST)  # errors are visible relative to the luminance
+        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # errors are visible relative to the luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 

@@ -27,7 +27,7 @@ PATCH_PERCENTILE = 99  # of each cone response, which is assumed to belong to a 
 MIN_SAMPLES = 24  # that are neither clipped nor black, for an estimate
 MIREDS = np.arange(80.0, 521.0, 20.0)  # 12 500 K to 1920 K
 GREENS = np.linspace(-0.2, 0.4, 7)  # as correlated_lights.GREENS
-FINE = (111, 31)  # points along MIREDS and GREENS in the search for a white
+SEARCH_POINTS = (111, 31)  # points along MIREDS and GREENS in the search for a white
 LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # standard deviations: of log cone responses, and of the green of lights
 
 
@@ -59,7 +59,7 @@ class AutoWhite:
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
         """Return the indices of the most likely light for an estimate."""
-        green = np.linspace(GREENS[0], GREENS[-1], FINE[1])
+        green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
@@ -68,7 +68,7 @@ class AutoWhite:
         """Return the signals (channel) of a grey under the light with these indices."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
-            for place, count, fine in zip((row, col), self._neutrals.shape[:2], FINE, strict=True)
+            for place, count, fine in zip((row, col), self._neutrals.shape[:2], SEARCH_POINTS, strict=True)
         )
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
@@ -89,7 +89,7 @@ class AutoWhite:
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
         cones = np.maximum(shown @ BRADFORD.T, 1e-9).reshape(len(MIREDS), len(GREENS), 3)
-        rows, cols = (np.linspace(0, count - 1, fine) for count, fine in zip(cones.shape[:2], FINE, strict=True))
+        rows, cols = (np.linspace(0, count - 1, fine) for count, fine in zip(cones.shape[:2], SEARCH_POINTS, strict=True))
         return _between(_ratios(cones), rows, cols)
 
 

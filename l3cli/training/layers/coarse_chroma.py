@@ -11,7 +11,7 @@ from l3cli.training.layers.mosaics import Mosaics
 from l3cli.training.patches import expose_patches
 
 LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of the greys, relative to a white that fills the brightest channel
-SIDE = 128  # pixels, side of a grey
+GREY_SIDE_PIXELS = 128  # pixels, side of a grey
 CUT = 3  # blocks to ignore at the edges, where blocks have fewer neighbours
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
     """Return the planes (plane, row, col) of simulated greys, from dark to bright."""
     camera, period = layer.camera, layer.camera.cfa.shape
     margin = layer.exposed.margin - layer.margin
-    rows, cols = (-(-(SIDE + 2 * margin) // each) * each for each in period)
+    rows, cols = (-(-(GREY_SIDE_PIXELS + 2 * margin) // each) * each for each in period)
     channel = camera.channel_map((rows, cols))
     see, rng, greys = layer.seer(), layer.rng(0, 4), []
     for luminance in LUMINANCES:

@@ -31,8 +31,8 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
-FADING = 0.97  # response of a chroma plane to itself below which the plane counts as faded
-NEAR_SHARE = 0.9  # fraction of the pseudo-patches from the level of the class; the rest come from all levels
+FADED_RESPONSE = 0.97  # response of a chroma plane to itself below which the plane counts as faded
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-patches from the level of the class; the rest come from all levels
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def _constrained(
     common, bend = np.linalg.solve(total, pull), np.linalg.solve(total, white)
     common += np.outer(bend, (wanted - white @ common) / (white @ bend))
     for column, output in enumerate(of):
-        if keeps and not white[output] and common[output, column] < FADING:
+        if keeps and not white[output] and common[output, column] < FADED_RESPONSE:
             common[:, column] = np.eye(len(white))[output]
     return [
         one[:, :count] + one[:, count:] @ (k @ (common - r)) for one, k, r in zip(estimates, stiff, response, strict=True)
@@ -159,7 +159,7 @@ class _Parents:
             free, number = by_kind[:, : rule.structures].sum(axis=1), count[:, : rule.structures].sum(axis=1)
             every = free.sum(axis=0) / max(number.sum(), 1)
             level = np.where(number > 0, free / np.maximum(number, 1), every)
-            mixed = NEAR_SHARE * level + (1 - NEAR_SHARE) * every
+            mixed = OWN_LEVEL_FRACTION * level + (1 - OWN_LEVEL_FRACTION) * every
             cases, many = by_kind[:, rule.structures :], count[:, rule.structures :]
             whole = cases.sum(axis=0) / np.maximum(many.sum(axis=0), 1)
             around = sum(np.roll(np.pad(cases, ((1, 1), (0, 0), (0, 0))), step, 0)[1:-1] for step in (-1, 0, 1))

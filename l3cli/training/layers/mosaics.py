@@ -19,7 +19,7 @@ from l3cli.classes.level import unclipped_level
 from l3cli.classes.planes import COARSE, FixedPoint, coarse, refined_fixed_point
 from l3cli.classes.refinement import label_planes
 from l3cli.classes.statistics import mosaic_statistics, truncation
-from l3cli.classes.structure import REACH
+from l3cli.classes.structure import BORDER_PIXELS
 from l3cli.classes.windows import Integers, neighbourhoods
 from l3cli.training.patches import even_places, expose_patches, levels_at, without_colour
 from l3cli.training.recipe import LearningRecipe
@@ -251,7 +251,7 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 
 def margin_of(side: int) -> int:
     """Return how many pixels a layer with windows of `side` pixels reads on each side, including its class features."""
-    return max(REACH, side // 2)
+    return max(BORDER_PIXELS, side // 2)
 
 
 class FirstLayer:

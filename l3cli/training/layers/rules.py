@@ -26,15 +26,17 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-CUTS = 5  # number of thresholds to try for each test, at quantiles of its quotient
-QUOTIENTS = 1 << 13  # approximate number of samples per site from which these quantiles are computed
-TREE_SIDE = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few samples
-SPLIT_SIDE = 3  # pixels, side of the windows for evaluating splits if there is no noise to average
+THRESHOLDS_PER_TEST = 5  # number of thresholds to try for each test, at quantiles of its quotient
+QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which these quantiles are computed
+TREE_SIDE_PIXELS = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few samples
+SPLIT_SIDE_PIXELS = 3  # pixels, side of the windows for evaluating splits if there is no noise to average
 SAMPLES_PER_TAP = 4  # smallest number of samples per tap that a leaf needs at each site
-FINE = 2.0**16  # steps per largest value of a column; sums over a million samples stay below 2^53, so exact
-RIDGE, FAINT = 1e-6, 1e-10  # relative to the mean power of the taps and of the outputs, which splits do not change
+COLUMN_STEPS = 2.0**16  # steps per largest value of a column; sums over a million samples stay below 2^53, so exact
+# Relative to the mean power of the taps and of the outputs, which splits do not change
+TAP_RIDGE, OUTPUT_RIDGE = 1e-6, 1e-10
 OUTPUTS = 3
-SURE = 3.0  # standard deviations of the chance gain that a split must exceed, because the best of many is chosen
+# Standard deviations of the chance gain that a split must exceed, because the best of many is chosen
+CHANCE_DEVIATIONS = 3.0
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -60,7 +62,7 @@ class TreeSamples:
         Sums of products of columns are then exact, whatever the order of addition.
         """
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
-        step = np.ldexp(1 / FINE, power).astype(np.float32)
+        step = np.ldexp(1 / COLUMN_STEPS, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
@@ -152,15 +154,15 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
     whole = [_sums(one, of_leaf) for one, of_leaf in zip(sites, samples, strict=True)]
     before = [float(_error(sums)) for sums in whole]
     noise = np.array([error / of_leaf.size for error, of_leaf in zip(before, samples, strict=True)])
-    chance = SURE * np.sqrt(2 * taps * np.square(noise).sum())
+    chance = CHANCE_DEVIATIONS * np.sqrt(2 * taps * np.square(noise).sum())
 
-    telling = [of_leaf[:: max(of_leaf.size // QUOTIENTS, 1)] for of_leaf in samples]
+    telling = [of_leaf[:: max(of_leaf.size // QUOTIENT_SAMPLES, 1)] for of_leaf in samples]
 
     def tried(test: int) -> tuple[Floats, Array]:
         quotients = np.concatenate(
             [np.divide(*one.compared(test, of_leaf)) for one, of_leaf in zip(sites, telling, strict=True)]
         )
-        cuts = np.quantile(quotients, np.arange(1, CUTS + 1) / (CUTS + 1)).astype(np.float32)
+        cuts = np.quantile(quotients, np.arange(1, THRESHOLDS_PER_TEST + 1) / (THRESHOLDS_PER_TEST + 1)).astype(np.float32)
         cuts = np.unique(np.where(np.abs(cuts) < SMALLEST, np.float32(0), cuts))
         gain = np.zeros(len(cuts))
         for one, of_leaf, sums, error in zip(sites, samples, whole, before, strict=True):
@@ -217,15 +219,15 @@ def _error(sums: Array) -> Array:
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
     diagonal = np.einsum("...ii->...i", systems)  # a view
-    for columns, ridge in (diagonal[..., :taps], RIDGE), (diagonal[..., taps:], FAINT):
+    for columns, ridge in (diagonal[..., :taps], TAP_RIDGE), (diagonal[..., taps:], OUTPUT_RIDGE):
         columns += ridge * columns.mean(axis=-1, keepdims=True) + 1e-9
     left = np.linalg.cholesky(systems)[..., taps:, taps:]
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
 PILOT_MOSAICS, PILOT_SIDE = 48, 72  # number over all frames, and side in pixels, of the mosaics for luminance_noise
-BRIGHTEST = 0.8  # fraction of full scale up to which pixels are measured
-FEWEST = 1000  # smallest number of pixels for a level to be used
+MAX_MEASURED_LEVEL = 0.8  # fraction of full scale up to which pixels are measured
+MIN_LEVEL_PIXELS = 1000  # smallest number of pixels for a level to be used
 LAB_SLOPES = (500.0, 116.0, 200.0)  # derivatives of a*, L* and b* by the planes of a white of 1
 
 
@@ -247,7 +249,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
         For each measured frame, the sum of squared noise differences between pixels two apart, and the number of pixels.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
-    brightest = BRIGHTEST * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
+    brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
     for index, frame in enumerate(frames, first):
         if index % every:
             continue
@@ -280,7 +282,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
     GradientScale
     """
     squares, count = np.sum([np.zeros((2, layer.rule.levels)), *noise], axis=0)
-    known = np.flatnonzero((count >= min(FEWEST, count.max())) & (squares > 0))
+    known = np.flatnonzero((count >= min(MIN_LEVEL_PIXELS, count.max())) & (squares > 0))
     deviation = np.ones(layer.rule.levels)
     if known.size:
         spread = np.log(squares[known] / count[known]) / 2
@@ -318,11 +320,11 @@ def sample_tree(
     list of dict of int to TreeSamples
         For each frame, the samples of each canonical site.
     """
-    side = min(layer.recipe.side, SPLIT_SIDE) if layer.learning.noise == "none" else layer.recipe.side
+    side = min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
     see, reading, sampled = layer.seer(), layer.reading(side), []
     judged, turns = _judged(layer), layer.turns
     per_mosaic = -(-layer.recipe.tree_rows // sum(layer.mosaics))
-    exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE))
+    exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE_PIXELS))
     for index, frame in enumerate(frames, first):
         rng = layer.rng(index, 2)
         parts: dict[int, list[TreeSamples]] = {}

@@ -22,8 +22,8 @@ from l3cli.training.layers.mosaics import Floats, Seen
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sample_weighting import ERROR_FLOOR, TARGET_FLOOR, lab_error
 from l3cli.training.sums import (
-    EXACT,
-    STEP,
+    MAX_EXACT_STEPS,
+    PRODUCT_STEP,
     add_products,
     intercept_scale,
     pairs,
@@ -103,7 +103,7 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
-    if max(squares.max(), sums.noise[:, tap == other].max() / STEP) >= EXACT:
+    if max(squares.max(), sums.noise[:, tap == other].max() / PRODUCT_STEP) >= MAX_EXACT_STEPS:
         raise L3Error("a class has more samples than can be added exactly; lower layer.mosaics or layer.rows")
 
 
@@ -247,7 +247,7 @@ class GatheredSamples:
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
-        large, noise_large = list(rounding_number(self.steps)), rounding_number(STEP)
+        large, noise_large = list(rounding_number(self.steps)), rounding_number(PRODUCT_STEP)
         for piece in pieces_of(samples.label):
             places = (samples.pixel[piece, None] + offsets[samples.site[piece]]).reshape(-1)
             runs, weight = runs_of(samples.label[piece]), samples.weight[piece]
