@@ -39,7 +39,7 @@ def raw_formats() -> str:
 def unread_formats() -> str:
     """Formats that l3 recognises and refuses."""
     rows = ([each.name, " ".join(map(code, each.suffixes)), each.instead] for each in UNREAD)
-    return table(["file", "suffixes", "instead"], rows)
+    return table(["file", "suffixes", "what to do"], rows)
 
 
 def scenes() -> str:

@@ -10,7 +10,7 @@ from l3cli.errors import InputFileError
 from l3cli.system.files import open_regular
 
 DEVELOPED = "its raw values are lost; give the camera's raw file"
-EXPORT = "export its frames as TIFF of one channel and 16 bits, or as .npy"
+EXPORT = "export its frames as 16-bit TIFF files with one channel, or as .npy"
 SPECTRUM = "it contains spectra and no frame; name it in a recipe as an illuminant or a reflectance"
 
 
@@ -25,7 +25,7 @@ class UnreadFormat:
 
 
 UNREAD = (
-    UnreadFormat("an XISF picture of PixInsight", (".xisf",), "save it as FITS", ((0, b"XISF0100"),)),
+    UnreadFormat("an XISF file of PixInsight", (".xisf",), "save it as FITS", ((0, b"XISF0100"),)),
     UnreadFormat("a Magic Lantern video", (".mlv",), "convert it to CinemaDNG, as mlv_dump and MLV App do", ((0, b"MLVI"),)),
     UnreadFormat("a Phantom cine video", (".cine",), EXPORT),
     UnreadFormat("a NorPix sequence", (".seq",), EXPORT, ((0, b"\xed\xfe\x00\x00N\x00o\x00r\x00p\x00i\x00x"),)),
@@ -35,24 +35,24 @@ UNREAD = (
     UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
     UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
     UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "give raw frames, as FFV1 in MKV or as DNG"),
-    UnreadFormat("an Andor SIF picture", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
-    UnreadFormat("a Princeton Instruments SPE picture", (".spe",), EXPORT),
-    UnreadFormat("a PCO picture", (".b16", ".pcoraw"), EXPORT, ((0, b"PCO-"),)),
-    UnreadFormat("a DICOM picture", (".dcm",), EXPORT, ((128, b"DICM"),)),
-    UnreadFormat("a microscope's picture", (".nd2", ".czi", ".lif", ".lsm", ".oib", ".oif", ".vsi"), EXPORT),
+    UnreadFormat("an Andor SIF file", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
+    UnreadFormat("a Princeton Instruments SPE file", (".spe",), EXPORT),
+    UnreadFormat("a PCO file", (".b16", ".pcoraw"), EXPORT, ((0, b"PCO-"),)),
+    UnreadFormat("a DICOM file", (".dcm",), EXPORT, ((128, b"DICM"),)),
+    UnreadFormat("a microscope file", (".nd2", ".czi", ".lif", ".lsm", ".oib", ".oif", ".vsi"), EXPORT),
     UnreadFormat("a numpy archive", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
-    UnreadFormat("a zarr or zipped folder", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
+    UnreadFormat("a zarr or zip file", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
     UnreadFormat("a compressed file", (".gz", ".xz", ".bz2", ".zst", ".7z", ".rar"), "unpack it first"),
     UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes for l3 simulate and not raw frames"),
     UnreadFormat("a JCAMP-DX file", (".jdx", ".dx", ".jcm", ".jcamp"), SPECTRUM, ((0, b"##TITLE="),)),
     UnreadFormat("a text file", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
-    UnreadFormat("a JPEG", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),
-    UnreadFormat("a JPEG 2000", (".jp2", ".j2k", ".jpx"), "decode it into TIFF of one channel", ((4, b"jP  "),)),
-    UnreadFormat("a JPEG XL", (".jxl",), DEVELOPED),
-    UnreadFormat("a HEIF picture", (".heic", ".heif", ".avif"), DEVELOPED),
-    UnreadFormat("a WebP, GIF or BMP picture", (".webp", ".gif", ".bmp"), DEVELOPED, ((0, b"GIF8"), (8, b"WEBP"))),
-    UnreadFormat("an OpenEXR or Radiance picture", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
-    UnreadFormat("a Photoshop picture", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
+    UnreadFormat("a JPEG file", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),
+    UnreadFormat("a JPEG 2000 file", (".jp2", ".j2k", ".jpx"), "decode it to a TIFF file with one channel", ((4, b"jP  "),)),
+    UnreadFormat("a JPEG XL file", (".jxl",), DEVELOPED),
+    UnreadFormat("a HEIF file", (".heic", ".heif", ".avif"), DEVELOPED),
+    UnreadFormat("a WebP, GIF or BMP file", (".webp", ".gif", ".bmp"), DEVELOPED, ((0, b"GIF8"), (8, b"WEBP"))),
+    UnreadFormat("an OpenEXR or Radiance file", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
+    UnreadFormat("a Photoshop file", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
 )
 # First bytes of formats that l3 reads, to recognise files with a wrong suffix.
 MISNAMED = {
