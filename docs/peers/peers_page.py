@@ -12,58 +12,58 @@ LOWER = ("delta_e", "angle")
 METHOD = "method.md"  # beside the page
 HEAD = """# Beside other methods
 
-This page is for readers who want to know how l3 compares with other demosaicking methods. All methods get the same
-mosaics. They come from packages on PyPI, from LibRaw and from RawTherapee, and include a neural network and the denoiser
-CBM3D. `make peers` measures everything in one run and writes this page. If a program is not installed, the page says so. The
-tables of l3 were not trained on any picture of this page.
+This page is for readers who want to know how l3 compares with other demosaicing methods. All methods get the same
+mosaics. The methods come from packages on PyPI, from LibRaw and from RawTherapee. They include a neural network and the
+denoiser CBM3D. `make peers` measures all methods in one run and writes this page. If a program is not installed, the page
+says so. The tables of l3 were not trained on any picture of this page.
 
-* **Settings.** If a method has several settings, each number is that of the setting that is best on these pictures. l3
-  has one setting.
+* **Settings.** If a method has several settings, each number is for the setting with the best result on these pictures.
+  l3 has one setting.
 * **Raw files.** LibRaw and RawTherapee get DNG files with the exact white balance and colour matrix.
-* **Numbers** are means over pictures, without 10 pixels at each edge. Bold numbers are the best of their column.
+* **Numbers** are means over all pictures, without the outermost 10 pixels. The best number of each column is bold.
 * **Time** (core-s/MP) is CPU seconds per megapixel, summed over all cores, measured in the same run. To exclude
-  start-up, the time for a picture of 504² pixels is subtracted from the time for 1512² pixels. CBM3D is timed on the
-  small picture alone. Times of LibRaw and RawTherapee include writing and reading the DNG file.
+  start-up, the time for a picture of 504² pixels is subtracted from the time for 1512² pixels. For CBM3D, only the small
+  picture is timed. Times of LibRaw and RawTherapee include writing and reading the DNG file.
 """
 TEXTS = {
     "bayer": f"""## Bayer, as published
 
-The usual benchmark samples the codes of RGB pictures as they are and compares the result with the same codes (CPSNR
-over all three channels). The table of l3 comes from `l3 init benchmark-bayer` and was trained on a hundred other
-pictures. **The last two columns were not measured here.** They are published values, for more pictures than the twelve
-with odd numbers on which l3 is measured ({published.SOURCE}).
+The usual benchmark samples the codes of RGB pictures without any conversion, and compares the result with the same codes
+(CPSNR over all three channels). The table of l3 comes from `l3 init benchmark-bayer`. It was trained on a hundred other
+pictures. **We did not measure the last two columns.** They are published values for all pictures of the data sets, but l3
+is measured on the twelve Kodak pictures with odd numbers ({published.SOURCE}).
 
-The eighteen pictures of McMaster are measured, too, if they are in `demosaicking/mcmaster` of the data. LibRaw and
-RawTherapee interpret the codes as linear light, as all methods here do. The network is that of Gharbi et al. (2016). We
-found no other network on PyPI that demosaicks and includes its weights.
+If the eighteen pictures of McMaster are in the folder `demosaicking/mcmaster` of the data, they are measured, too. All
+methods on this page, including LibRaw and RawTherapee, interpret the codes as linear values. The network is by Gharbi et
+al. (2016). We found no other network on PyPI that demosaics and includes its weights.
 """,
     "xtrans": """## X-Trans
 
-The same pictures and the same recipe, sampled through the 6×6 array of X-Trans. *1 pass*, *3 passes* and *4 passes* of
-LibRaw and RawTherapee are Markesteijn's method. *bilinear* is a Gaussian-weighted mean of the samples of each channel.
-The network is that of the first table, with the weights for X-Trans that its package includes.
+These results are for the same pictures and the same recipe, sampled with the 6×6 array of X-Trans. *1 pass*, *3 passes*
+and *4 passes* are variants of Markesteijn's method in LibRaw and RawTherapee. *bilinear* is a Gaussian-weighted mean of
+the samples of each channel. The network is the same as in the first table, with the weights for X-Trans from its package.
 """,
     "bands": f"""## Sixteen bands
 
-A snapshot camera with 16 narrow bands and noise sees three multispectral scenes and five hyperspectral faces. The table
-of l3 (`bands`) was trained on dead-leaves scenes only. PSNR of 8-bit codes and SSIM are means over the bands. SAM is
-the mean spectral angle. The other methods are described in [Method]({METHOD}#baselines-for-bands).
+These results are for a snapshot camera with 16 narrow bands and noise, on three multispectral scenes and five
+hyperspectral faces. The table of l3 (`bands`) was trained on dead-leaves scenes only. PSNR (of 8-bit codes) and SSIM are
+means over the bands. SAM is the mean spectral angle. The other methods are described in [Method]({METHOD}#baselines-for-bands).
 """,
     "noise": """## Bayer with noise, as raw files
 
-A small sensor (`bayer`, 2.2 µm, 6 000 e⁻) takes a composition of dead leaves, charts and fine patterns, five faces and
-four photographs, at mean signals of 0.2, 0.02 and 0.01 of full scale. None of these was used in training. PSNR is that
-of displayed sRGB and ΔE00 the mean CIEDE2000, both against the ideal picture.
+These results are for a small sensor (`bayer`, 2.2 µm, 6 000 e⁻). The scenes are a composition of dead leaves, charts and
+fine patterns, five faces and four photographs, at mean signals of 0.2, 0.02 and 0.01 of full scale. None of these scenes
+was used in training. PSNR compares the displayed sRGB pictures with the ideal pictures. ΔE00 is the mean CIEDE2000.
 
-* **All other methods** get the true white balance, the black and dark level, and a matrix that is fitted for camera and
-  illuminant. Methods that can reduce noise are tried without and with several strengths. LibRaw's wavelets are left
-  out, because they crash rawpy 0.28. Settings of RawTherapee name the strengths of its noise reduction for luminance
-  and for colour, and its median filter.
-* **The network** was trained without noise. It is tried on linear light and on sRGB codes.
-* **CBM3D** gets the camera's noise. A transform makes the variance uniform before Menon's demosaicking, and its
-  unbiased inverse restores the light. CBM3D also knows the spectrum that noise has after demosaicking. It takes four
-  minutes per megapixel, and the licence of its package does not allow commercial use.
-* **l3.** The recipes of l3 were studied on these frames, too.
+* **All other methods** get the true white balance, the black level, the dark current, and a matrix that is fitted for the
+  camera and the illuminant. If a method can reduce noise, it is tried without noise reduction and with several
+  strengths. The wavelets of LibRaw are left out, because they crash rawpy 0.28. The settings of RawTherapee are the
+  strengths of its noise reduction for luminance and for colour, and its median filter.
+* **The network** was trained without noise. It is tried on linear values and on sRGB codes.
+* **CBM3D** gets the noise of the camera. A variance-stabilising transform is applied before Menon's demosaicing, and its
+  unbiased inverse afterwards. CBM3D also knows the power spectrum of the noise after demosaicing. It takes four minutes
+  per megapixel, and the licence of its package does not allow commercial use.
+* **l3.** The class recipes of l3 were developed with these frames, among others.
 """,
 }
 COLUMNS = {
@@ -123,7 +123,7 @@ def section(name: str, part: Part) -> str:
     if chosen:
         heads = ["method", "program", "setting", "used for"]
         rows = [_line(heads), _line(["---"] * len(heads)), *(line for each in chosen for line in each)]
-        lines.append(folded("Settings that were best, where they are not the default", "\n".join(rows) + "\n"))
+        lines.append(folded("Best settings, if they differ from the default settings", "\n".join(rows) + "\n"))
     for ours, rival in _compared(part["rows"]):
         title = f"{ours['name']} and {rival['name']} on each frame"
         lines.append(folded(title, frame_by_frame(columns, part["frames"], ours, rival)))
@@ -188,7 +188,7 @@ def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
             text.append(f"{row['name']} of {row['program']} in {title}, by {by:.{_digits(key)}f}")
     if text:
         return f"Better than l3: {'; '.join(text)}.\n"
-    return "Nothing measured here is better than l3 in any of these columns.\n"
+    return "None of these methods is better than l3 in any of these columns.\n"
 
 
 def settings(row: Row, columns: Sequence[tuple[str, str]]) -> list[str]:

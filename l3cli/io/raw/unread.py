@@ -11,7 +11,7 @@ from l3cli.system.files import open_regular
 
 DEVELOPED = "its raw values are lost; give the camera's raw file"
 EXPORT = "export its frames as 16-bit TIFF files with one channel, or as .npy"
-SPECTRUM = "it contains spectra and no frame; name it in a recipe as an illuminant or a reflectance"
+SPECTRUM = "it contains spectra, not a frame; name it in a recipe as an illuminant or a reflectance"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ UNREAD = (
     UnreadFormat("a numpy archive", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
     UnreadFormat("a zarr or zip file", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
     UnreadFormat("a compressed file", (".gz", ".xz", ".bz2", ".zst", ".7z", ".rar"), "unpack it first"),
-    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes for l3 simulate and not raw frames"),
+    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes for l3 simulate, not raw frames"),
     UnreadFormat("a JCAMP-DX file", (".jdx", ".dx", ".jcm", ".jcamp"), SPECTRUM, ((0, b"##TITLE="),)),
     UnreadFormat("a text file", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
     UnreadFormat("a JPEG file", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),

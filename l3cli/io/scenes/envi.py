@@ -74,12 +74,12 @@ FIELDS = (
     ),
     HeaderField("reflectance scale factor", READ, "stored value of a perfect white"),
     HeaderField("data gain values", READ, "factors by which l3 multiplies the stored values"),
-    HeaderField("data offset values", READ, "values that l3 adds after it has multiplied by the gains"),
+    HeaderField("data offset values", READ, "offsets that l3 adds after the gains have been applied"),
     HeaderField(
         "data reflectance gain values", READ, "factors that give reflectance; l3 uses them instead of the data gain values"
     ),
     HeaderField(
-        "data reflectance offset values", READ, "values that l3 adds after it has multiplied by the reflectance gains"
+        "data reflectance offset values", READ, "offsets that l3 adds after the reflectance gains have been applied"
     ),
     HeaderField(
         "file type",
