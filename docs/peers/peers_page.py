@@ -47,7 +47,7 @@ the samples of each channel. The network is the same as in the first table, with
 
 These results are for a snapshot camera with 16 narrow bands and noise, on three multispectral scenes and five
 hyperspectral faces. The table of l3 (`bands`) was trained on dead-leaves scenes only. PSNR (of 8-bit codes) and SSIM are
-means over the bands. SAM is the mean spectral angle. The other methods are described in [Method]({METHOD}#baselines-for-bands).
+means over the bands. SAM is the mean spectral angle. [Method]({METHOD}#baselines-for-bands) describes the other methods.
 """,
     "noise": """## Bayer with noise, as raw files
 

@@ -67,7 +67,7 @@ def test_the_page_states_where_ours_is_beaten_what_is_missing_and_of_which_run_i
     assert "Not installed: y." in lost
     assert "are missing: z." in lost
     won = page.section("bands", PLAIN | {"rows": [ours, row("x", 39)]})
-    assert "Nothing measured here is better" in won
+    assert "None of these methods is better" in won
     assert "| **o** | p | **40.00** | **0.9000** | **10.00** | 0.1 |" in won
     one = page.page({"bands": PLAIN | {"rows": [ours]}})
     assert "**Not measured for this page**: Bayer, as published (`make peers PARTS=bayer`), X-Trans (" in one
