@@ -1,0 +1,386 @@
+"""First phase of a rendering: open the table, find the frames and the destination, and refuse what is impossible.
+
+Every refusal that does not need the content of a frame comes from here, before anything is written.
+"""
+
+import itertools
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.store import load
+from l3cli.artifacts.table import TransformTable
+from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.frames.correction import CameraFile, correction_in, hot_test
+from l3cli.io.destination import Destination, destination_of, guard_outputs, paged, refuse_outputs
+from l3cli.io.pictures.dng import MOSAICS
+from l3cli.io.pictures.registry import BY_SUFFIX
+from l3cli.io.raw.files import RawOverrides, are_photos
+from l3cli.io.sequences import FrameSequence, find_frames, read_dark
+from l3cli.io.video import USUAL_RATE, VideoChoice
+from l3cli.options.render import GAIN, RenderOptions
+from l3cli.parallel.threads import BackgroundTask
+from l3cli.physics.display import TONES
+from l3cli.physics.spaces import REC2020
+from l3cli.rendering.conditions import Mix, described, mixed, nearest_for
+from l3cli.rendering.display import require_xyz
+from l3cli.rendering.renderer import make_ready
+from l3cli.rendering.rendition import Rendition, chosen_space, outputs_as_they_are
+from l3cli.rendering.temporal.chunks import CHUNK
+from l3cli.rendering.temporal.noise import require_noise
+from l3cli.rendering.white.scene_white import SceneWhite, far_from_training
+from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance, white_source
+from l3cli.stages.rendering.checkpoint import PictureCheckpoint, checkpoint_of
+from l3cli.system.console import Console
+from l3cli.system.files import FilesUsed, files_to_read, sha256
+from l3cli.system.limits import read_bounded
+from l3cli.system.outputs import OutputGuard
+from l3cli.system.text import counted
+
+if TYPE_CHECKING:
+    from l3cli.parallel.cluster import Scheduler
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is rendered and where to, as far as it is known before a frame is read."""
+
+    table_file: Path
+    digest: str  # SHA-256 of the table
+    table: TransformTable  # with the transforms for all its lights
+    inputs: tuple[Path, ...]
+    sequence: FrameSequence
+    destination: Destination
+    overrides: RawOverrides  # facts about the raw files, dark frame and corrections
+    camera: CameraFile | None  # camera model whose defects and flat field are corrected
+    engine: dict[str, str]  # options of the backend
+    white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
+    mix: Mix | None  # lights of the table for a white that is given
+    rendition: Rendition
+    scheduler: "Scheduler | None"
+    checkpoint: PictureCheckpoint | None  # None: nothing to continue, such as a stream or a single picture
+    files: FilesUsed
+    options: RenderOptions
+
+    def find(self, overrides: RawOverrides) -> FrameSequence:
+        """Return the frames of the inputs anew, to be read with these facts about the raw files."""
+        return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
+
+    @property
+    def uses_photos(self) -> bool:
+        """Whether pictures are made from files that state a white of their own."""
+        return has_display(self.destination, self.options) and are_photos(self.inputs[0])
+
+    @property
+    def in_order(self) -> bool:
+        """Whether exposure and white change smoothly from frame to frame. Stills that become pictures have their own."""
+        return not (self.sequence.stills and self.destination.pictures)
+
+    @property
+    def frames_depend_on_earlier(self) -> bool:
+        """Whether a picture depends on the frames before it."""
+        measures = self.rendition.measures_exposure or self.white_source is not None or self.options.deflicker
+        return (self.in_order and measures) or self.options.temporal
+
+
+def open_job(
+    table_file: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions, guard: OutputGuard, is_clip: bool
+) -> Job:
+    """Open everything that a rendering needs, and refuse what is impossible before any work.
+
+    Parameters
+    ----------
+    table_file, inputs, output, options
+        As in `render`.
+    guard : OutputGuard
+        Protects the inputs and locks the outputs.
+    is_clip : bool
+        Whether this is one of several clips. A clip always has a checkpoint, even if it is a single picture.
+    """
+    scheduler, stated = options.cluster(), stated_overrides(options)
+    place = destination_of(output, options.format, video_choice(options), options.shard)
+    guard.protect(table_file, *inputs, *itertools.chain(*options.inputs().values()))
+    guard_outputs(place, options.force or options.resume, guard)
+    if options.uncertainty is not None:
+        guard.guard_file(options.uncertainty, options.force)
+    engine = _engine(options)
+    _refuse_misplaced(place, options)
+    with _prepared_meanwhile(options.backend, engine, place.file_suffix, scheduler):
+        loaded, digest = load(TransformTable, table_file), sha256(table_file)
+    table = loaded.pictured() if has_display(place, options) else loaded
+    camera = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
+    overrides = _with_corrections(stated, table, camera, options, guard)
+    source = white_source(options.white, table, has_display(place, options) and are_photos(inputs[0]))
+    mix = None if source else mix_of_given(options.white, table, nearest_for, options.console)
+    rendition = _rendition(place, None if source else options.white, mixed(table, mix), options)
+    if rendition.balance is not None and table.shows_grey:
+        options.console.info(f"{table_file} tells no colours; pictures are grey")
+    sequence = _frames(inputs, table, overrides, options)
+    destination = paged(place, sequence)
+    _refuse_frames(sequence, destination, table, options)
+    _protect_frames(sequence, guard)
+    keeps = destination.kind != "stream" and (destination.kind != "file" or options.resume or is_clip)
+    key = options.run_key(digest, os.environ.get("L3_DEVICE"))
+    checkpoint = checkpoint_of(destination, key, options.resume, options.force) if keeps else None
+    refuse_outputs(destination, sequence, options.force, checkpoint.is_ours if checkpoint else lambda _: False)
+    return Job(
+        table_file, digest, table, inputs, sequence, destination, overrides, camera, engine, source, mix, rendition,
+        scheduler, checkpoint, _files_read(table_file, inputs, sequence, options), options,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------------ options
+
+
+def stated_overrides(options: RenderOptions) -> RawOverrides:
+    """Return what the options state about the raw files. Raises InputFileError if the list of gains cannot be read."""
+    levels = options.black_level, options.white_level, options.phase
+    gains = _gains_in(options.gains) if options.gains else ()
+    return RawOverrides(
+        *levels, options.size, options.packing, options.stride, options.exposure_time, options.gain, gains,
+        skip=options.skip, byte_order=options.byte_order, opcodes=options.opcodes,
+    )  # fmt: skip
+
+
+def _gains_in(path: Path) -> tuple[float, ...]:
+    """Return the analog gains that a text file lists."""
+    gains, give = [], "give a text file of the gain of each frame, a line each"
+    for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
+        try:
+            gains.append(float(GAIN.read(text)))
+        except ValueError as error:
+            raise InputFileError(f"{path}: gain {number}: {error}") from None
+    if not gains:
+        raise InputFileError(f"{path} is empty; {give}")
+    return tuple(gains)
+
+
+def video_choice(options: RenderOptions) -> VideoChoice:
+    """Return how videos are encoded."""
+    return VideoChoice(options.fps or USUAL_RATE, options.bits, options.codec, options.crf, options.preset)
+
+
+def has_display(destination: Destination, options: RenderOptions) -> bool:
+    """Whether outputs are shown as pictures, with a white and an exposure, and not written as they are."""
+    return not destination.linear or options.space is not None
+
+
+def _engine(options: RenderOptions) -> dict[str, str]:
+    """Return the options of the backend."""
+    engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
+    if engine and options.backend != "opencl":
+        raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {options.backend} out")
+    return engine
+
+
+def _prepared_meanwhile(
+    backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
+) -> BackgroundTask:
+    """Prepare the device, and the writer of files with a suffix, while the block reads the table."""
+
+    def work() -> None:
+        if scheduler is None:
+            make_ready(backend, **engine)
+        if suffix is not None:
+            BY_SUFFIX[suffix.lower()].make_ready()
+
+    return BackgroundTask(work)
+
+
+def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
+    """Raise RecipeError if an option does not fit the destination."""
+    space, exposure = options.space, options.exposure
+    if not has_display(destination, options) and (exposure.factor is not None or exposure.stops or options.white is not None):
+        raise RecipeError(
+            "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+        )
+    if not has_display(destination, options) and options.deflicker:
+        raise RecipeError(
+            "‹deflicker› changes exposures, and files of floating point hold the outputs as they are; name a ‹space›"
+        )
+    if options.tone is not None and (destination.linear or destination.raw):
+        raise RecipeError("‹tone› is for pictures of codes, and values are linear here; leave it out, or name a .png")
+    if space not in (None, "srgb") and not destination.one_by_one:
+        raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
+    if space is not None and destination.raw:
+        raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
+    if options.remosaic is not None and not destination.raw:
+        raise RecipeError("‹remosaic› is for raw developers; name a .dng")
+    if options.resume and destination.kind == "stream":
+        raise RecipeError("‹resume› continues files, and stdout is none; leave it out, or name a file")
+    if options.uncertainty is not None and (options.uncertainty.suffix.lower() != ".exr" or options.temporal):
+        raise RecipeError("‹uncertainty› is written as .exr, without ‹temporal›; name such a file")
+
+
+# ------------------------------------------------------------------------------------------------------------- inputs
+
+
+def _with_corrections(
+    stated: RawOverrides, table: TransformTable, camera: CameraFile | None, options: RenderOptions, guard: OutputGuard
+) -> RawOverrides:
+    """Return the facts about the raw files with the dark frame, the camera's corrections and the test for hot pixels."""
+    dark = None
+    if options.dark:
+        sequence = find_frames(options.dark, table, replace(stated, gains=()))
+        _protect_frames(sequence, guard)
+        dark = read_dark(sequence)
+    correction = None if camera is None else correction_in(camera, table)
+    return replace(stated, dark=dark, correction=correction, hot=hot_test(table) if options.hot == "auto" else None)
+
+
+def _frames(
+    inputs: tuple[Path, ...], table: TransformTable, overrides: RawOverrides, options: RenderOptions
+) -> FrameSequence:
+    """Return the frames of the inputs. A shard renders part of them."""
+    sequence = find_frames(inputs, table, overrides, options.frames, options.dataset)
+    if options.shard is None:
+        return sequence
+    if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
+        raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
+    return replace(sequence, part=part_of(sequence, options.shard, options.temporal))
+
+
+def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> range:
+    """Return the positions, from 0, of the frames that a shard renders.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    shard : tuple of int
+        Number of the shard from 1, and number of shards.
+    temporal : bool
+        Whether the frames are filtered in time. If each shard has room for it, a shard then starts with a chunk of the
+        filter, because it would otherwise filter the frames before it, too.
+
+    Raises
+    ------
+    RecipeError
+        If the number of frames is unknown, or smaller than the number of shards.
+    """
+    number, shards = shard
+    if sequence.count is None:
+        raise RecipeError(f"{sequence.what} does not say how many frames it has; choose those of all shards with ‹frames›")
+    count = sequence.count - sequence.lost
+    if count < shards:
+        raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")
+    grid = CHUNK if temporal and count >= shards * CHUNK else 1
+    first, last = (count * index // shards for index in (number - 1, number))
+    return range(_nearest(first, grid), count if number == shards else _nearest(last, grid))
+
+
+def _nearest(position: int, grid: int) -> int:
+    """Return the nearest multiple of `grid`; halves are rounded up, so that positions `grid` apart stay apart."""
+    return (position + grid // 2) // grid * grid
+
+
+def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
+    """Keep outputs from replacing the files of the frames. A stream, which may be endless, is a single file."""
+    if not sequence.is_stream:
+        guard.protect(*(reference.source for reference in sequence.frames if reference.source))
+
+
+def _refuse_frames(
+    sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions
+) -> None:
+    """Raise RecipeError or InputFileError if an option does not fit the frames, or if frames are missing."""
+    if options.deflicker and sequence.stills and destination.pictures:
+        raise RecipeError(f"‹deflicker› is for frames that follow one another; {sequence.what} is no sequence")
+    if options.uncertainty is not None:
+        if sequence.count != 1:
+            raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
+        from l3cli.rendering.uncertainty import require_known_noise  # imported here, because few runs need it
+
+        require_known_noise(table)
+        for each in sequence.frames:
+            if options.uncertainty.resolve() == destination.file(each.number, each.stem).resolve():
+                raise RecipeError(f"{options.uncertainty} is named for two outputs; name two files")
+    if options.temporal:
+        require_noise(table.camera)
+    if sequence.missing and not options.skip_bad:
+        raise sequence.absent(sequence.missing[0])
+
+
+def _files_read(
+    table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions
+) -> FilesUsed:
+    """Return the files that are read. Frames of a stream, which may be endless, are not listed."""
+    frames = () if sequence.is_stream else sequence.frames
+    rendered = (frame.source for place, frame in enumerate(frames) if sequence.renders(place))
+    return files_to_read({"table": [table_file], "inputs": list(filter(None, rendered)) or inputs, "dark frames": options.dark})
+
+
+# ------------------------------------------------------------------------------------------------------------ display
+
+Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
+
+
+def mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
+    """Return the lights of a table that fit a white, and say which.
+
+    Parameters
+    ----------
+    white : str or None
+        Name of an illuminant, "x,y", or None for the white of the table.
+    table : TransformTable
+    choice : callable
+        `mix_for` or `nearest_for`.
+    console : Console
+
+    Returns
+    -------
+    Mix or None
+        None for the transforms of all lights in common, which fit the white of the table.
+
+    Raises
+    ------
+    RecipeError
+        If the white is unknown.
+    """
+    if not table.lights:
+        return None
+    given = given_white(white, table)
+    if given is None:
+        names = ", ".join(light.name for light in table.lights)
+        console.info(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
+        return None
+    mix = choice(table, given.light.xyz)
+    assert mix is not None
+    console.info(f"white {white}: transforms of {described(table, mix)}")
+    return mix
+
+
+def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
+    """Return how outputs become pictures under a given white, and warn if the white is far from the training."""
+    if not has_display(destination, options):
+        return outputs_as_they_are(table)
+    require_xyz(table.outputs)
+    given = given_white(white, table)
+    if white is not None and given is not None:
+        _warn_of_white(white, given, table, options.console)
+    exposure = options.exposure
+    rendition = Rendition(
+        usual_balance(table) if given is None else given.balance, exposure.factor, options.bits,
+        chosen_space(options.space, destination.linear), stops=exposure.stops, stated_exposure=exposure.stated,
+        tone=TONES[options.tone] if options.tone else None,
+    )  # fmt: skip
+    if not destination.raw:
+        return rendition
+    if options.remosaic not in (None, *MOSAICS):
+        raise RecipeError(f'mosaic "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
+    return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)
+
+
+def _warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
+    """Warn if a white is far from the light of training, or has light beyond the known curves of the camera."""
+    if doubt := far_from_training(name, white, table):
+        console.warn(doubt)
+    if table.camera is not None and "," not in name:
+        from l3cli.simulation.light import named_beyond_known  # imported here, because few runs need it
+
+        for doubt in named_beyond_known((name,), table.camera):
+            console.warn(doubt)

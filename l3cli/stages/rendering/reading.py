@@ -1,0 +1,160 @@
+"""Reading and measuring of frames, in order: the first steps on the path of a frame.
+
+Each frame becomes a `FrameTask`, which the later steps complete. Finished frames are read only if later ones depend on them.
+"""
+
+import hashlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from l3cli.errors import InputFileError, L3Error
+from l3cli.frames.frame import RawFrame, upright
+from l3cli.io.pictures.registry import file_identity, values_identity
+from l3cli.io.sequences import FrameReference
+from l3cli.rendering.flicker import LOOKAHEAD, BrightnessRatio
+from l3cli.rendering.rendition import FrameMeter
+from l3cli.rendering.temporal.chunks import needed
+from l3cli.rendering.white.scene_white import SceneWhite, WhiteBalance
+from l3cli.stages.rendering.checkpoint import FrameOrigins
+from l3cli.stages.rendering.job import Job
+from l3cli.stages.rendering.look import Look
+from l3cli.system.files import sha256
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """A frame on its path from its reference to its picture. It can be pickled, so that a worker can take it over."""
+
+    reference: FrameReference
+    place: int  # position in the sequence, from 0
+    is_finished: bool = False  # whether its picture exists already, or is not to be made
+    is_counted: bool = True  # whether it is among the frames to render, and not only read for others
+    is_filtered: bool = False  # whether it goes through the temporal filter
+    frame: RawFrame | None = None  # None if a worker is to read it, if nothing depends on it, or after an error
+    digest: str = ""  # SHA-256 of the file, if a worker is to read it
+    identity: str = ""  # identity of the frame in the metadata of its picture
+    scale: float = 0.0  # exposure scale; 0 for automatic
+    balance: WhiteBalance | None = None  # white balance; None for the rendition's
+    white: SceneWhite | None = None  # measured white
+    brightness: float = 0.0  # as FrameMeter.looked_at returns it
+    ratio: float = 0.0  # log of its brightness relative to the frame before
+    error: L3Error | None = None  # why it cannot be rendered
+    lost: int = 1  # number of frames that an error stands for
+
+
+class FrameReader:
+    """Reads and measures the frames of a job in order.
+
+    Parameters
+    ----------
+    job : Job
+    look : Look
+    meter : FrameMeter
+        Measures exposure and white.
+    origins : FrameOrigins
+        Identifies frames for the checkpoint.
+    workers_read : bool
+        Whether workers can read the files. Frames that are not measured here are then left to them.
+    """
+
+    def __init__(self, job: Job, look: Look, meter: FrameMeter, origins: FrameOrigins, workers_read: bool) -> None:
+        self._job, self._sequence, self._meter, self._origins = job, look.sequence, meter, origins
+        self._ratio = BrightnessRatio(look.table)
+        self._checkpoint = job.checkpoint if job.destination.one_by_one else None
+        measures = bool(meter) or job.options.deflicker
+        self._measures_all = measures and job.in_order
+        self._leaves_to_workers = workers_read and job.destination.one_by_one and not (measures or job.options.temporal)
+        self._shape: tuple[int, ...] | None = None  # of the first frame
+        # A stream is not read ahead, because its next frame may not have arrived yet.
+        self._looks_ahead = job.options.temporal and (not self._sequence.is_stream or self._sequence.part is not None)
+
+    def frames(self) -> Iterator[FrameTask]:
+        """Yield the frames, read and measured."""
+        listed, ahead = itertools.tee(self._listed()) if self._looks_ahead else (self._listed(), iter(()))
+        needs = needed((task.place, not task.is_finished) for task in ahead)
+        for task in listed:
+            is_needed = next(needs) if self._looks_ahead else not task.is_finished
+            if not is_needed and not self._measures_all and not self._sequence.is_stream:
+                yield replace(task, is_finished=True)
+            elif self._leaves_to_workers and task.reference.source and self._shape:
+                yield self._left_to_worker(task)
+            else:
+                measured = self._measured(task)
+                if measured is None:
+                    yield from self._missing_at_end(task)
+                    return
+                filtered = self._job.options.temporal and (is_needed or not self._looks_ahead)
+                yield replace(measured, is_filtered=filtered and measured.frame is not None)
+
+    def _listed(self) -> Iterator[FrameTask]:
+        """Yield the references of the frames, and whether their pictures are known to exist."""
+        references = itertools.islice(self._sequence.frames, last_read(self._job))
+        for place, reference in enumerate(references):
+            is_counted = self._sequence.renders(place)
+            known = self._origins.of(reference) if self._checkpoint else reference
+            yield FrameTask(known, place, not is_counted or self._exists(known), is_counted)
+
+    def _exists(self, reference: FrameReference) -> bool:
+        """Whether the picture of a frame is finished."""
+        file = self._job.destination.file(reference.number, reference.stem)
+        return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
+
+    def _left_to_worker(self, task: FrameTask) -> FrameTask:
+        """Return a frame that a worker is to read. The first frame is always read here, because warnings go by it."""
+        assert task.reference.source is not None
+        try:
+            digest = sha256(task.reference.source)
+        except L3Error as error:
+            return replace(task, error=error)
+        return replace(task, digest=digest, identity=file_identity(digest), scale=self._meter.fixed_scale)
+
+    def _measured(self, task: FrameTask) -> FrameTask | None:
+        """Read and measure a frame. Returns None at the end of a stream."""
+        try:
+            frame = self._sequence.frames.read(task.reference.number)
+            if frame is None:
+                return None
+            self._require_shape(frame)
+            brightness, balance, white = self._meter.looked_at(frame)
+            deflicker = self._job.options.deflicker  # the scale is then known only after later frames
+            scale, ratio = (0.0, self._ratio.of(frame)) if deflicker else (self._meter.scale(frame, brightness), 0.0)
+            reference = self._origins.of_read(task.reference, frame) if self._checkpoint else task.reference
+            is_finished = task.is_finished or (not task.reference.origin and self._exists(reference))
+            identity = _identity(reference, frame) if self._job.destination.pictures and not is_finished else ""
+        except L3Error as error:
+            return replace(task, error=error)
+        except OSError as error:
+            return replace(task, error=InputFileError(str(error)))
+        return replace(
+            task, reference=reference, is_finished=is_finished, frame=frame, identity=identity, scale=scale, balance=balance,
+            white=white, brightness=brightness, ratio=ratio,
+        )  # fmt: skip
+
+    def _missing_at_end(self, task: FrameTask) -> Iterator[FrameTask]:
+        """Yield an error if a stream ended before the last frame that was selected."""
+        if numbers := self._sequence.rest(task.reference.number):
+            yield replace(task, error=self._sequence.absent(numbers), lost=len(numbers), is_counted=True)
+
+    def _require_shape(self, frame: RawFrame) -> None:
+        """Raise InputFileError if frames of one video or file have different sizes."""
+        shape = upright(frame.values, frame.orientation).shape
+        self._shape = first = self._shape or shape
+        if shape != first and not self._job.destination.one_by_one:
+            whole = "first page" if self._job.destination.pictures else "video"
+            raise InputFileError(
+                f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {whole} {first[0]}×{first[1]}; give frames of one size"
+            )
+
+
+def last_read(job: Job) -> int | None:
+    """Return how many frames are read, from the first; None for all. Removing flicker needs frames after the last one."""
+    part = job.sequence.part
+    return None if part is None else part.stop + (LOOKAHEAD if job.options.deflicker else 0)
+
+
+def _identity(reference: FrameReference, frame: RawFrame) -> str:
+    """Return the identity of a frame in the metadata of its picture."""
+    if reference.source is not None:
+        return file_identity(sha256(reference.source))
+    return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())

@@ -1,0 +1,41 @@
+"""The file of a frame's uncertainty, which `--uncertainty` writes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from l3cli.errors import InputFileError
+from l3cli.io.pictures.registry import write_picture
+from l3cli.rendering.renderer import NoiseRenderer
+from l3cli.stages.rendering.job import Job
+from l3cli.stages.rendering.look import Look
+
+
+def write_uncertainty(job: Job, look: Look) -> Path:
+    """Write the standard deviation of the outputs of the only frame, and a mask (docs/measurement.md#uncertainty).
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputFileError
+        If the frame is missing.
+    """
+    from l3cli.rendering.uncertainty import uncertainty  # imported here, because few runs need it
+
+    path, table = job.options.uncertainty, look.table
+    assert path is not None
+    (frame,) = (look.sequence.frames.read(number) for number in look.sequence.frames.wanted)
+    if frame is None:
+        raise InputFileError("the frame is missing, and so is its uncertainty")
+    result = uncertainty(NoiseRenderer(job.options.backend, table, **job.engine).of_frame(frame), frame)
+    pixels = np.concatenate([result.sigma, result.mask[..., None].astype(np.float32)], axis=2)
+    write_picture(path, pixels, (*(f"sigma.{name}" for name in table.outputs), "mask"))
+    fraction = float((result.mask > 0).mean())
+    job.options.console.info(
+        f"{path}: written; {fraction:.1%} of the pixels are clipped or of classes without training patches"
+    )
+    return path
