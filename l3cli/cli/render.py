@@ -17,12 +17,6 @@ if TYPE_CHECKING:
     from l3cli.stages.rendering.clips import Summary
 
 
-def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
-    """Raise UsageError for removed options."""
-    if value is not None:
-        raise click.UsageError("--watch was removed; to render new files, run the same command with --resume")
-
-
 @click.command()
 @click.argument("table", type=declared.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="INPUT...")
@@ -30,10 +24,6 @@ def _refuse_watching(context: Any, parameter: Any, value: str | None) -> None:
     "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m on stdout)"
 )
 @declared.of(RenderOptions, declared.trust)
-@click.option(
-    "--watch", "--every", hidden=True, is_eager=True, expose_value=False, callback=_refuse_watching,
-    help="Removed: use --resume to render new files in a folder.",
-)  # fmt: skip
 def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Result:
     """Render INPUT through TABLE.h5. INPUT is raw files or one sequence.
 
@@ -63,21 +53,21 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
         start()  # takes a third of a second, as long as the imports that follow
-    from l3cli.stages.rendering.clips import ClipJob, alone, are_clips, clips_of
+    from l3cli.stages.rendering.clips import Summary, are_clips, clips_of, render_clips, render_one
 
     clips = clips_of(inputs, table, options, output)
     if clips == inputs and not are_clips(inputs, table, options, output):
-        return clips_result(alone(table, inputs, output, options))
+        return clips_result(render_one(table, inputs, output, options))
     if options.shard is not None:
         raise click.UsageError("--shard is for one sequence, and these inputs are several clips; render one clip")
-    job = ClipJob(table, output, options)
+    summary = Summary()
     try:
-        job.run(clips)
+        render_clips(table, clips, output, options, summary)
     except (L3Error, KeyboardInterrupt, Terminated) as ended:
-        if not job.summary.clips:
+        if not summary.clips:
             raise
-        return clips_result(job.summary, ended)
-    return clips_result(job.summary, show_text=True)
+        return clips_result(summary, ended)
+    return clips_result(summary, show_text=True)
 
 
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:

@@ -17,7 +17,7 @@ from l3cli.io.pictures.registry import format_of, holds_linear, holds_raw, pictu
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.io.video import Y4M, Pacing, VideoChoice, check_video, is_video, new_video, new_y4m
 from l3cli.physics.display import FLOAT_BITS
-from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected
+from l3cli.system.files import UNFINISHED, atomic_output, refuse_existing, refuse_protected, shortened
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
@@ -77,9 +77,11 @@ class Destination:
 
     @property
     def checkpoint(self) -> Path:
-        """The checkpoint file, beside the pictures."""
-        name = f"{self._of_shard}{UNFINISHED}"
-        return self.path / name if self.kind == "folder" else self.path.with_name(f".{self.path.name}{name}")
+        """The checkpoint file, in the folder or beside the file or the numbered files."""
+        ending = f"{self._of_shard}{UNFINISHED}"
+        if self.kind == "folder":
+            return self.path / ending
+        return self.path.with_name(f".{shortened(self.path.name, len(ending) + 1)}{ending}")
 
     @property
     def lock(self) -> tuple[Path, str]:
@@ -137,14 +139,14 @@ def paged(destination: Destination, sequence: FrameSequence) -> Destination:
     return destination
 
 
-def guard_outputs(destination: Destination, force: bool, guard: OutputGuard) -> None:
+def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard) -> None:
     """Check a destination before anything is read.
 
-    Raises L3Error if nothing can be written there, if another run writes there, or if a video or single picture exists.
-    Raises RecipeError if the output is also an input.
+    Raises L3Error if nothing can be written there, if another run writes there, or if a video or single picture exists and
+    not `may_exist`. Raises RecipeError if the output is also an input.
     """
     if destination.kind in ("video", "file"):
-        guard.guard_file(destination.path, force)
+        guard.guard_file(destination.path, may_exist)
     elif destination.kind == "stream":
         refuse_protected(1)
     else:
@@ -165,9 +167,11 @@ def refuse_outputs(
             f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
             f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
         )
-    if destination.kind not in ("pattern", "folder"):
+    if destination.kind == "stream":
         return
-    if sequence.is_stream:
+    if destination.kind not in ("pattern", "folder"):
+        files = [destination.path]
+    elif sequence.is_stream:
         files = _existing(destination, sequence)
     else:
         pictures = (reference for place, reference in enumerate(sequence.frames) if sequence.renders(place))
@@ -201,12 +205,14 @@ def _pictures(destination: Destination) -> list[Path]:
 @contextlib.contextmanager
 def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
-    made: Callable[[Path, Path, FrameReference], None] | None,
+    made: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
     """Open the writer of frames. Yields the writer and the number of threads that may call it at the same time.
 
-    `made` is called with each file, the temporary file that is about to be renamed to it, and its frame.
+    `made` is called with each file, the temporary file that is about to be renamed to it, and its frame, or None for a file
+    that holds all frames.
     """
+    path = destination.path
 
     def timed(write: Callable[[Any, int], None]) -> Callable[[tuple[FrameReference, Any]], None]:
         return lambda item: write(item[1], pacing.time(item[0].number))
@@ -219,16 +225,16 @@ def sink_of(
             content = picture if isinstance(picture, bytes) else picture_file(file, picture)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
-                if made is not None:
-                    made(file, temporary, reference)
+                made(file, temporary, reference)
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
-        with new_pages(destination.path, sequence.rendered) as pages:
+        with new_pages(path, sequence.rendered, lambda temporary: made(path, temporary, None)) as pages:
             yield timed(lambda picture, _: pages.write(picture)), 1
     elif not destination.has_times:
-        with new_y4m(None if destination.kind == "stream" else destination.path, choice) as stream:
+        output = None if destination.kind == "stream" else path
+        with new_y4m(output, choice, lambda temporary: made(path, temporary, None)) as stream:
             yield timed(lambda picture, _: stream.write(picture.pixels)), 1
     else:
-        with new_video(destination.path, choice) as video:
+        with new_video(path, choice, lambda temporary: made(path, temporary, None)) as video:
             yield timed(lambda picture, time: video.write(picture.pixels, time)), 1

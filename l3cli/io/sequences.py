@@ -48,15 +48,12 @@ STDIN_NAME = "stdin"  # name in messages
 
 @dataclass(frozen=True)
 class FrameReference:
-    """A frame that has not been read yet."""
+    """Names a frame of a sequence, which `Frames.read` reads."""
 
     number: int
     stem: str  # stem of the output file
-    read: Callable[[], RawFrame | None]  # reads the frame; None after the end of a stream, InputFileError if damaged
     source: Path | None = None  # the file, if it contains this frame only
-    origin: str | None = None  # distinguishes it from another frame with its number, once computed
-    inode: tuple[int, ...] | None = None  # change time and number of the file's inode, once known
-    identity: str = ""  # identity in the picture's metadata (file_identity, values_identity), once computed
+    origin: str = ""  # digest of what its picture is made from, once computed
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ def read_dark(sequence: FrameSequence) -> DarkFrame:
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames are files, not a stream; save them first")
     # The number of frames in a video is known only at its end.
-    return average_dark(_until_none(frame.read() for frame in sequence.frames))
+    return average_dark(_until_none(sequence.frames.read(frame.number) for frame in sequence.frames))
 
 
 def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
@@ -223,7 +220,11 @@ class Frames:
         """Return the frame with a number."""
         series = self.series
         source = series.files.get(number) if series.files else None
-        return FrameReference(number, series.stem(number), functools.partial(series.read, number), source)
+        return FrameReference(number, series.stem(number), source)
+
+    def read(self, number: int) -> RawFrame | None:
+        """Read the frame with a number. None after the end of a stream; InputFileError if it is damaged."""
+        return self.series.read(number)
 
 
 def is_one_file(path: Path) -> bool:

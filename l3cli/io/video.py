@@ -273,8 +273,10 @@ class VideoWriter:
 
 
 @contextlib.contextmanager
-def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
-    """Yield a video open for writing. The file appears atomically."""
+def new_video(
+    path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
+) -> Iterator[VideoWriter]:
+    """Yield a video open for writing. The file appears atomically, after `finished` was called with its temporary file."""
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
@@ -284,6 +286,7 @@ def new_video(path: Path, choice: VideoChoice) -> Iterator[VideoWriter]:
                 writer = VideoWriter(path, container, choice)
                 yield writer
                 writer.finish()
+            finished(temporary)
         except av.error.FFmpegError as error:
             raise L3Error(f"{path} cannot be written: {error.strerror}") from error
 
@@ -318,15 +321,21 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 
 
 @contextlib.contextmanager
-def new_y4m(path: Path | None, choice: VideoChoice) -> Iterator[Y4mWriter]:
-    """Yield a y4m file that appears atomically, or stdout if `path` is None."""
+def new_y4m(
+    path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
+) -> Iterator[Y4mWriter]:
+    """Yield a y4m file that appears atomically, after `finished` was called with its temporary file, or stdout if `path` is
+    None.
+    """
     if path is None:
         # Unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
-    with atomic_output(path) as temporary, open(os.fspath(temporary), "wb", buffering=0) as stream:
-        yield Y4mWriter(stream, choice)
+    with atomic_output(path) as temporary:
+        with open(os.fspath(temporary), "wb", buffering=0) as stream:
+            yield Y4mWriter(stream, choice)
+        finished(temporary)
 
 
 # ---------------------------------------------------------------------------------------------------------------- decoding

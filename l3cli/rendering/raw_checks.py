@@ -7,7 +7,6 @@ be implausible, because of mistakes about bit depth, byte order, black level or 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +30,6 @@ ROW_PAIRS = 64  # pairs of rows that are compared
 NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fractions of a frame that are reported
 # Exposure times above so many seconds, or times the training's exposure, are probably in another unit.
 LONG, MANY_TIMES = 60.0, 100.0
-T = TypeVar("T", bound="WithFrame")
-
-
-class WithFrame(Protocol):
-    """Something that holds a frame, either raw or already rendered."""
-
-    @property
-    def frame(self) -> object: ...
 
 
 @dataclass
@@ -49,6 +40,7 @@ class FrameWarnings:
 
     table: TransformTable
     _seen: int = 0
+    _first_is_beyond: bool = False  # whether the first frame has values that the converter cannot give
     _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
     _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → first frame, number of frames
     _notes: dict[str, str] = field(default_factory=dict)  # note of a file → first frame
@@ -76,20 +68,17 @@ class FrameWarnings:
                 worst, name, count = self._worst.get(what, (0.0, "", 0))
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
-    def watched(self, frames: Iterator[T], stills: bool) -> Iterator[T]:
-        """Pass frames on, and check every still, or the first frame of a sequence.
+    def check(self, frame: RawFrame, stills: bool) -> None:
+        """Check every still, or the first frame of a sequence.
 
         Later frames of a sequence are only checked for values that the converter cannot give, and only if the first frame
-        has none. Frames that a worker will read are not checked.
+        has none.
         """
-        first_text = ""
-        for each in frames:
-            if isinstance(each.frame, RawFrame) and (stills or not self._seen):
-                self.measure(each.frame)
-                first_text = beyond_converter(each.frame, self.table)
-            elif isinstance(each.frame, RawFrame) and not first_text:
-                self._note(beyond_converter(each.frame, self.table), each.frame.name)
-            yield each
+        if stills or not self._seen:
+            self.measure(frame)
+            self._first_is_beyond = bool(beyond_converter(frame, self.table))
+        elif not self._first_is_beyond:
+            self._note(beyond_converter(frame, self.table), frame.name)
 
     def _note(self, text: str, name: str) -> None:
         """Count a warning about a frame; "" is no warning."""

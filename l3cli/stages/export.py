@@ -21,7 +21,7 @@ from l3cli.rendering.conditions import at_gain, known_gains, mix_for, mixed, noi
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.simulation.light import named_beyond_known
-from l3cli.stages.rendering.render import mix_of_given
+from l3cli.stages.rendering.job import mix_of_given
 from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a

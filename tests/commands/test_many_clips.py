@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,13 @@ import numpy as np
 import pytest
 
 from l3cli.cli import run
-from l3cli.errors import DeviceError, L3Error
+from l3cli.errors import DeviceError, InputFileError, RecipeError
 from l3cli.io.file_names import name_of
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.options.render import RenderOptions
 from l3cli.rendering.renderer import make_renderer
 from l3cli.stages.rendering import clips
-from l3cli.stages.rendering.clips import STATE, ClipJob
-from l3cli.stages.rendering.render import render
+from l3cli.stages.rendering.clips import Summary, render_clips
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RUN, frames, pictures, write_raw_video, write_stack
 
@@ -49,7 +47,8 @@ PLACES = ("fold", "pat", "stack", "still.png", "v")
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
+    """Return what a user sees in a folder."""
+    return sorted(path.name for path in folder.iterdir() if path.name[0] != ".")
 
 
 def document(out: str) -> dict[str, Any]:
@@ -64,7 +63,7 @@ def test_each_clip_is_rendered_as_if_alone(l3: L3, tmp_path: Path, table: Path, 
     call = ("render", table, *(shots / name for name in NAMES), "-o", tmp_path / "out", *FAST)
     code, out, err = l3(*call)
     assert (code, err) == (0, "")
-    assert names(tmp_path / "out") == sorted((STATE, *PLACES))
+    assert names(tmp_path / "out") == sorted(PLACES)
     lines = out.splitlines()
     assert lines[-1] == f"clips: 5 rendered, 0 kept, 0 failed; frames: {4 * COUNT + 1}, 0 left out"
     assert [line.split()[0] for line in lines[1:-1]] == [str(shots / name) for name in NAMES]
@@ -129,7 +128,7 @@ def test_a_clip_that_fails_stops_no_other_and_is_all_that_is_done_again(
     assert [clip["state"] for clip in found["clips"]] == ["rendered", "rendered", "kept", "kept"]
     assert found["frames"] == 3 * COUNT + 1
     assert all(path.stat().st_mtime_ns == at for path, at in first.items())
-    assert names(tmp_path / "out") == [STATE, "cut", "gone", "stack", "still.png"]
+    assert names(tmp_path / "out") == ["cut", "gone", "stack", "still.png"]
 
 
 def test_if_all_fail_the_exit_code_is_that_of_the_first(l3: L3, tmp_path: Path, table: Path) -> None:
@@ -165,7 +164,7 @@ def test_two_clips_of_one_name_or_one_that_is_there_are_refused_before_work(
 def test_clips_of_a_folder_become_videos(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:
     call = ("render", table, shots / "stack.npy", shots / "fold", "-o", tmp_path / "out", "--format", "mkv", *FAST)
     assert l3(*call)[0] == 0
-    assert names(tmp_path / "out") == [STATE, "fold.mkv", "stack.mkv"]
+    assert names(tmp_path / "out") == ["fold.mkv", "stack.mkv"]
 
 
 @pytest.mark.parametrize(
@@ -181,24 +180,7 @@ def test_an_output_is_never_taken_for_a_pattern(l3: L3, tmp_path: Path, table: P
     shutil.copytree(shots / "fold", tmp_path / "take.1")
     call = ("render", table, tmp_path / "a#1.npy", tmp_path / "take.1", "-o", tmp_path / "out", *FAST)
     assert l3(*call)[0] == 0
-    assert names(tmp_path / "out") == [STATE, "a_1.png", "take_1"]
-
-
-def test_a_full_disk_or_a_missing_device_stops_all(
-    tmp_path: Path, table: Path, shots: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for error, raised in ((DeviceError("none"), DeviceError), (OSError(28, "full"), OSError)):
-        calls: list[Path] = []
-
-        def fails(_: Path, inputs: tuple[Path, ...], *__: object, error: Exception = error, calls: list = calls) -> Any:
-            calls.append(inputs[0])
-            raise error
-
-        monkeypatch.setattr(clips, "render", fails)
-        job = ClipJob(table, tmp_path / "out", RenderOptions(force=True))
-        with pytest.raises(raised):
-            job.run([shots / "v.mkv", shots / "stack.npy"])
-        assert calls == [shots / "v.mkv"]
+    assert names(tmp_path / "out") == ["a_1.png", "take_1"]
 
 
 # -------------------------------------------------------------------------------------------------------- the same again
@@ -219,21 +201,8 @@ def again(tmp_path: Path, table: Path, monkeypatch: pytest.MonkeyPatch) -> Calla
     return call
 
 
-def replaced(path: Path, content: bytes) -> None:
-    """Another file of the same name, size and time in the place of one, as `cp -p` or `rsync` make it."""
-    before = path.stat()
-    assert len(content) == before.st_size
-    path.write_bytes(content)
-    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-
-
-def content_of(array: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, array)
-    return stream.getvalue()
-
-
 def test_a_folder_of_clips_is_rendered_again_and_again(again: Callable, shots: Path, tmp_path: Path) -> None:
+    """New and changed clips are rendered, the others are kept. What others have put in the place of an output stays."""
     spot, out = tmp_path / "in", tmp_path / "out"
     shutil.copytree(shots / "fold", spot / "fo; touch x `ld`")
     np.save(spot / "--half $(1).npy", frames())
@@ -242,16 +211,64 @@ def test_a_folder_of_clips_is_rendered_again_and_again(again: Callable, shots: P
     (spot / "empty").mkdir()
     first = [("--half $(1).npy", "rendered"), ("fo; touch x `ld`", "rendered")]
     assert again() == first
-    assert names(out) == ["--half $(1)", STATE, "fo; touch x `ld`"]
+    assert names(out) == ["--half $(1)", "fo; touch x `ld`"]
     assert again() == [(name, "kept") for name, _ in first]
     shutil.copy(shots / "v.mkv", spot)  # a new name
     np.save(spot / "still.npy", frames(1)[0])
     assert again()[2:] == [("still.npy", "rendered"), ("v.mkv", "rendered")]
     assert {state for _, state in again()} == {"kept"}
-    (spot / "v.mkv").unlink()
-    shutil.rmtree(out / "v")
-    assert {state for _, state in again()} == {"kept"}
-    assert len((out / STATE).read_text().splitlines()) == 1 + 3  # it does not grow for ever
+    np.save(spot / "--half $(1).npy", frames()[::-1])
+    np.save(spot / "still.npy", frames(2)[1])
+    assert [state for _, state in again()] == ["rendered", "kept", "rendered", "kept"]
+    (out / "still.png").write_text("mine")
+    assert [state for _, state in again(code=1)] == ["kept", "kept", "failed", "kept"]
+    assert (out / "still.png").read_text() == "mine"
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "y4m"])
+def test_videos_are_kept_or_rendered_again(again: Callable, shots: Path, tmp_path: Path, suffix: str) -> None:
+    clip, video = tmp_path / "in/fold", tmp_path / f"out/fold.{suffix}"
+    shutil.copytree(shots / "fold", clip)
+    assert again("--format", suffix) == [("fold", "rendered")]
+    before = video.read_bytes()
+    assert again("--format", suffix) == [("fold", "kept")]
+    (clip / "f_01.tif").write_bytes((clip / "f_02.tif").read_bytes())
+    assert again("--format", suffix) == [("fold", "rendered")]
+    assert video.read_bytes() != before
+    assert again("--format", suffix, "--frames", "0-2", code=2) == [("fold", "failed")]  # other options are another run
+    assert again("--format", suffix, "--frames", "0-2", "--force") == [("fold", "rendered")]
+
+
+def test_a_full_disk_a_missing_device_or_another_table_stops_all(
+    tmp_path: Path, table: Path, shots: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sources, options = [shots / "v.mkv", shots / "stack.npy"], RenderOptions(force=True)
+    for error, raised in ((DeviceError("none"), DeviceError), (OSError(28, "full"), OSError)):
+        calls: list[Path] = []
+
+        def fails(_: Path, inputs: tuple[Path, ...], *__: object, error: Exception = error, calls: list = calls) -> Any:
+            calls.append(inputs[0])
+            raise error
+
+        with monkeypatch.context() as patched:
+            patched.setattr(clips, "render", fails)
+            with pytest.raises(raised):
+                render_clips(table, sources, tmp_path / "out", options, Summary())
+        assert calls == sources[:1]
+
+    def touched(*_: object) -> Any:
+        os.utime(table, (1, 1))
+        raise InputFileError("broken")
+
+    monkeypatch.setattr(clips, "render", touched)
+    with pytest.raises(RecipeError, match="has changed since the run began"):
+        render_clips(table, sources, tmp_path / "out", options, Summary())
+
+
+def test_a_folder_of_clips_and_its_output_lie_apart(refused: Refused, table: Path, shots: Path) -> None:
+    for path in (shots / "fold").parent.glob("pat*"):
+        path.unlink()
+    assert "lie in one another" in refused(2, "render", table, shots, *FAST, "-o", shots / "out")
 
 
 def test_a_folder_of_frames_is_one_clip_and_what_else_is_in_it_is_named(
@@ -263,105 +280,7 @@ def test_a_folder_of_frames_is_one_clip_and_what_else_is_in_it_is_named(
     assert "without" not in l3(*call)[2]
     shutil.copy(shots / "v.mkv", fold)
     assert f"{fold} is taken for its frames, without v.mkv; name" in l3(*call, "--force")[2]
-    assert names(tmp_path / "out") == [STATE, "fold.mkv"]
-
-
-def test_another_clip_of_the_same_name_size_and_time_is_rendered(again: Callable, shots: Path, tmp_path: Path) -> None:
-    clip, out = tmp_path / "in/a.npy", tmp_path / "out/a"
-    np.save(clip, frames())
-    shutil.copytree(shots / "fold", tmp_path / "in/fold")
-    again()
-    before = pictures(out)["a_000000.png"]
-    replaced(clip, content_of(frames()[::-1]))
-    assert again() == [("a.npy", "rendered"), ("fold", "kept")]
-    assert not np.array_equal(pictures(out)["a_000000.png"], before)
-    first, second = (tmp_path / f"in/fold/f_0{number}.tif" for number in (0, 1))
-    replaced(first, second.read_bytes())
-    assert again() == [("a.npy", "kept"), ("fold", "rendered")]
-    os.unlink(clip)
-    np.save(clip, frames(3))  # a name used again, for fewer frames: of the others no picture stays
-    assert again() == [("a.npy", "rendered"), ("fold", "kept")]
-    assert list(pictures(out)) == [f"a_{number:06d}.png" for number in range(3)]
-
-
-def test_another_dark_frame_of_the_same_size_and_time_is_another_run(again: Callable, tmp_path: Path, l3: L3) -> None:
-    np.save(tmp_path / "in/a.npy", frames())
-    dark = tmp_path / "dark"
-    dark.mkdir()
-    np.save(dark / "0.npy", np.full(frames()[0].shape, 64, np.uint16))
-    assert again("--dark", dark) == [("a.npy", "rendered")]
-    assert again("--dark", dark) == [("a.npy", "kept")]
-    replaced(dark / "0.npy", content_of(np.full(frames()[0].shape, 65, np.uint16)))
-    call = ("render", tmp_path / "table.h5", tmp_path / "in", "-o", tmp_path / "out", "--resume", "--dark", dark)
-    assert "another table or options" in l3(*call, *FAST)[2]
-
-
-def test_a_name_is_used_again_when_its_clip_is_gone(again: Callable, shots: Path, tmp_path: Path) -> None:
-    clip, out = tmp_path / "in/v.npy", tmp_path / "out/v"
-    np.save(clip, frames())
-    np.save(tmp_path / "in/w.npy", frames())
-    again()
-    (tmp_path / "elsewhere").mkdir()
-    clip.rename(tmp_path / "elsewhere/v.npy")
-    shutil.copy(shots / "v.mkv", tmp_path / "in")
-    again(code=0)
-    assert len(pictures(out)) == COUNT
-    assert {state for _, state in again()} == {"kept"}
-    shutil.rmtree(out)  # taken away: made again
-    assert again() == [("v.mkv", "rendered"), ("w.npy", "kept")]
-    (out / f"v_{0:06d}.png").write_text("mine")  # what others have put there is not replaced
-    replaced(tmp_path / "in/v.mkv", (shots / "v.mkv").read_bytes())
-    assert again(code=1) == [("v.mkv", "failed"), ("w.npy", "kept")]
-    assert (out / f"v_{0:06d}.png").read_text() == "mine"
-
-
-def test_an_output_of_a_clip_that_is_still_there_is_not_replaced(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:
-    (tmp_path / "tuesday").mkdir()
-    np.save(tmp_path / "tuesday/v.npy", frames())
-    call = ("render", table, "-o", tmp_path / "out", "--format", "mkv", "--resume", *FAST)
-    assert l3(*call, shots / "v.mkv")[0] == 0
-    code, _, err = l3(*call, tmp_path / "tuesday/v.npy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert f"was made of {shots / 'v.mkv'}, which is still there; name another folder" in err
-    os.unlink(shots / "v.mkv")
-    assert l3(*call, tmp_path / "tuesday/v.npy")[0] == 0
-
-
-def test_what_was_half_done_is_done_again(shots: Path, table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A killed run leaves pictures, and nothing that says that the clip has ended."""
-
-    class Dies(Exception):
-        pass
-
-    def dies(*about: Any) -> Any:
-        render(*about)
-        raise Dies
-
-    inputs, options = [shots / "stack.npy", shots / "v.mkv"], RenderOptions(backend="reference")
-    with monkeypatch.context() as patch:
-        patch.setattr(clips, "render", dies)
-        with pytest.raises(Dies):
-            ClipJob(table, tmp_path / "out", options).run(inputs)
-    (tmp_path / "out/stack/stack_000002.png").unlink()
-    new = ClipJob(table, tmp_path / "out", replace(options, resume=True))
-    new.run(inputs)
-    assert [report.state for report in new.summary.clips] == ["rendered", "rendered"]
-    assert len(pictures(tmp_path / "out/stack")) == COUNT
-
-
-def test_a_stopped_clip_that_has_changed_leaves_no_picture(again: Callable, tmp_path: Path) -> None:
-    clip, out = tmp_path / "in/fold", tmp_path / "out/fold"
-    clip.mkdir()
-    np.save(tmp_path / "in/z.npy", frames())
-    for number, mosaic in enumerate(frames()):
-        np.save(clip / f"{number}.npy", mosaic)
-    (clip / "4.npy").write_bytes(b"broken")
-    assert again(code=1) == [("fold", "failed"), ("z.npy", "rendered")]
-    assert list(pictures(out)) == [f"{number}.png" for number in range(4)]
-    os.unlink(clip / "4.npy")
-    os.unlink(clip / "3.npy")
-    assert again() == [("fold", "rendered"), ("z.npy", "kept")]
-    assert list(pictures(out)) == [f"{number}.png" for number in range(3)]
+    assert names(tmp_path / "out") == ["fold.mkv"]
 
 
 def test_a_renderer_is_made_once_and_anew_after_an_error(
@@ -382,21 +301,6 @@ def test_a_renderer_is_made_once_and_anew_after_an_error(
     (tmp_path / "in/c.npy").write_bytes(b"cut")
     again("--force", "--frames", "0", code=1)
     assert made == ["reference"] * 3
-
-
-def test_what_cannot_be_done_again_is_refused(again: Callable, refused: Refused, table: Path, tmp_path: Path) -> None:
-    spot = tmp_path / "in"
-    np.save(spot / "a.npy", frames())
-    call = ("render", table, spot, *FAST)
-    assert "lie in one another" in refused(2, *call, "-o", spot / "out")
-    for gone in (("--watch", spot), ("--watch", spot, "--every", 3)):
-        assert "--watch was removed" in refused(2, "render", table, *gone)
-    again()
-    assert "another table or options" in refused(2, *call, "-o", tmp_path / "out", "--resume", "--frames", "0")
-    job = ClipJob(table, tmp_path / "new", RenderOptions())
-    os.utime(table, (1, 1))
-    with pytest.raises(L3Error, match="has changed since the run began"):
-        job.run([spot / "a.npy"])
 
 
 def test_ctrl_c_ends_many_clips_with_130_and_their_results(table: Path, tmp_path: Path) -> None:
@@ -427,4 +331,4 @@ def test_ctrl_c_ends_many_clips_with_130_and_their_results(table: Path, tmp_path
     assert (ended.returncode, err) == (130, "l3: interrupted\n")
     assert [clip["state"] for clip in found["clips"]] == ["rendered"]
     assert found["run"]["error"]["kind"] == "interrupted"
-    assert names(tmp_path / "out") == [STATE, "a.mkv"]
+    assert names(tmp_path / "out") == ["a.mkv"]

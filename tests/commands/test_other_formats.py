@@ -23,7 +23,8 @@ SMOOTH = (2000 + 1500 * np.sin(np.indices((3, 32, 40)).sum(0) / 6)).astype(np.ui
 
 def frames_of(path: Path, dataset: str | None = None) -> list[tuple[np.ndarray, tuple[int, int]]]:
     """Values and phase of the frames of a file."""
-    found = (each.read() for each in find_frames((path,), RGGB, RawOverrides(), dataset=dataset).frames)
+    sequence = find_frames((path,), RGGB, RawOverrides(), dataset=dataset).frames
+    found = (sequence.read(each.number) for each in sequence)
     return [(frame.values, frame.phase) for frame in itertools.takewhile(lambda frame: frame is not None, found) if frame]
 
 

@@ -25,7 +25,7 @@ LEVELS = RawOverrides(black_level=0.0625, white_level=1.0)
 def read(path: Path, known: RawOverrides | None = None, dataset: str | None = None) -> np.ndarray:
     """The values (frame, row, col) of all frames of a file."""
     sequence = find_frames((path,), RGGB, known or RawOverrides(), dataset=dataset)
-    return np.array([frame.values for each in sequence.frames if (frame := each.read())])
+    return np.array([frame.values for each in sequence.frames if (frame := sequence.frames.read(each.number))])
 
 
 def written(path: Path, values: np.ndarray, about: Callable[[Any], None] = lambda data: None, name: str = "a/raw") -> Path:

@@ -122,11 +122,12 @@ def test_headers_and_byte_orders_of_files_and_stacks(tmp_path: Path) -> None:
     values = random_frame("Mono16", (3, 32, 40), 4)
     (tmp_path / "a.bin").write_bytes(bytes(178) + values.astype(">u2").tobytes())
     known = RawOverrides(skip=178, byte_order="big")
-    frames = [reference.read() for reference in find_frames((tmp_path / "a.bin",), RGGB, known).frames]
+    sequence = find_frames((tmp_path / "a.bin",), RGGB, known).frames
+    frames = [sequence.read(reference.number) for reference in sequence]
     np.testing.assert_array_equal([frame.values for frame in frames if frame], values)
     for cut in (177, 179):
         with pytest.raises(InputFileError, match=r"bytes|within frame"):
-            [each.read() for each in find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames]
+            find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames.read(0)
     with pytest.raises(RecipeError, match="Mono10p has none"):
         make_layout((4, 4), "Mono10p", byte_order="little")
 
@@ -383,7 +384,7 @@ def test_a_filter_that_is_missing_is_named(
 def test_a_fits_cube_is_a_sequence(tmp_path: Path, mosaic: np.ndarray) -> None:
     fits.writeto(tmp_path / "a.fits", np.stack([mosaic, mosaic // 2, mosaic // 3]), fits.Header({"BAYERPAT": "RGGB"}))
     sequence = find_frames((tmp_path / "a.fits",), RGGB, RawOverrides())
-    read = [(each.stem, each.read()) for each in sequence.frames]
+    read = [(each.stem, sequence.frames.read(each.number)) for each in sequence.frames]
     assert [stem for stem, _ in read] == ["a_000000", "a_000001", "a_000002"]
     for divisor, (_, frame) in enumerate(read, 1):
         assert frame is not None

@@ -7,7 +7,7 @@ import pytest
 
 from l3cli.io.video import pyav
 from l3cli.rendering.temporal import chunks
-from l3cli.stages.rendering import checkpoint
+from l3cli.stages.rendering.job import part_of
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import FAST, filtered_places
 from tests.helpers.still_scene import COUNT, mosaics
@@ -90,12 +90,12 @@ def test_shards_of_long_sequences_begin_with_chunks(count: int) -> None:
     from l3cli.io.sequences import FrameSequence
 
     sequence = FrameSequence("clip", None, count, stills=False)  # type: ignore[arg-type]
-    parts = [checkpoint.part_of(sequence, (number, 4), temporal=True) for number in range(1, 5)]
+    parts = [part_of(sequence, (number, 4), temporal=True) for number in range(1, 5)]
     assert [place for part in parts for place in part] == [*range(count)]
     assert all(parts)
     assert all(part.start % 240 == 0 for part in parts)
-    assert checkpoint.part_of(sequence, (2, 4), temporal=False).start == count // 4
-    assert checkpoint.part_of(sequence, (2, 5), temporal=True).start % 240 == (0 if count >= 1200 else count // 5)
+    assert part_of(sequence, (2, 4), temporal=False).start == count // 4
+    assert part_of(sequence, (2, 5), temporal=True).start % 240 == (0 if count >= 1200 else count // 5)
 
 
 def test_parts_of_a_video_join_to_the_frames_of_one_run(

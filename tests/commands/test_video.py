@@ -19,7 +19,7 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.images import read_image
 from l3cli.io.video import VideoChoice, new_video, new_y4m
-from l3cli.stages.rendering import executors
+from l3cli.stages.rendering import pictures as rendered_pictures
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
 
@@ -291,7 +291,7 @@ def test_nothing_is_left_where_no_frame_could_be_read(refused: Refused, tmp_path
 def test_an_interrupted_video_leaves_nothing(
     l3: L3, tmp_path: Path, table: Path, stack: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    rendered = executors.upright
+    rendered = rendered_pictures.upright
     calls: list[int] = []
 
     def interrupted(*arguments: Any) -> np.ndarray:
@@ -300,7 +300,7 @@ def test_an_interrupted_video_leaves_nothing(
             raise KeyboardInterrupt
         return rendered(*arguments)
 
-    monkeypatch.setattr(executors, "upright", interrupted)
+    monkeypatch.setattr(rendered_pictures, "upright", interrupted)
     before = sorted(tmp_path.iterdir())
     assert l3("render", table, stack, "-o", tmp_path / name, *FAST) == (130, "", "\nl3: interrupted\n")
     assert sorted(tmp_path.iterdir()) == before

@@ -304,7 +304,7 @@ def test_what_cannot_be_loaded_or_started_is_one_line(
     def unmapped(*_: object) -> None:
         raise ImportError("libfoo.so: failed to map segment from shared object")
 
-    monkeypatch.setattr("l3cli.stages.rendering.render.load", unmapped)
+    monkeypatch.setattr("l3cli.stages.rendering.job.load", unmapped)
     assert "libfoo.so: failed to map segment" in refused(1, "render", table, stack, "-o", tmp_path / "out", *FAST)
 
 

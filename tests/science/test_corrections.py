@@ -35,7 +35,8 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.rendition import Rendition
 from l3cli.rendering.white.source import usual_balance
 from l3cli.simulation.sensor import expose, mosaic
-from l3cli.stages.rendering.executors import Exposed, Local, Remote, RenderSetup, Unread
+from l3cli.stages.rendering.pictures import LocalPictures, RemotePictures, RenderSetup
+from l3cli.stages.rendering.reading import FrameTask
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import BAYER, FIVE_BAND, X_TRANS, random_camera
 from tests.helpers.flaws import Flaws, flaws, seen, shading
@@ -282,7 +283,7 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
     known = RawOverrides(correction=correction_of(load(CameraModel, file.path)))
     shading = known.correction.shading if known.correction else None
     path, rendition = flawed / "frames/1.npy", Rendition(usual_balance(table), 1.0, 8)
-    frame, reference = read_raw(path, table, known), FrameReference(1, "1", lambda: None)
+    frame, reference = read_raw(path, table, known), FrameReference(1, "1", path)
 
     def pool(function: Any, jobs: Iterable[Any]) -> Iterator[Any]:
         for job in jobs:
@@ -291,14 +292,12 @@ def test_workers_correct_alike_whoever_reads(flawed: Path) -> None:
             assert shading.gain.tobytes() not in sent
             yield function(pickle.loads(sent))
 
-    setup = RenderSetup(
-        flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, RawOverrides(), rendition, None, file
-    )
-    ((_, place),) = Local(ReferenceRenderer(table), setup).render(iter([Exposed(reference, frame, 1.0, None)]))
-    for given in (frame, Unread(path, sha256(path))):
-        exposed = Exposed(reference, given, 1.0, None)
-        ((_, made),) = Remote(pool, setup, True, shading).render(iter([exposed]))  # type: ignore[arg-type]
-        np.testing.assert_array_equal(made.pixels, place.pixels)
+    setup = RenderSetup(flawed / "table.h5", sha256(flawed / "table.h5"), "reference", {}, known, rendition, None, file)
+    read = FrameTask(reference, 0, frame=frame, scale=1.0)
+    ((_, local),) = LocalPictures(setup, ReferenceRenderer(table)).pictures([read])
+    for task in (read, FrameTask(reference, 0, digest=sha256(path), scale=1.0)):
+        ((_, remote),) = RemotePictures(pool, setup).pictures([task])  # type: ignore[arg-type]
+        np.testing.assert_array_equal(remote.pixels, local.pixels)
     assert NODE_SPACING_COLUMNS % 16 == 0  # of the kernels' vectors none lies over a node
 
 

@@ -4,7 +4,7 @@ import contextlib
 import errno
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -193,7 +193,9 @@ class Pages:
 
 
 @contextlib.contextmanager
-def new_pages(path: Path, count: int | None) -> Iterator[Pages]:
-    """Yield the pages of a new file, which is written atomically."""
-    with atomic_output(path) as temporary, contextlib.closing(Pages(temporary, count)) as pages:
-        yield pages
+def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
+    """Yield the pages of a new file, which appears atomically, after `finished` was called with its temporary file."""
+    with atomic_output(path) as temporary:
+        with contextlib.closing(Pages(temporary, count)) as pages:
+            yield pages
+        finished(temporary)

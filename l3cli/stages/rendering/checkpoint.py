@@ -30,7 +30,7 @@ class PictureCheckpoint(Checkpoint):
     path : Path
         File of the checkpoint, beside the outputs.
     key : str
-        Digest of the table and of the options on which the bytes of the outputs depend.
+        Digest of the table, of the options on which the bytes of the outputs depend, and of where the inputs lie.
     """
 
     def __init__(self, path: Path, key: str) -> None:
@@ -48,11 +48,13 @@ class PictureCheckpoint(Checkpoint):
         Raises
         ------
         RecipeError
-            If the earlier run had another table or other options, unless `force` is set.
+            If the earlier run had another table, other options or inputs elsewhere, unless `force` is set.
         """
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
-            raise RecipeError(f"{output} holds a run with another table or options; leave ‹resume› out, or add ‹force›")
+            raise RecipeError(
+                f"{output} holds a run with another table, inputs or options; leave ‹resume› out, or add ‹force›"
+            )
         self._unseen = {name for name in self.items if self.is_ours(self.path.with_name(name))}
 
     def is_ours(self, file: Path) -> bool:

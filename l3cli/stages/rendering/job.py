@@ -125,7 +125,7 @@ def open_job(
     _refuse_frames(sequence, destination, table, options)
     _protect_frames(sequence, guard)
     keeps = destination.kind != "stream" and (destination.kind != "file" or options.resume or is_clip)
-    key = options.run_key(digest, os.environ.get("L3_DEVICE"))
+    key = options.run_key(digest, os.environ.get("L3_DEVICE"), _folder_or_file(inputs))
     checkpoint = checkpoint_of(destination, key, options.resume, options.force) if keeps else None
     refuse_outputs(destination, sequence, options.force, checkpoint.is_ours if checkpoint else lambda _: False)
     return Job(
@@ -195,14 +195,15 @@ def _prepared_meanwhile(
 def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
     """Raise RecipeError if an option does not fit the destination."""
     space, exposure = options.space, options.exposure
-    if not has_display(destination, options) and (exposure.factor is not None or exposure.stops or options.white is not None):
-        raise RecipeError(
-            "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
-        )
-    if not has_display(destination, options) and options.deflicker:
-        raise RecipeError(
-            "‹deflicker› changes exposures, and files of floating point hold the outputs as they are; name a ‹space›"
-        )
+    if not has_display(destination, options):
+        if exposure.factor is not None or exposure.stops or options.white is not None:
+            raise RecipeError(
+                "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
+            )
+        if options.deflicker:
+            raise RecipeError(
+                "‹deflicker› changes exposures, and files of floating point hold the outputs as they are; name a ‹space›"
+            )
     if options.tone is not None and (destination.linear or destination.raw):
         raise RecipeError("‹tone› is for pictures of codes, and values are linear here; leave it out, or name a .png")
     if space not in (None, "srgb") and not destination.one_by_one:
@@ -284,9 +285,7 @@ def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
 
-def _refuse_frames(
-    sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions
-) -> None:
+def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
     """Raise RecipeError or InputFileError if an option does not fit the frames, or if frames are missing."""
     if options.deflicker and sequence.stills and destination.pictures:
         raise RecipeError(f"‹deflicker› is for frames that follow one another; {sequence.what} is no sequence")
@@ -305,13 +304,16 @@ def _refuse_frames(
         raise sequence.absent(sequence.missing[0])
 
 
-def _files_read(
-    table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions
-) -> FilesUsed:
+def _folder_or_file(inputs: tuple[Path, ...]) -> str:
+    """Return where the frames lie: the one input, or the folder of several files, to which others may be added later."""
+    return os.path.realpath(inputs[0] if len(inputs) == 1 else inputs[0].parent)
+
+
+def _files_read(table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions) -> FilesUsed:
     """Return the files that are read. Frames of a stream, which may be endless, are not listed."""
     frames = () if sequence.is_stream else sequence.frames
-    rendered = (frame.source for place, frame in enumerate(frames) if sequence.renders(place))
-    return files_to_read({"table": [table_file], "inputs": list(filter(None, rendered)) or inputs, "dark frames": options.dark})
+    files = [frame.source for place, frame in enumerate(frames) if frame.source and sequence.renders(place)]
+    return files_to_read({"table": [table_file], "inputs": files or inputs, "dark frames": options.dark})
 
 
 # ------------------------------------------------------------------------------------------------------------ display

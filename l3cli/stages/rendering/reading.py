@@ -65,6 +65,7 @@ class FrameReader:
         measures = bool(meter) or job.options.deflicker
         self._measures_all = measures and job.in_order
         self._leaves_to_workers = workers_read and job.destination.one_by_one and not (measures or job.options.temporal)
+        self._fixed_scale = look.rendition.exposure or 0.0
         self._shape: tuple[int, ...] | None = None  # of the first frame
         # A stream is not read ahead, because its next frame may not have arrived yet.
         self._looks_ahead = job.options.temporal and (not self._sequence.is_stream or self._sequence.part is not None)
@@ -107,7 +108,7 @@ class FrameReader:
             digest = sha256(task.reference.source)
         except L3Error as error:
             return replace(task, error=error)
-        return replace(task, digest=digest, identity=file_identity(digest), scale=self._meter.fixed_scale)
+        return replace(task, digest=digest, identity=file_identity(digest), scale=self._fixed_scale)
 
     def _measured(self, task: FrameTask) -> FrameTask | None:
         """Read and measure a frame. Returns None at the end of a stream."""

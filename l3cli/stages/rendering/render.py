@@ -6,8 +6,8 @@ from l3cli.options.render import RenderOptions
 from l3cli.stages.rendering.job import open_job
 from l3cli.stages.rendering.look import choose_look
 from l3cli.stages.rendering.pictures import Renderers
-from l3cli.stages.rendering.run import run
 from l3cli.stages.rendering.reports import Tally
+from l3cli.stages.rendering.run import run
 from l3cli.system.outputs import OutputGuard
 
 

@@ -6,7 +6,7 @@ writing overlap in threads with short queues between them, so that memory does n
 
 import contextlib
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import astuple, replace
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
     tally.report(job)
     for warning in filter(None, (odd_exposure_time(job.overrides.exposure, look.table), cache_warning())):
         job.options.console.warn(warning)
-    tally.files = job.files.and_wrote(*tally.written)
+    tally.files = job.files.and_wrote(*sorted(tally.written))
     return tally
 
 
@@ -137,14 +137,15 @@ def _origins(job: Job, look: Look) -> FrameOrigins:
     return FrameOrigins(job.inputs[0], settings, job.frames_depend_on_earlier)
 
 
-def _lister(job: Job, look: Look, tally: Tally):
+def _lister(job: Job, look: Look, tally: Tally) -> Callable[[Path, Path, FrameReference | None], None]:
     """Return the function that lists a finished file, in the tally and the checkpoint, before its file is renamed."""
     whole = "" if job.destination.one_by_one or job.checkpoint is None else _origins(job, look).of_all(look.sequence)
 
     def add(file: Path, temporary: Path, reference: FrameReference | None) -> None:
         tally.written.append(file)
-        if job.checkpoint is not None:
-            origin, frames = (whole, tally.done) if reference is None else (reference.origin, 1)
-            job.checkpoint.made(file, temporary, origin, frames=frames, left_out=tally.failures)
+        if job.checkpoint is not None and reference is not None:
+            job.checkpoint.made(file, temporary, reference.origin)
+        elif job.checkpoint is not None:
+            job.checkpoint.made(file, temporary, whole, frames=tally.done, left_out=tally.failures)
 
     return add
