@@ -152,7 +152,6 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
         (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),
         (2, "a.gif", (folder / "*.tif", "-o", tmp_path / "a.gif")),
         (2, "--codec", (folder / "*.tif", *out, "--codec", "h264")),
-        (2, "--resume", (folder / "*.tif", "-o", tmp_path / "a.mp4", "--resume")),
         (2, "--dataset", (folder / "*.tif", *out, "--dataset", "x")),
         (3, "matches no file", (tmp_path / "x_%04d.tif", *out)),
         (3, "matches no file", (tmp_path / "x_*.tif", *out)),

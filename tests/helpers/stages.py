@@ -84,7 +84,7 @@ STAGES = [
     Stage("still", "render in/table.h5 in/frames/f_0.tif -o out/still.png --backend reference --quiet"),
     Stage("sequence", f"{RENDER} -o out/pictures --bits 16", resumes=True),
     Stage("pattern", f"{RENDER} -o out/p_####.exr".replace("--exposure 0.8 ", ""), resumes=True),
-    Stage("video", f"{RENDER} -o out/clip.mkv"),
+    Stage("video", f"{RENDER} -o out/clip.mkv", resumes=True),
     Stage(
         "evaluate",
         "evaluate in/table.h5 in/unseen.h5 --pictures out/pictures --backend reference --quiet",

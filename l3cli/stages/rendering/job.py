@@ -59,6 +59,7 @@ class Job:
     overrides: RawOverrides  # facts about the raw files, dark frame and corrections
     camera: CameraFile | None  # camera model whose defects and flat field are corrected
     engine: dict[str, str]  # options of the backend
+    shows_photos: bool  # whether pictures are made from files that state a white of their own
     white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
     mix: Mix | None  # lights of the table for a white that is given
     rendition: Rendition
@@ -70,11 +71,6 @@ class Job:
     def find(self, overrides: RawOverrides) -> FrameSequence:
         """Return the frames of the inputs anew, to be read with these facts about the raw files."""
         return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
-
-    @property
-    def uses_photos(self) -> bool:
-        """Whether pictures are made from files that state a white of their own."""
-        return has_display(self.destination, self.options) and are_photos(self.inputs[0])
 
     @property
     def in_order(self) -> bool:
@@ -115,7 +111,8 @@ def open_job(
     table = loaded.pictured() if has_display(place, options) else loaded
     camera = None if options.camera is None else CameraFile(options.camera.absolute(), sha256(options.camera))
     overrides = _with_corrections(stated, table, camera, options, guard)
-    source = white_source(options.white, table, has_display(place, options) and are_photos(inputs[0]))
+    shows_photos = has_display(place, options) and are_photos(inputs[0])
+    source = white_source(options.white, table, shows_photos)
     mix = None if source else mix_of_given(options.white, table, nearest_for, options.console)
     rendition = _rendition(place, None if source else options.white, mixed(table, mix), options)
     if rendition.balance is not None and table.shows_grey:
@@ -129,9 +126,24 @@ def open_job(
     checkpoint = checkpoint_of(destination, key, options.resume, options.force) if keeps else None
     refuse_outputs(destination, sequence, options.force, checkpoint.is_ours if checkpoint else lambda _: False)
     return Job(
-        table_file, digest, table, inputs, sequence, destination, overrides, camera, engine, source, mix, rendition,
-        scheduler, checkpoint, _files_read(table_file, inputs, sequence, options), options,
-    )  # fmt: skip
+        table_file=table_file,
+        digest=digest,
+        table=table,
+        inputs=inputs,
+        sequence=sequence,
+        destination=destination,
+        overrides=overrides,
+        camera=camera,
+        engine=engine,
+        shows_photos=shows_photos,
+        white_source=source,
+        mix=mix,
+        rendition=rendition,
+        scheduler=scheduler,
+        checkpoint=checkpoint,
+        files=_files_read(table_file, inputs, sequence, options),
+        options=options,
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------ options

@@ -47,7 +47,7 @@ def choose_look(job: Job) -> Look:
         mix, sequence = _mix_of_first(job.white_source, job, found)
         table = mixed(job.table, mix)
         rendition = replace(job.rendition, balance=usual_balance(table))
-        source = white_source(job.options.white, table, job.uses_photos, job.table)
+        source = white_source(job.options.white, table, job.shows_photos, job.table)
     temporal = _temporal_filters(job, table) if job.options.temporal else None
     return Look(table, mix, overrides, sequence, rendition, source, video, pacing, temporal)
 
