@@ -1,6 +1,7 @@
-"""Rendering time per frame and stage, measured with synthetic frames and synthetic tables of realistic size.
+"""Measures the rendering time of frames and stages, with synthetic frames and synthetic tables of realistic size.
 
-The time of a frame runs from uint16 values in host memory to the result in host memory, with all transfers.
+The time of a frame includes all transfers: it begins with uint16 values in host memory and ends with the result in host
+memory.
 """
 
 import functools
@@ -27,11 +28,11 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-WINDOW_SIDE_PIXELS = 5  # pixels, side of the second layer's windows
+WINDOW_SIDE_PIXELS = 5  # pixels; side of the windows of the second layer
 TWO_LAYERS = ("default",)  # class recipes with a second layer
 STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # values of configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
-FRAMES = 40  # timed frames per case, after WARM_UP untimed frames
+FRAMES = 40  # number of timed frames per case, after WARM_UP untimed frames
 WARM_UP = 3
 
 
@@ -44,23 +45,23 @@ class Case:
     patch: int
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # 3: X, Y, Z, encoded as 8-bit sRGB; other numbers: floating-point outputs
+    outputs: int = 3  # 3 means X, Y, Z encoded as 8-bit sRGB; other numbers mean floating-point outputs
 
 
 CFAS = {
     "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
     "bayer": np.array([[0, 1], [1, 2]], np.uint8),
 }
-CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # levels and chromas of recipes in configs/classes
+CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # recipe in configs/classes → numbers of levels, chromas
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with as many classes as a trained one: the recipe's levels and chromas, two contrasts (one before a
-    second layer) and ten saturation cases.
+    """Return a table with a realistic number of classes.
 
-    The chroma centres lie around the grey of `synthetic_frame`, so that its pixels change between them. Each class gives
-    the mean of its window with small random deviations, so that pictures are nearly grey and lie in the gamut of sRGB, as
-    most pixels of real pictures do.
+    It has the levels and chromas of the recipe, two contrasts (one if there is a second layer) and ten saturation cases. The
+    chroma centres lie around the grey of `synthetic_frame`, so that its pixels have different chromas. The transform of each
+    class is the mean of its window, with small random deviations. Pictures are therefore nearly grey and lie in the sRGB
+    gamut, like most pixels of real pictures.
     """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
@@ -116,7 +117,7 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
     """Return the direction feature that the recipe `default` uses before a second layer."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
-    noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN, of a difference of two boxes
+    noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN; noise of a difference of two boxes
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
     return Feature("direction", 5, windows, np.array(constants, np.int32))
@@ -125,9 +126,11 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a layer of structure classes, whose gradients are in units of the frame's noise. Each class gives a grey of
-    the mean luminance of its window, with small random deviations."""
-    noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN, of a difference of means
+    """Return a layer of structure classes, with gradients in units of the frame's noise.
+
+    The transform of each class is a grey with the mean luminance of its window, with small random deviations.
+    """
+    noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN; of a difference of means
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
     rule = StructureRule(
@@ -141,7 +144,7 @@ def _second_layer(
     )
     classes = sites * rule.classes_per_site
     weights = 0.02 * rng.standard_normal((classes, white.size, 3, WINDOW_SIDE_PIXELS**2)) / WINDOW_SIDE_PIXELS
-    weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # of luminance, the second plane
+    weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # weights of luminance, which is the second plane
     single = weights.reshape(classes, white.size, -1).astype(np.float32)
     return PlaneLayer(WINDOW_SIDE_PIXELS, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
 
@@ -152,8 +155,9 @@ def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
-    """Return a smooth scene over all levels, with noise and some texture, so that neighbours differ in class as in real
-    frames.
+    """Return a smooth scene that covers all levels, with noise and some texture.
+
+    Neighbouring pixels therefore differ in class as often as in real frames.
     """
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
@@ -168,8 +172,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return edges all over the frame, as dense as in a busy scene, so that adjacent pixels of a site mostly differ in
-    structure.
+    """Return edges that cover the frame as densely as in a busy scene.
+
+    Adjacent pixels of the same site therefore mostly differ in structure.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -195,7 +200,7 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return the measurements of a variant on a device. Without `variant`, the reference renderer is measured, too."""
+    """Return the measurements of a variant on a device. Without `variant`, the reference renderer is measured as well."""
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
 
@@ -206,8 +211,8 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
     Returns
     -------
     dict
-        The case, and "frame_ms" as the caller waits, "stages_ms" as the device measures them (OpenCLRenderer.stage_times)
-        and "stages_sum_ms".
+        The case, the time of a frame as seen by the caller ("frame_ms"), the times of the stages as measured by the device
+        ("stages_ms", see OpenCLRenderer.stage_times), and their sum ("stages_sum_ms").
     """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)
@@ -224,7 +229,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Return the same for the numpy reference, with only three stages."""
+    """Return the same results as `measure` for the numpy reference, which has only three stages."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))

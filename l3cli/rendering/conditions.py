@@ -1,7 +1,7 @@
-"""Selection of the transforms that fit a frame.
+"""Selects the transforms for a frame.
 
-They depend on the frame's light, which may be a mixture of two (docs/method.md#several-lights), on its analog gain
-(docs/method.md#gains), and on the noise that a temporal filter has left in each pixel (docs/method.md#noise-sets).
+They depend on the illuminant of the frame, which may be a mixture of two (docs/method.md#several-lights), on the analog gain
+(docs/method.md#gains), and on the noise that remains in each pixel after a temporal filter (docs/method.md#noise-sets).
 """
 
 import functools
@@ -28,13 +28,13 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-MIN_VARIANCE = 1e-30  # DN², assumed where all channels clip
-DARKEST_REFINED = 2.0  # signal-to-noise ratio; transforms of darker levels would leave more noise than those at this level
-LEFT = (1 / 16, 1 / 4)  # fractions of the noise left by a temporal filter, for which transforms at lower gains are used
-GAINS_PER_DOUBLING = 12  # gains per doubling at which frames are rendered
-SAME_GAIN = 0.01  # relative difference up to which gains count as equal
-FAR_GAIN = 1.5  # factor beyond the known analog gains from which a frame is reported
-CLEARLY_LESS = 0.75  # fraction of a noise; transforms for hardly less noise are not worth a set
+MIN_VARIANCE = 1e-30  # DN²; noise variance assumed where all channels clip
+DARKEST_REFINED = 2.0  # signal-to-noise ratio; transforms from darker levels would leave more noise and are not used
+LEFT = (1 / 16, 1 / 4)  # fractions of noise after a temporal filter for which transforms of lower gains are used
+GAINS_PER_DOUBLING = 12  # number of gains per doubling at which frames are rendered
+SAME_GAIN = 0.01  # gains count as equal up to this relative difference
+FAR_GAIN = 1.5  # l3 warns if a gain lies outside the known analog gains by more than this factor
+CLEARLY_LESS = 0.75  # a set of transforms for less noise must be for less than this fraction of the next noise
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
@@ -45,18 +45,18 @@ Float = TypeVar("Float", np.float32, np.float64)
 
 @dataclass(frozen=True)
 class Mix:
-    """A mixture of two of a table's lights."""
+    """A mixture of two of a table's illuminants."""
 
-    warm: int  # index of the light
-    cool: int  # index of the light
-    share: float  # of the cooler light
+    warm: int  # index of the warmer illuminant
+    cool: int  # index of the cooler illuminant
+    share: float  # fraction of the cooler illuminant
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the mixture of a table's lights for a scene whose white has the given XYZ (3).
+    """Return the mixture of a table's illuminants for a scene whose white has the given XYZ (3).
 
-    The mixture is linear in reciprocal colour temperature between the two nearest lights. Beyond the outermost light it is
-    that light alone. The result is None if the table has no transforms for single lights.
+    Between the two nearest illuminants, the mixture is linear in reciprocal colour temperature. Outside their range, it
+    consists of the outermost illuminant alone. The result is None if the table has no transforms for single illuminants.
     """
     if not table.lights:
         return None
@@ -70,15 +70,16 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the nearer of the two lights that `mix_for` mixes, alone. It is used for frames that are balanced for a white
-    (3).
+    """Return only the nearer of the two illuminants in the result of `mix_for`.
+
+    It is used for frames that are balanced for the white (3).
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
 
 
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
-    """Return the table whose transforms are a mixture of those for two lights; for None, those for all lights in common."""
+    """Return a table with transforms mixed from those of two illuminants. For None, return the common transforms."""
     common = table.of_light(None)
     if mix is None:
         return common
@@ -105,7 +106,7 @@ def described(table: TransformTable, mix: Mix) -> str:
 
 
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
-    """Return layers with transforms between those of two others, by a weight per layer, or per class of a layer."""
+    """Return layers with transforms interpolated between two others, with one weight per layer or per class."""
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
@@ -121,7 +122,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Return the weighted mean of two arrays; `share` is the weight of the second, for all or per element of the first axis.
+    """Return the weighted mean of two arrays. `share` is the weight of the second, overall or along the first axis.
 
     Equal values, and values with a weight of 0 or 1, are returned unchanged.
     """
@@ -134,26 +135,24 @@ def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float
 
 
 def known_gains(table: TransformTable) -> tuple[float, float]:
-    """Return the lowest and the highest analog gain at which the noise of a table's camera is known, relative to its own
-    gain.
-    """
+    """Return the range of analog gains, relative to the camera's, at which the noise of a table's camera is known."""
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the analog gain of a camera's frames relative to the table's camera, when both are brought to the same levels.
+    """Return the analog gain of a camera's frames relative to the table's camera, after conversion to the same levels.
 
-    It is 1 for a table that does not hold its camera.
+    It is 1 if the table does not contain its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
 
 
 def nearest_step(gain: float) -> float:
-    """Return the nearest gain at which frames are rendered, of STEPS per doubling.
+    """Round a gain to the nearest gain at which frames are rendered. There are STEPS of these per doubling.
 
-    A gain that drifts then needs few renderers. The noise differs by at most 3 % from that of the transforms.
+    A drifting gain then needs only a few renderers. The noise differs by at most 3 % from the noise of the transforms.
     """
     return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
@@ -161,8 +160,8 @@ def nearest_step(gain: float) -> float:
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
     """Return the table for frames at an analog gain, relative to its camera's gain (docs/method.md#gains).
 
-    Transforms that the table has for less noise are kept if they still apply. A table that does not hold its camera is
-    returned as it is.
+    Transforms for less noise in the table are kept if they still apply. If the table does not contain its camera, it is
+    returned unchanged.
     """
     if gain == 1 or table.camera is None:
         return table
@@ -175,7 +174,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Return a table without single lights for frames at an analog gain."""
+    """Do the same as `at_gain` for a table without transforms for single illuminants."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -191,7 +190,7 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
     """Return one set of transforms for a gain.
 
     The relative noise of each level at this gain equals that of another level at the camera's own gain. Each class takes
-    the transforms of that level. Classes of clipped pixels keep their own.
+    the transforms of this other level. Classes of clipped pixels keep their own transforms.
     """
     if gain == 1:
         return table
@@ -231,9 +230,8 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     """Return a layer whose unclipped classes take the transforms of other levels.
 
-    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) states, for
-    each level of the first layer, the level to read, which may lie between two. `sites` is the number of sites of the
-    array.
+    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) is the level
+    from which each level of the first layer takes its transforms. It may be fractional. `sites` is the number of CFA sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -241,7 +239,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     middle, to = (np.bincount(own, each) / np.bincount(own) for each in (numbers, place))
     clips = np.asarray(there.kind) >= (rule.chromas if first else rule.structures)
     to = np.where(clips, there.level, np.interp(to, middle, np.arange(middle.size))[there.level])
-    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # classes of a level lie together
+    low, step = to.astype(np.int64), every.size // (sites * middle.size)  # the classes of a level are adjacent
     darker, brighter = (layer.weights[every + step * (each - there.level)] for each in (low, np.ceil(to).astype(np.int64)))
     return replace(layer, weights=_between(darker, brighter, to - low))
 
@@ -250,21 +248,20 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return, for each noise below the camera's, the fraction of noise up to which its transforms are used, largest noise
-    first.
+    """Return the upper limit of the noise fraction for each set of transforms for less noise, starting with the most noise.
 
-    The limit lies a quarter of the way, in logarithms, to the next larger noise.
+    The limit is a quarter of the logarithmic distance above the noise of the set, towards the next larger noise.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """The sets of transforms that the pixels of a frame choose from.
+    """The sets of transforms from which one is chosen for each pixel of a frame.
 
-    The first set is for the noise of the table's camera. With `by_noise`, further sets are for less noise. The classes of
-    the sets are numbered one after the other, as if each set had its own sites, so that kernels and the reference index one
-    array.
+    The first set is for the noise of the table's camera. If `by_noise` is true, the other sets are for less noise. The
+    classes of all sets are numbered consecutively, as if each set had its own sites, so that kernels and the reference index
+    a single array.
 
     Raises
     ------
@@ -285,24 +282,24 @@ class NoiseSets:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return the fraction of the noise, relative to the noise that the table is for."""
+        """Return the noise variance of a frame, relative to that for which the table was trained."""
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Return the number of the set that renders each pixel (row, col) of a frame."""
+        """Return the index of the set for each pixel (row, col) of a frame."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The first layers of all sets, joined; the rule is that of the first set."""
+        """The joined first layers of all sets, with the rule of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers of all sets, joined in the same way."""
+        """The refinement layers of all sets, joined like `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
@@ -312,7 +309,7 @@ class NoiseSets:
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return the rule of refinement layer `number`, from 0, in each set."""
+        """Return the rule of refinement layer `number`, counted from 0, in each set."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod
@@ -323,10 +320,10 @@ class NoiseSets:
 
 
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
-    """Return the table with class edges for frames that have this fraction of the camera's noise variance.
+    """Return the table with class edges for frames with the fraction `share` of the camera's noise variance.
 
-    Edges of contrast, strength and other features follow the noise, so that texture differs from flat areas again. The
-    scale of gradients and the transforms stay the same.
+    Edges of contrast, strength and other features are scaled with the noise, so that they still separate texture from
+    uniform areas. The scale of gradients and the transforms stay the same.
     """
     first = _with_edges(table.first.rule, share)
 
@@ -342,7 +339,7 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Return a rule with its noise-dependent edges scaled for this fraction of the noise variance, in all or per level."""
+    """Return a rule with noise-dependent edges scaled for a fraction of the noise variance, overall or for each level."""
     features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
     stored = StoredFeatures.of(features) if features else None
     return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=stored)

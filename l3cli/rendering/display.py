@@ -1,5 +1,6 @@
-"""From XYZ to a picture in a colour space: matrix, gamut mapping, tone curve, transfer curve, rounding
-(docs/method.md#display).
+"""Converts XYZ to pictures in a colour space (docs/method.md#display).
+
+The steps are matrix, gamut mapping, tone curve, transfer curve and rounding.
 """
 
 from dataclasses import dataclass
@@ -13,24 +14,24 @@ from l3cli.physics.display import CODES, Tone, codes, display_white
 from l3cli.physics.gamut import gamut_of, into_gamut
 from l3cli.physics.spaces import SRGB, Curve, Space, adaptation_matrix
 
-MAX_LAYERS = 4  # that the renderers support
+MAX_LAYERS = 4  # largest number of layers that the renderers support
 
 
 @dataclass(frozen=True)
 class Display:
-    """Everything between XYZ and the codes of a picture, which is the last stage of rendering.
+    """The last stage of rendering: conversion of XYZ to the codes of a picture.
 
     code = top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)), rounded
     """
 
-    matrix: NDArray[np.float64]  # (3, 3) linear values from XYZ, including adaptation and exposure scale
-    bits: int  # bits of a code, a key of CODES
-    space: Space = SRGB  # must have a transfer curve
-    tone: Tone | None = None  # None: no tone curve
+    matrix: NDArray[np.float64]  # (3, 3) from XYZ to linear values, including adaptation and exposure scale
+    bits: int  # bits per code; a key of CODES
+    space: Space = SRGB  # a colour space with a transfer curve
+    tone: Tone | None = None  # None means no tone curve
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
-            raise ValueError("a display has a finite 3×3 matrix and 8 or 16 bits")
+            raise ValueError("a display needs a finite 3×3 matrix and 8 or 16 bits")
         if self.space.curve is None:
             raise ValueError(f"{self.space.title} is linear and has no codes")
 
@@ -58,11 +59,11 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
     white : ndarray, (3,)
         XYZ of the scene's white, which becomes the white of the space.
     scale : float
-        Exposure: factor of XYZ.
+        Exposure scale, a factor on XYZ.
     bits : int
         8 or 16.
     space : Space
-        A space with a transfer curve.
+        A colour space with a transfer curve.
 
     Raises
     ------
@@ -77,18 +78,18 @@ def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Sp
 def adapted_display(
     adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB, tone: Tone | None = None
 ) -> Display:
-    """Return a display that shows `scale` · `adaptation` (3, 3) @ XYZ, where the adaptation leads to D65.
+    """Return a display that shows `scale` · `adaptation` @ XYZ. The adaptation (3, 3) converts the scene white to D65.
 
-    RecipeError if the scale is not positive.
+    Raises RecipeError if the scale is not positive.
     """
     return Display(linear_matrix(adaptation, scale, space), bits, space, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
-    """Return M (3, 3), such that M @ XYZ are linear values of a space.
+    """Return the matrix M (3, 3) that converts XYZ to linear values of a colour space: values = M @ XYZ.
 
-    It multiplies by `scale`, adapts to D65 by `adaptation` (3, 3), and from there to the white of the space. RecipeError if
-    the scale is not positive.
+    It includes the factor `scale`, the `adaptation` (3, 3) to D65, and the adaptation from D65 to the white of the space.
+    Raises RecipeError if the scale is not positive.
     """
     if not (np.isfinite(scale) and scale > 0):
         raise RecipeError("scene white and exposure must be positive")
@@ -98,7 +99,7 @@ def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) 
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise RecipeError unless pictures can be made of a table's outputs, which are X, Y, Z or GREY."""
+    """Raise RecipeError unless the outputs are X, Y, Z or GREY, from which pictures can be made."""
     if outputs not in (("X", "Y", "Z"), GREY):
         raise RecipeError(
             f"pictures need the outputs X, Y, Z, or Y alone, this table has {', '.join(outputs)}; write an .exr file"
@@ -112,13 +113,13 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     ----------
     table : TransformTable
     adaptation : ndarray, (3, 3)
-        From the table's X, Y, Z under the white of the scene to XYZ under D65.
+        Matrix from the table's X, Y, Z under the white of the scene to XYZ under D65.
 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation`. For a table that shows grey it is the white of D65 times Y, so that R, G and B of a picture are
-        exactly equal.
+        `adaptation`, or for a table with grey pictures a matrix whose result is the white of D65 times Y, so that R, G and B
+        are exactly equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 

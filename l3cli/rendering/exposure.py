@@ -1,6 +1,4 @@
-"""Measurements on a sample of a frame's pixels: exposure without flicker (docs/method.md#display), and out-of-range
-pixels.
-"""
+"""Measures exposure without flicker (docs/method.md#display) and out-of-range pixels, on a sample of a frame's pixels."""
 
 import functools
 import math
@@ -18,16 +16,16 @@ from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
-GRID = (32, 48)  # largest number of rows and columns of pixels that are measured
+GRID = (32, 48)  # largest number of rows and columns in the grid of measured pixels
 
 
 class SpreadSamples:
-    """About 1500 evenly spaced patches of a frame, all at one CFA site, at the table's levels, with their classes."""
+    """Samples about 1500 evenly spaced patches of a frame, all at the same CFA site, and their classes."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
         self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
-        self._orders: dict[int, TapOrder] = {}  # per CFA site
+        self._orders: dict[int, TapOrder] = {}  # by CFA site
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
         """Return the patches of a frame, their CFA site and their classes.
@@ -35,17 +33,18 @@ class SpreadSamples:
         Parameters
         ----------
         frame : RawFrame
+            The frame.
         gains : ndarray, (channel,), optional
-            Gains of a white balance, which are applied to the patches.
+            White balance gains, which are applied to the patches.
 
         Returns
         -------
         patches : RawFrame
             Values (patch, tap), with the shading of each patch.
         site : int
-            CFA site of all patches, which is that of the frame's first pixel.
+            CFA site of all patches, which is the site of the frame's first pixel.
         labels : ndarray, (patch,)
-            Classes of the first layer, within the site.
+            Classes of the first layer, as indices among the classes of the site.
         """
         table, rule = self._table, self._table.first.rule
         cut, site = self._cut(frame), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
@@ -57,7 +56,7 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Return the same patches (patch, tap) without a white balance."""
+        """Return the same patches (patch, tap) without white balance."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
@@ -93,11 +92,11 @@ class SpreadSamples:
 
 
 class LightMeter:
-    """Meter of the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the processor.
+    """Measures the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the CPU.
 
-    The result is limited to the luminance of a white that clips every channel, because such a white is always shown white.
-    The pixels have a single CFA site, since all sites respond equally to uniform areas. The result depends only on the
-    frame, not on the device.
+    The result is limited to the luminance of a white that clips every channel, because such a white is always shown as
+    white. All pixels have the same CFA site, because all sites respond equally to uniform areas. The result depends only on
+    the frame and not on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -107,7 +106,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return the Y of a frame that should be shown white, after the gains of a white balance."""
+        """Return the luminance Y that should become display white, after the gains of a white balance."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -117,11 +116,11 @@ class LightMeter:
         return raised * frame.light_share * min(white_percentile(luminance), self._limit)
 
 
-@functools.lru_cache(4)  # frames of a sequence share it
+@functools.lru_cache(4)  # frames of a sequence share the result
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the padded indices (position, tap) of evenly spaced patches along an axis, and the indices that they stand for.
+    """Return the padded indices (position, tap) of evenly spaced patches along an axis, and their source indices.
 
-    All patches are centred on samples with the phase of the first sample. There are at most `most` patches.
+    All patches are centred on samples with the CFA phase of the first sample. There are at most `most` patches.
     """
     available = -(-length // period)
     spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
@@ -132,7 +131,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the index (patch, tap) of each tap in the flattened frame. One index takes half the time of two."""
+    """Return the index (patch, tap) of each tap in the flattened frame, which is twice as fast as two indices."""
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
     places.flags.writeable = False
@@ -140,11 +139,11 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 
 
 class SteadyExposure:
-    """Exposure scale of each frame of a sequence, in order.
+    """Computes the exposure scale of each frame of a sequence, in order.
 
-    The first frame gets the scale that its brightness requires. Later frames approach theirs exponentially, in log
-    exposure. This averages the noise of the measurement, and follows a change of light without overshoot. A change of
-    analog gain is followed immediately. The scale depends only on past frames.
+    The first frame gets the scale that its brightness requires. After that, the scale approaches the required scale
+    exponentially, in log exposure. This averages the measurement noise, and follows a change of light without overshoot. A
+    change of analog gain is followed immediately. The scale does not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -152,8 +151,9 @@ class SteadyExposure:
         self._log: float | None = None
 
     def scale(self, brightness: float, gain: float = 1.0) -> float:
-        """Return the scale of the next frame, at its analog gain. A completely dark frame keeps the scale (1 at the
-        beginning).
+        """Return the scale of the next frame, given its analog gain.
+
+        A completely dark frame keeps the previous scale, which is 1 at the beginning.
         """
         if brightness > 0:
             wanted = math.log(gain / brightness)
@@ -163,16 +163,16 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of a frame's pixels that the table was not trained for. A pixel counts in at most one of the first three."""
+    """Fractions of a frame's pixels for which the table was not trained. The first three do not overlap."""
 
     darker: float  # darker than every level with training patches
     brighter: float  # brighter than every level with training patches
     untrained: float  # between these levels, but in classes without training patches
-    saturated: float  # in classes that clipped pixels decide
+    saturated: float  # in saturated classes, because of clipped pixels near the centre
 
 
 class RangeMeter:
-    """Meter of the pixels that a table was not trained for, from about 1500 pixels of one CFA site per frame."""
+    """Measures the fraction of pixels for which a table was not trained, from about 1500 pixels per frame."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
@@ -191,9 +191,7 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """Return the darkest and the brightest signal of the levels that have training patches, as fractions of full
-        scale.
-        """
+        """Return the range of signals in levels with training patches, as fractions of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

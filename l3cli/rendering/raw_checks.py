@@ -1,7 +1,7 @@
 """Warnings about frames that do not fit a table.
 
-A frame may come from another camera or array, or have light levels that the table was not trained for. Its values may also
-be implausible, because of mistakes about bit depth, byte order, black level or size.
+A frame may come from another camera or CFA, or have light levels for which the table was not trained. Its values may also be
+implausible because of a wrong bit depth, byte order, black level or size.
 """
 
 import re
@@ -18,24 +18,25 @@ from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, array_doubt, phase_do
 from l3cli.rendering.conditions import FAR_GAIN, known_gains
 from l3cli.rendering.exposure import RangeMeter
 
-MAX_OVERSHOOT = 1.5  # times the white level; no saturated pixel is higher
-SHALLOW = 0.55  # times the white level; a sensor of the same bit depth does not clip below it
-CLIPPED = 1e-3  # fraction of the pixels with the highest value, from which the sensor is assumed to clip
-NEAR_BLACK = 0.75  # lowest ratio to the black level of a value that counts as black; its inverse is the highest
+MAX_OVERSHOOT = 1.5  # highest value of a saturated pixel, relative to the white level
+SHALLOW = 0.55  # relative to the white level; a sensor with the stated bit depth does not clip at a lower value
+CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the highest value
+NEAR_BLACK = 0.75  # values count as black if their ratio to the black level lies between this number and its inverse
 BLACK_PERCENTILE = 0.1  # percentile of the values that is close to black in most pictures
-SAME_DEPTH = 0.02  # relative difference of white levels up to which bit depths are the same
-SHEARED = 1.5  # differences between rows, relative to those with rows and columns exchanged, from which a size is wrong
-ROW_PAIRS = 64  # pairs of rows that are compared
+SAME_DEPTH = 0.02  # largest relative difference between the white levels of equal bit depths
+SHEARED = 1.5  # a size is wrong if rows differ more, by this factor, than after exchanging rows and columns
+ROW_PAIRS = 64  # number of pairs of rows that are compared
 
-NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fractions of a frame that are reported
-# Exposure times above so many seconds, or times the training's exposure, are probably in another unit.
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fraction of a frame that is reported
+# An exposure time is probably in another unit if it exceeds this number of seconds, or this multiple of the training's.
 LONG, MANY_TIMES = 60.0, 100.0
 
 
 @dataclass
 class FrameWarnings:
-    """Collector of the warnings about the frames of a run. Each is reported once, for one frame or for the worst of
-    several.
+    """Collects the warnings about the frames of a run.
+
+    Each warning is reported once. If it concerns several frames, the worst frame is named.
     """
 
     table: TransformTable
@@ -55,7 +56,7 @@ class FrameWarnings:
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # if so, other checks of the values mean nothing
+        misread = _misread(frame)  # if the frame is misread, other checks of its values are meaningless
         of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
         for text in (*of_camera, *of_values):
             self._note(text, frame.name)
@@ -81,14 +82,14 @@ class FrameWarnings:
             self._note(beyond_converter(frame, self.table), frame.name)
 
     def _note(self, text: str, name: str) -> None:
-        """Count a warning about a frame; "" is no warning."""
+        """Count a warning about a frame. An empty text is ignored."""
         if text:
             first, count = self._others.get(text, (name, 0))
             self._others[text] = first, count + 1
 
     @property
     def assumption(self) -> str:
-        """What was assumed about frames with an unknown exposure time; "" if nothing was."""
+        """A line about the exposure time that is assumed for frames without one, or "" if there are no such frames."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)
@@ -118,7 +119,7 @@ class FrameWarnings:
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the file names another camera than the table's, otherwise ""."""
+    """Return a warning if the file names a camera other than the table's, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
@@ -135,7 +136,7 @@ def _words(name: str) -> set[str]:
 
 
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning, with the phase that fits, if the pixels contradict the file's colour filter array, otherwise ""."""
+    """Return a warning, with the phase that fits, if the pixels contradict the stated CFA phase, otherwise ""."""
     if other := _other_array(frame, table):
         return other
     doubt = phase_doubt(frame, table.cfa)
@@ -149,14 +150,14 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _misread(frame: RawFrame) -> str:
-    """Return a warning if values look like noise, but not with another packing or byte order, otherwise ""."""
+    """Return a warning if values look like noise but would be smooth with another packing or byte order, otherwise ""."""
     if not frame.misread:
         return ""
     return f"its pixels look like noise: neighbours of one channel are unrelated; read it with {frame.misread}"
 
 
 def _other_array(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the pixels show another array than the table's, in whatever phase, otherwise ""."""
+    """Return a warning if the pixels contradict the table's CFA at any phase, otherwise ""."""
     doubt = array_doubt(frame, table.cfa)
     if doubt is None:
         return ""
@@ -187,7 +188,7 @@ def other_gain(frame: RawFrame, table: TransformTable) -> str:
 
 
 def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
-    """Return a warning of an exposure time that is given and probably not in seconds, or nothing."""
+    """Return a warning if a given exposure time is probably not in seconds, otherwise "" or nothing."""
     times = seconds / table.exposure if seconds is not None and table.exposure else 0.0
     if seconds is None or (seconds <= LONG and times < MANY_TIMES):
         return ""
@@ -199,9 +200,7 @@ def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
 
 
 def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """Yield warnings about values that the table's camera can hardly give, with the levels and size assumed for the
-    frame.
-    """
+    """Yield warnings about values that the table's camera can hardly have produced with the frame's levels and size."""
     top = int(frame.values.max())
     too_high = top > MAX_OVERSHOOT * frame.white_level
     lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
@@ -234,8 +233,9 @@ def _too_high(frame: RawFrame, bits: int, top: int) -> str:
 
 
 def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning about values that the table's converter cannot give, for a frame at the table's levels,
-    otherwise "".
+    """Return a warning about values that the camera's A/D converter cannot produce, otherwise "".
+
+    The frame must be at the table's levels.
     """
     most = 2**table.bits - 1
     levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)
@@ -248,7 +248,7 @@ def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
 
 
 def _clips_lower(frame: RawFrame, top: int) -> str:
-    """Return a warning if values end at the highest value of fewer bits, otherwise ""."""
+    """Return a warning if values clip at the highest value of a lower bit depth, otherwise ""."""
     depth = top.bit_length()
     if not (top > frame.black_level and 8 <= depth < 16 and top == 2**depth - 1 and top < SHALLOW * frame.white_level):
         return ""
@@ -262,7 +262,7 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
 
 
 def _below_black(frame: RawFrame) -> str:
-    """Return a warning about values further below black than noise explains, otherwise ""."""
+    """Return a warning about values that lie farther below black than noise explains, otherwise ""."""
     share = share_below_black(frame)
     if not share:
         return ""
@@ -274,7 +274,7 @@ def _below_black(frame: RawFrame) -> str:
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the darkest values lie at the camera's black level, but the stated black level is far lower."""
+    """Return a warning if the darkest values lie at the camera's black level but the stated black level is far lower."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
@@ -299,7 +299,7 @@ def _torn(frame: RawFrame, period: int) -> str:
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Return the mean difference between rows with the same channels, which are `period` rows from each other."""
+    """Return the mean difference between rows that are `period` rows apart and therefore have the same channels."""
     last = len(values) - period
     if last < 1:
         return 0.0

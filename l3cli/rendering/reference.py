@@ -1,4 +1,4 @@
-"""The reference renderer in float64, against which every other backend is tested (docs/method.md#rendering)."""
+"""The reference renderer in float64, with which every other backend is compared in tests (docs/method.md#rendering)."""
 
 import functools
 from collections.abc import Iterable, Iterator
@@ -19,12 +19,12 @@ from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# In output units. The spectra of darker pixels, which are far below the noise of any sensor, are not smoothed.
+# Output units. Spectra of darker pixels, which are far below the noise of any sensor, are not smoothed.
 SPECTRA_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
-    """Renderer in numpy: slow and exact, without a device. `by_noise` as in `make_renderer`."""
+    """A slow and exact renderer in numpy. `by_noise` is the same as in `make_renderer`."""
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
@@ -37,7 +37,7 @@ class ReferenceRenderer:
         return self._refine(levelled, labels, layer)[1] if layer else labels
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs of the table, (output, row, col)."""
+        """Return the outputs (output, row, col) of the table."""
         return self.exact_outputs(frame).astype(np.float32)
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
@@ -45,7 +45,7 @@ class ReferenceRenderer:
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as sRGB (row, col, 3); RecipeError unless outputs are X, Y, Z."""
+        """Return the frame as sRGB (row, col, 3). Raises RecipeError unless the outputs are X, Y, Z."""
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
@@ -54,7 +54,7 @@ class ReferenceRenderer:
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return the outputs in float64, before they are rounded to float32."""
+        """Return the outputs in float64, before rounding to float32."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
@@ -71,18 +71,18 @@ class ReferenceRenderer:
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes (plane, row, col) that the last layer reads, for a table with refinement layers."""
+        """Return the planes (plane, row, col) that the last layer reads. The table must have refinement layers."""
         levelled = at_table_levels(frame, self.table)
         return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Fixed-point transforms of all layers except the last."""
+        """Return the fixed-point transforms of all layers except the last."""
         basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return the class (row, col) of every pixel in the first layer, among the classes of all sets of transforms.
+        """Return the class (row, col) of every pixel in the first layer, as an index among the classes of all sets.
 
         The frame must be at the table's levels.
         """
@@ -96,7 +96,7 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that refinement layer `number`, from 1, reads, and the classes of its pixels."""
+        """Return the planes that refinement layer `number`, counted from 1, reads, and the classes of the pixels in it."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -124,7 +124,7 @@ def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Return the mosaic of a frame at the table's levels, in which uniform clipped areas are looked for."""
+    """Return the mosaic of a frame at the table's levels, for the replacement of uniform clipped areas."""
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
@@ -135,7 +135,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
     Parameters
     ----------
     frame : RawFrame
-        At the table's levels.
+        Frame at the table's levels.
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
@@ -150,8 +150,9 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Return the planes (plane, row, col) of the first layer, from a frame at the table's levels and its classes (row,
-    col).
+    """Return the planes (plane, row, col) of the first layer, given its classes (row, col).
+
+    The frame must be at the table's levels.
     """
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
@@ -159,7 +160,7 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Return the planes (plane, row, col) that a refinement layer makes from those of the previous layer."""
+    """Return the planes (plane, row, col) of a refinement layer, given the planes of the previous layer."""
     return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
@@ -187,12 +188,12 @@ def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """Return the patches (col, tap) of a row of windows, with the planes one after the other."""
+    """Return the patches (col, tap) of a row of windows, with the taps of all planes in turn."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
 def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Return the planes (plane, row, col) that fixed-point transforms make from windows (plane, row, col, …)."""
+    """Apply fixed-point transforms to windows (plane, row, col, …), and return the planes (plane, row, col)."""
     made = np.empty((fixed.weights.shape[1], *labels.shape), np.int32)
     for row, label in enumerate(labels):
         sums = (fixed.weights[label] * _patches(windows, row)[:, None]).sum(axis=-1) + fixed.intercept[label]
@@ -203,9 +204,9 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Return the outputs (output, row, col) that transforms make from windows (plane, row, col, …).
+    """Apply transforms to windows (plane, row, col, …), and return the outputs (output, row, col).
 
-    `ratios` (row, col, tap) are further taps that follow those of the windows.
+    `ratios` (row, col, tap) are additional taps after those of the windows.
     """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
     for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would fill gigabytes
@@ -218,16 +219,15 @@ def _transformed(
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Return outputs (output, row, col) with smoothed spectra. At the borders planes are mirrored about the outermost
-    pixels.
+    """Smooth the spectra of outputs (output, row, col).
 
-    With Y the mean of the outputs, p the pixel and q the pixels of its window, including p:
+    Let Y be the mean of the outputs, p a pixel, and q the pixels of its window, including p:
 
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²
         o_p ← ō_p · Y_p / Ȳ_p
 
-    where ō and Ȳ are means weighted by w. Means are taken of differences from the pixel, so that uniform areas stay
-    unchanged to the last bit.
+    Here ō and Ȳ are means weighted by w. They are computed from differences to the pixel, so that uniform areas are
+    unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
     """
     _, rows, cols = planes.shape
     brightness = planes.mean(axis=0)

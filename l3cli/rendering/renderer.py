@@ -1,4 +1,4 @@
-"""The one interface of everything that renders, and the backends behind it."""
+"""The common interface of all renderers, and the choice of the backend."""
 
 import importlib
 import itertools
@@ -15,13 +15,14 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.conditions import at_gain, nearest_step, noise_limits, with_edges_for
 from l3cli.rendering.display import Display
 
-# A new backend is one class, made from a TransformTable, and one line here; its module is imported when it is asked for.
+# To add a backend, write a class that is constructed from a TransformTable, and add a line here. Its module is imported only
+# if the backend is used.
 BACKENDS = {
     "opencl": "l3cli.rendering.opencl.renderer:OpenCLRenderer",
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MAX_HELD = 16  # renderers that are kept, one per gain, each with its transforms on the device
+MAX_HELD = 16  # largest number of renderers that are kept, one per gain, each with its transforms on the device
 
 
 class Renderer(Protocol):
@@ -31,18 +32,18 @@ class Renderer(Protocol):
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return the class (row, col) of every pixel in a layer of the table. All backends return the same classes."""
+        """Return the class (row, col) of every pixel in a layer of the table. It is the same for all backends."""
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs of the table (output, row, col) at the size of the frame."""
+        """Return the outputs (output, row, col) of the table, at the size of the frame."""
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
-        """Return `outputs`, and `labels` of the first layer and, if there are several, of the last layer."""
+        """Return the outputs, and the classes of the first layer and, if there are several layers, of the last layer."""
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3), uint8 or uint16.
+        """Return the frame as a picture (row, col, 3) in uint8 or uint16.
 
-        RecipeError unless the outputs are X, Y, Z or GREY.
+        Raises RecipeError unless the outputs are X, Y, Z or GREY.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
@@ -50,10 +51,10 @@ class Renderer(Protocol):
 
 
 def make_ready(backend: str, **options: str | None) -> None:
-    """Prepare what all renderers of a backend need: import modules, find the device, start its compiler.
+    """Prepare a backend for any table: import modules, find the device, start its compiler.
 
-    This takes about as long as reading a table, so both can run in parallel. Errors are reported by `make_renderer`, which
-    has the same `options`.
+    This takes about as long as reading a table, and may run in parallel with it. Errors are left to `make_renderer`, which
+    takes the same `options`.
     """
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
@@ -89,17 +90,17 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 
 
 class NoiseRenderer:
-    """Renderer for frames of any analog gain and noise.
+    """Renderer for frames with any analog gain and noise.
 
-    A frame is rendered with the transforms for its analog gain. A frame with less noise, after a temporal filter, is
-    rendered with the transforms that the noise of each pixel requires. If the table has none for less noise, class edges
-    are adjusted to the frame's fraction of noise instead.
+    A frame is rendered with the transforms for its analog gain. After a temporal filter, each pixel is rendered with the
+    transforms for its remaining noise. If the table has no transforms for less noise, the class edges are adjusted to the
+    frame's fraction of noise instead.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
         self.table, self._backend, self._options = table, backend, options
-        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and noise fraction; None: per pixel
-        self._tables: dict[float, TransformTable] = {}  # by gain
+        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and noise fraction (None: per pixel)
+        self._tables: dict[float, TransformTable] = {}  # gain → table
         self._of((1.0, 1.0))
 
     def _table(self, gain: float) -> TransformTable:
@@ -117,13 +118,13 @@ class NoiseRenderer:
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
-        """Return the gain and the noise fraction that a frame is rendered with; None instead of the fraction: per pixel."""
+        """Return the gain and the noise fraction for which a frame is rendered. The fraction is None if it is per pixel."""
         gain = nearest_step(frame.gain)
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
     def of_frame(self, frame: RawFrame) -> Renderer:
-        """Return the renderer with a single set of transforms, for the gain and the mean noise fraction of a frame."""
+        """Return a renderer with a single set of transforms, for the gain and the mean noise fraction of a frame."""
         return self._of((nearest_step(frame.gain), frame.noise_share))
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
@@ -139,7 +140,7 @@ class NoiseRenderer:
         return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame. Consecutive frames with equal noise overlap on the device."""
+        """Yield the picture of each frame. On the device, the work of consecutive frames with equal noise overlaps."""
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)

@@ -1,4 +1,4 @@
-"""How frames become pictures: colour space, bit depth, exposure and white, either as given or as measured."""
+"""Conversion of frames to pictures: colour space, bit depth, exposure and white balance, either given or measured."""
 
 import itertools
 import math
@@ -24,37 +24,37 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # factors of Y
-ANY_RATE = Fraction(30)  # frames/s; without effect, because only the first frame is measured
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the factor on Y
+ANY_RATE = Fraction(30)  # frames/s; has no effect if only the first frame is measured
 
 
 @dataclass(frozen=True)
 class Rendition:
-    """Settings that turn outputs into pictures."""
+    """Settings for the conversion of outputs to pictures."""
 
-    balance: WhiteBalance | None  # for frames without their own balance; None: outputs are written unchanged
-    exposure: float | None  # factor of Y; None: automatic
+    balance: WhiteBalance | None  # for frames without their own balance; None if outputs are written unchanged
+    exposure: float | None  # factor on Y; None means automatic exposure
     bits: int
-    space: Space | None = SRGB  # without a transfer curve values are linear, in floating point; None: no colours
-    raw: bool = False  # for raw converters: the exposure is recorded but not applied
-    mosaic: str | None = None  # with `raw`: the name of the mosaic's array in the file format
+    space: Space | None = SRGB  # values are linear and floating point if it has no transfer curve; None for no colours
+    raw: bool = False  # the picture is for a raw converter: the exposure is recorded but not applied
+    mosaic: str | None = None  # if `raw`, the name of the CFA in the file format
     stops: float = 0.0  # additional exposure in EV
-    stated_exposure: bool = False  # whether the exposure is multiplied by the one in each frame's file
+    stated_exposure: bool = False  # whether the exposure in each frame's file is an additional factor
     tone: Tone | None = None  # tone curve
 
     @property
     def is_linear(self) -> bool:
-        """Whether values are linear, in floating point."""
+        """Whether values are linear and floating point."""
         return self.space is None or self.space.curve is None
 
     @property
     def measures_exposure(self) -> bool:
-        """Whether pictures are made with automatic exposure."""
+        """Whether the exposure is automatic."""
         return self.balance is not None and self.exposure is None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the three values of a picture's pixels."""
+        """Names of the three values of a pixel."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
@@ -74,7 +74,7 @@ def chosen_space(name: str | None, linear: bool) -> Space:
     Raises
     ------
     RecipeError
-        If the space is unknown, or is linear while codes are requested.
+        If the space is unknown, or if it is linear but codes are requested.
     """
     if name is not None and name not in SPACES:
         raise RecipeError(f'space "{name}" is unknown; {suggestion(name, SPACES)}')
@@ -97,26 +97,29 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the rendition of pictures, and the source of the frames' white, or None if all frames have the rendition's
-    white.
+    """Return the rendition for pictures, and the source of the white of each frame.
+
+    The source is None if all frames have the white of the rendition.
 
     Parameters
     ----------
     table : TransformTable
+        The table.
     exposure : float or None
-        Factor of Y; None for automatic exposure.
+        Factor on Y, or None for automatic exposure.
     white : str or None
-        As in `white_source` and `given_white`.
+        White, as in `white_source` and `given_white`.
     space : str
+        Name of the colour space.
     bits : int
         8, 16 or FLOAT_BITS.
     estimated_by : TransformTable, optional
-        As in `white_source`.
+        Table for the estimation of the white, as in `white_source`.
 
     Raises
     ------
     RecipeError
-        If an argument is impossible, or the table's outputs are not X, Y, Z or Y.
+        If an argument is invalid, or if the table's outputs are not X, Y, Z or Y.
     """
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
@@ -140,19 +143,22 @@ def rendered(
     Parameters
     ----------
     renderer : Renderer
+        The renderer.
     frame : RawFrame
+        The frame.
     rendition : Rendition
+        Settings of the picture.
     scale : float
-        Exposure scale; 0 for automatic exposure.
+        Exposure scale, or 0 for automatic exposure.
     balance : WhiteBalance, optional
-        White balance of this frame; by default the rendition's.
+        White balance of this frame. [default: the white balance of the rendition]
 
     Returns
     -------
     pixels : ndarray, (row, col, value)
-        Upright.
+        The picture in upright orientation.
     scale : float
-        Exposure scale that applies to the picture. It is not applied to pictures for raw converters.
+        Exposure scale of the picture. It is not applied to pictures for raw converters.
     """
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
@@ -170,26 +176,32 @@ def rendered(
 def shown(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """Return a frame with the gains of its white balance applied, and its display. A `scale` of 0 is automatic exposure."""
+    """Apply the gains of the white balance to a frame, and return it with its display.
+
+    A `scale` of 0 means automatic exposure.
+    """
     frame = balanced(frame, renderer.table, balance.gains)
-    # Automatic exposure of a single frame needs the luminance of all pixels before encoding, so it is rendered twice.
+    # Automatic exposure of a single frame needs the luminance of all pixels before encoding, so the frame is rendered twice.
     scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)
     return frame, adapted_display(adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
 
 
 class FrameMeter:
-    """Meter that determines the exposure scale and white balance of each frame, in order.
+    """Determines the exposure scale and the white balance of each frame, in order.
 
     Parameters
     ----------
     table : TransformTable
+        The table.
     rendition : Rendition
+        Settings of the pictures.
     source : WhiteSource or None
-        Source of the frames' white; None for the rendition's white.
+        Source of the white of each frame, or None for the white of the rendition.
     rate : Fraction or None
-        Frames per second. Exposure and white follow the measurements at this rate; a source whose white is held keeps the
-        first frame's. None for stills: each frame has its own white, and automatic exposure is left to the renderer.
+        Frames per second of a sequence, in which exposure and white follow the measurements smoothly. (Some sources keep the
+        white of the first frame.) None for stills: each frame has its own white, and the renderer determines an automatic
+        exposure.
     """
 
     def __init__(
@@ -211,38 +223,39 @@ class FrameMeter:
         Returns
         -------
         scale : float
-            0 for automatic exposure.
+            Exposure scale, or 0 for automatic exposure.
         balance : WhiteBalance or None
-            None for the rendition's balance.
+            White balance, or None for that of the rendition.
         white : SceneWhite or None
-            None if the frame shows nothing from which to estimate it.
+            Measured white, or None if the frame contains nothing from which to estimate it.
 
         Raises
         ------
         InputFileError
-            If the white cannot be taken from the frame.
+            If the white cannot be measured in the frame.
         """
         brightness, balance, white = self.looked_at(frame)
         return self.scale(frame, brightness), balance, white
 
     def looked_at(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Return the brightness (0 if not measured), the balance and the white of the next frame, without updating the
-        exposure.
+        """Return the brightness (0 if not measured), the balance and the white of the next frame.
+
+        The exposure is not updated.
         """
         white = self._measured_white(frame) if self._source else None
         return self._light.brightness(frame, self._balance) if self._light else 0.0, self._balance, white
 
     def scale(self, frame: RawFrame, brightness: float, flicker: float = 0.0) -> float:
-        """Return the scale of a frame by its brightness (0: automatic); frames come in their order.
+        """Return the exposure scale of the next frame, given its brightness. The result 0 means automatic exposure.
 
         Parameters
         ----------
         frame : RawFrame
             The frame.
         brightness : float
-            Of the frame, as `looked_at` returns it.
+            Brightness of the frame, as returned by `looked_at`.
         flicker : float
-            Log of the factor by which flicker makes the frame brighter; the scale takes it off.
+            Logarithm of the factor by which flicker brightens the frame. The scale compensates it.
         """
         steady = math.exp(-flicker)
         if self._light and self._exposure:
@@ -264,8 +277,8 @@ class FrameMeter:
 class Following:
     """Determines exposure scale and white balance of frames in order, and filters them.
 
-    Parameters are those of FrameMeter. With `rate` None, all frames keep the scale and balance of the first. `temporal` is
-    the temporal filter, if any.
+    The parameters are the same as for FrameMeter. If `rate` is None, all frames have the scale and balance of the first
+    frame. `temporal` is the temporal filter, if there is one.
     """
 
     def __init__(
@@ -279,9 +292,9 @@ class Following:
         self._first: tuple[float, WhiteBalance | None] | None = None
 
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
-        """Return the next frame, filtered, with its scale and its balance (None for the rendition's).
+        """Return the next frame after filtering, with its scale and its balance (None means that of the rendition).
 
-        InputFileError if its white cannot be measured.
+        Raises InputFileError if the white of the frame cannot be measured.
         """
         with self._alone:
             measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]

@@ -2,14 +2,14 @@
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value that is as bright as the output of pixel p. The gains G belong to the classes of
-the last layer, the factors K to the kinds of the first.
+s is the standard deviation of a raw value that is as bright as the output of pixel p. There is a gain G for each class of
+the last layer, and a factor K for each kind of the first layer.
 
-To find them, the rendered picture is taken as the true scene. The camera is simulated several times with new noise, and the
-frames are rendered, so that the effect of noise on the choice of classes is included. G and K are fitted such that the mean
-σ of each class and kind equals the standard deviation of these renderings. At the border of a frame windows are mirrored
-and read some raw values twice, so that noise averages out less. The factors E of the outermost rows and columns correct
-this.
+They are determined by simulation. The rendered picture is used as the true scene. The camera is simulated several times with
+new noise, and the frames are rendered. The effect of noise on the choice of classes is thus included. G and K are fitted so
+that the mean σ of each class and kind equals the standard deviation of these renderings. At the borders of a frame, windows
+are mirrored and contain some raw values twice, so that noise is averaged less. The factors E of the outermost rows and
+columns correct this.
 """
 
 import math
@@ -33,43 +33,41 @@ from l3cli.rendering.renderer import Renderer
 
 Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
-# Bits of a mask: clipped values decide the class or the result; the class has no training patches.
+# Bits of a mask: CLIPPED if clipped values affect the class or the result, UNTRAINED if the class has no training patches.
 CLIPPED, UNTRAINED = 1, 2
-# Pixels, side of a piece of a large frame; pieces per side; pixels ignored at seams
+# Large frames: side of a piece in pixels; number of pieces per side; number of pixels ignored at seams.
 PIECE_PIXELS, PIECES_PER_SIDE, SEAM_PIXELS = 96, 4, 8
-BUDGET, DRAWS = 1 << 18, (5, 40)  # pixels in all renderings together; fewest and most renderings
-SMOOTHED = 0.5  # pixels, σ of a Gaussian that removes noise left in the picture, which would otherwise count twice
+BUDGET, DRAWS = 1 << 18, (5, 40)  # number of pixels in all renderings together; smallest and largest number of renderings
+SMOOTHED = 0.5  # pixels; σ of a Gaussian that removes the noise in the picture, which would otherwise count twice
 FITS = 3  # rounds of reweighted least squares from outputs to signals
-ROUNDS = 4  # of fitting gains and factors, until they settle
-PRIOR = 50  # pixels, weight of the prior that a class behaves like its coarser classes
-EDGE_PIXELS = 4  # pixels; rows and columns at each side with their own factors. Further inside, mirroring adds less than 2 %
-TILES = (1, 2, 4, 8, 16)  # pixels, sides of the tiles whose means are compared; each side fits the size of a piece
-MIN_TILES = 9  # of a frame
-MIN_VARIANCE = 1e-30  # avoids division by zero where noise changes no raw value and σ is 0, as in a black frame
-MIN_SIDE = 32  # pixels, of a frame
-STRIP = 1 << 16  # pixels of the maps that are computed at once, so that they fit the processor's cache
+ROUNDS = 4  # rounds in which gains and factors are fitted, enough for convergence
+PRIOR = 50  # pixels; weight of the prior assumption that a class has the gain of a coarser class
+EDGE_PIXELS = 4  # pixels; outermost rows and columns with their own factors. Farther inside, mirroring adds less than 2 %.
+TILES = (1, 2, 4, 8, 16)  # pixels; sides of the tiles whose means are compared. Each is a divisor of PIECE.
+MIN_TILES = 9  # smallest number of tiles in a frame
+MIN_VARIANCE = 1e-30  # avoids division by zero where noise does not change raw values and σ is 0, as in a black frame
+MIN_SIDE = 32  # pixels; smallest side of a frame
+STRIP = 1 << 16  # number of pixels of the maps that are computed at once, so that they fit into the processor cache
 SEED = 20
 
 
 @dataclass(frozen=True)
 class NoiseGains:
-    """Gains from the noise of raw values to the noise of outputs, for one scene. They also apply to other frames of the
-    scene.
-    """
+    """Ratios between the noise of outputs and the noise of raw values, for all frames of one scene."""
 
-    by_class: NDArray[np.float32]  # (class of the last layer, output)
-    by_kind: NDArray[np.float32]  # (class of the first layer, output) factor of its kind
-    by_edge: NDArray[np.float32]  # (side, distance, output) factor at the top, bottom, left and right; EDGE distances
-    area: Array  # (tile, output) variance of a tile's mean, times its number of pixels, relative to a single pixel
-    unit: float  # DN of a raw value at which the brightness of the outputs is 1
+    by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
+    by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K of its kind
+    by_edge: NDArray[np.float32]  # (side, distance, output) factor E at the top, bottom, left and right, for EDGE distances
+    area: Array  # (tile, output) variance of a tile's mean times its number of pixels, relative to a single pixel
+    unit: float  # raw value in DN at which the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of a frame's outputs, in the upright orientation of the picture."""
+    """Uncertainty of the outputs of a frame, in upright orientation like the picture."""
 
     sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the camera's noise
-    mask: NDArray[np.uint8]  # (row, col) CLIPPED, UNTRAINED or both; 0 for reliable pixels
+    mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED; 0 for reliable pixels
     gains: NoiseGains
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
@@ -84,7 +82,7 @@ class Uncertainty:
 
 
 def require_known_noise(table: TransformTable) -> None:
-    """Raise RecipeError if the table does not hold its camera, and so does not know its noise."""
+    """Raise RecipeError if the table does not contain its camera with the noise model."""
     if table.camera is None:
         raise RecipeError("the table does not hold its camera, whose noise is needed; train it again")
 
@@ -95,15 +93,16 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     Parameters
     ----------
     renderer : Renderer
-        A renderer with one set of transforms, for the frame's gain and noise.
+        A renderer with one set of transforms, for the gain and noise of the frame.
     frame : RawFrame
+        The frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene, whose gains are used instead of a new bootstrap.
+        Uncertainty of another frame of the same scene. Its gains are used, without a new bootstrap.
 
     Raises
     ------
     RecipeError
-        If the table does not hold its camera, or the frame is too small.
+        If the table does not contain its camera, or if the frame is too small.
     """
     table = renderer.table
     require_known_noise(table)
@@ -144,7 +143,8 @@ class RegionMean:
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
     """Average the outputs over a polygon, with the uncertainty of the mean.
 
-    Neighbouring pixels share raw values, so their errors are correlated. The uncertainty of the mean allows for this.
+    The errors of neighbouring pixels are correlated, because they share raw values. The uncertainty of the mean takes this
+    into account.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     of : Uncertainty
         Uncertainty of the same frame, from `Renderer.uncertainty`.
     polygon : sequence of (float, float)
-        Corners (row, col). Pixels count if their centres, at whole numbers, lie inside.
+        Corners (row, col). A pixel belongs to the region if its centre, at integer coordinates, lies inside.
 
     Returns
     -------
@@ -185,9 +185,9 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
 
 
 def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return which pixels (row, col) have their centres, at integer coordinates, within a polygon of (row, col) corners.
+    """Return a mask (row, col) of the pixels whose centres, at integer coordinates, lie inside a polygon.
 
-    The even-odd rule decides.
+    The polygon is given by its corners (row, col). The even-odd rule applies.
     """
     row, col = np.indices(shape)
     inside = np.zeros(shape, bool)
@@ -200,7 +200,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the bits of the mask for the classes (class) of the first layer and of the last."""
+    """Return the bits of the mask for each class (class) of the first layer and of the last layer."""
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -221,16 +221,16 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(block_sides(mosaic.cfa)):
-        # Indices of the block before each pixel, in the padded map; the block after it follows.
+        # Index of the block before each pixel in the padded map. The block after the pixel has the next index.
         low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
     return replaced
 
 
 def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col), the outermost first.
+    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col).
 
-    The sides are top, bottom, left and right.
+    The sides are top, bottom, left and right. On each side, the outermost row or column comes first.
     """
     turned = planes.swapaxes(-1, -2)
     return [each[..., :EDGE_PIXELS, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
@@ -239,10 +239,10 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return the standard deviation (…) of raw values that are as bright as outputs (output, …), times `scale` (…).
+    """Return the standard deviation (…) of raw values that are as bright as outputs (output, …), multiplied by `scale` (…).
 
-    It is a fraction of full scale, from the noise terms averaged over the channels. The outputs are transforms times
-    `scale`.
+    It is a fraction of full scale, computed from the noise terms averaged over the channels. The outputs are the results of
+    transforms multiplied by `scale`.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -272,11 +272,11 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Return the gains for the scene that a frame's outputs (output, row, col) show. `scale` multiplies the transforms."""
+    """Return the gains for the scene with the given `outputs` (output, row, col). `scale` is a factor on the transforms."""
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Pieces begin at whole periods and blocks. The last piece ends with the frame, so that the borders are the frame's.
+    # Pieces begin at whole periods and blocks. The outermost pieces include the borders of the frame.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
         raise RecipeError(f"the frame is smaller than {least}×{least} pixels, too small to estimate its uncertainty")
@@ -302,7 +302,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
-    # Expected sample standard deviation of so few draws, relative to the true one.
+    # Expected sample standard deviation of this small number of draws, relative to the true standard deviation.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
@@ -318,8 +318,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the factors (side, distance, output) from the `expected` to the `measured` standard deviation at the frame's
-    sides.
+    """Return the ratio (side, distance, output) of `measured` to `expected` standard deviation at the sides of a frame.
 
     Corners and seams between pieces are left out.
     """
@@ -341,8 +340,9 @@ def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
     """Return a matrix (channel, output) from outputs to signals in DN, and the ratio of mean DN to mean brightness.
 
-    The matrix is found by robust least squares over blocks of the `sampled` rows and columns of a frame at the table's
-    levels. Errors are taken relative to the brightness of a block, because fine patterns may not be resolved.
+    The matrix is fitted by robust least squares to blocks of the `sampled` rows and columns of a frame at the table's
+    levels. Errors are relative to the brightness of a block. Means over blocks are used because fine patterns may not be
+    resolved.
     """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
@@ -367,9 +367,9 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return indices along a side of a frame: all of them, or those of a few evenly spaced pieces that begin at whole units.
+    """Return indices along a side of a frame: all indices, or those of a few evenly spaced pieces.
 
-    The first piece begins and the last ends with the frame.
+    Pieces begin at multiples of `unit`. The first piece begins and the last piece ends with the frame.
     """
     piece = max(PIECE_PIXELS // unit, 1) * unit
     if length <= piece * PIECES_PER_SIDE:
@@ -380,18 +380,18 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of the `_sampled` indices lie away from the seams between pieces and from the ends."""
+    """Return a mask of the `_sampled` indices that lie away from the seams between pieces and from the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
 
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
-    """Return gains (class of the last layer, output) and factors (class of the first, output), by iterative proportional
-    fitting.
+    """Fit gains (class of the last layer, output) and factors (class of the first layer, output).
 
-    They are chosen such that the mean prediction over the draws equals the `measured` standard deviation (output, row,
-    col): over each level, each class within its site and each class of the last layer, and over each kind of the first
-    layer. The prediction for a pixel comes from its classes (draw, pixel) and its `spread` (draw, pixel).
+    Iterative proportional fitting makes the mean prediction over the draws equal to the `measured` standard deviation
+    (output, row, col) in several groups: in each level, in each class within its site, in each class of the last layer, and
+    in each kind of the first layer. The prediction for a pixel is computed from its classes (draw, pixel) and its `spread`
+    (draw, pixel).
     """
     from scipy.sparse import coo_array
 
@@ -413,7 +413,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # Parts of the mean over draws: the draw itself, and one other draw, which represents all the others.
+    # Two parts of the mean over draws: the draw itself, and one other draw that represents all others.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
@@ -426,12 +426,12 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Return the sums (part, output) of values (cell, output) over the cells of each part."""
+    """Return the sum (part, output) of values (cell, output) over the cells of each part."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Return the relative variance of the means over tiles (tile, output), from deviations (output, draw, row, col)."""
+    """Return the relative variance (tile, output) of the means over tiles, given deviations (output, draw, row, col)."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

@@ -1,1 +1,1 @@
-"""Rendering by OpenCL kernels."""
+"""Rendering with OpenCL kernels."""

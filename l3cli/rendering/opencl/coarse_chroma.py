@@ -15,27 +15,29 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-READ_AHEAD = 16  # elements after the last one, which vectors may read
+READ_AHEAD = 16  # number of elements after the last one that vector loads may read
 
 
 class DeviceCoarseChroma:
-    """Kernels and buffers for a table with coarse chroma, which are built when the first frame comes."""
+    """Kernels and buffers for a table with coarse chroma. They are created for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it on a track,
-        over rows and columns; `constant` puts an array on the device.
+        """Store the arguments, without building anything.
+
+        `kernel` builds a kernel from source, macros and name. `run` enqueues a kernel on a track, over rows and columns.
+        `constant` copies an array to the device.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
         self._kernels: list[Any] = []  # average, soften
         self._scales: dict[float, list[Any]] = {}  # scale of each step, by noise fraction
 
     def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
-        """Enqueue the smoothing of the blocks that a band's last layer reads.
+        """Enqueue the smoothing of the blocks that the last layer reads for a band.
 
-        The result is the events, and the buffers of blocks before and after smoothing. `share` is the fraction of the
+        The result is the events, and the buffers with the blocks before and after smoothing. `share` is the fraction of the
         camera's noise.
         """
         if not self._kernels:
@@ -55,7 +57,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the track's buffers for planes of a shape. The margins around the blocks are UNLIKE_ANY."""
+        """Return the track's buffers for planes of a shape. The margins around the blocks contain UNLIKE_ANY."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
@@ -68,21 +70,21 @@ class DeviceCoarseChroma:
 
 
 class DeviceClipping:
-    """Kernels and buffers for a table that replaces uniform clipped areas, which are built when the first frame comes."""
+    """Kernels and buffers for a table that replaces uniform clipped areas. They are created for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
         variant: str,
     ) -> None:  # fmt: skip
-        """Prepare without building. Parameters as in DeviceCoarseChroma."""
+        """Store the arguments, which are the same as for DeviceCoarseChroma, without building anything."""
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
         self._kernels: list[Any] = []  # measure_blocks, map_blocks, read_maps
         self._constants: list[Any] = []  # channels of the array, response
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the maps of a band, and return the events and the buffer of the quads' maps.
+        """Enqueue the computation of a band's maps, and return the events and the buffer with the maps of the quads.
 
-        The frame must be at the table's levels. The quads are those of the planes that the last layer reads.
+        The frame must be at the table's levels. There is a map for each quad in the planes that the last layer reads.
         """
         table = self._table
         clipping = table.later[-1].clipping

@@ -1,9 +1,9 @@
-"""Finding OpenCL devices, explaining why there are none, and choosing the folder in which PoCL caches compiled kernels.
+"""Finds OpenCL devices, explains why there are none, and chooses the folder in which PoCL caches compiled kernels.
 
-PoCL trusts whatever it finds in its cache, and ends the process if it cannot write there. The folder therefore belongs to
-this user alone and is on a disk with enough space; otherwise it is a temporary folder. docs/limits.md describes what a
-damaged file in it does. Other drivers cache kernels themselves. pyopencl's own cache is not used, because it unpickles its
-files.
+PoCL trusts all files in its cache, and aborts the process if it cannot write there. The cache folder must therefore be
+writable only by this user, and be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md
+describes the effect of a damaged file in the cache. Other drivers have their own caches. The cache of pyopencl is not used,
+because it unpickles its files.
 """
 
 import atexit
@@ -23,12 +23,12 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-MIN_FREE_BYTES = 16 << 20  # bytes that must be free, several times the need of a table's kernels while they are compiled
-LEFT = 86400  # seconds after which empty files are removed; each process that uses PoCL 3.0 leaves one
+MIN_FREE_BYTES = 16 << 20  # bytes that must be free, several times what the compilation of a table's kernels needs
+LEFT = 86400  # seconds after which empty files are removed, because each process with PoCL 3.0 leaves one
 INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
-LINKER = "ld"  # PoCL links each kernel with it and a C compiler's libraries; without them it ends the process
+LINKER = "ld"  # linker that PoCL uses, together with the libraries of a C compiler; without them PoCL aborts the process
 REFUSES_PROCESSOR = "unknown target CPU"  # message of PoCL's compiler
-DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program from a damaged cache file
+DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program that comes from a damaged cache file
 FORKED = (
     "this process was forked from one that uses OpenCL, which would hang here; start processes by "
     '"spawn", multiprocessing.get_context("spawn"), and make renderers within them'
@@ -42,7 +42,7 @@ def prepare_cache() -> str:
     Returns
     -------
     str
-        The reason why it is a temporary folder, or "" if it is not.
+        The reason why the folder is temporary, or "" if it is permanent.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def prepare_cache() -> str:
         os.environ["POCL_CACHE_DIR"] = _temporary_folder()
         return "there is no home folder"
     try:
-        # One by one, since `parents` would leave those above to the umask, and who may write there can exchange the folder.
+        # Parents are created one by one with safe permissions, because anybody who can write there can exchange the folder.
         for each in (*reversed(folder.parents), folder):
             each.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         state = folder.stat()
@@ -81,7 +81,7 @@ def cache_warning() -> str:
 
 
 def _user_folder() -> Path | None:
-    """Return POCL_CACHE_DIR if set, otherwise a folder below XDG_CACHE_HOME or the home folder; None if there is neither."""
+    """Return POCL_CACHE_DIR if set, otherwise a folder below XDG_CACHE_HOME or the home folder. None if there is neither."""
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
         return chosen
@@ -108,7 +108,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _temporary_folder() -> str:
-    """Return a new folder that is removed when this process ends; DeviceError if no disk has enough space."""
+    """Create a folder that is removed when this process ends. Raises DeviceError if no disk has enough space."""
     places = [place for place in (os.environ.get("TMPDIR"), "/tmp", "/var/tmp", "/dev/shm") if place]
     for place in places:
         with contextlib.suppress(OSError):
@@ -126,20 +126,20 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that run the linker; the wheels contain 3.0
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that need the linker; the wheels contain 3.0
 
 
-_owner: int | None = None  # number of the process that first used OpenCL
+_owner: int | None = None  # process id of the process that first used OpenCL
 
 
 def pyopencl() -> Any:
-    """Return the module pyopencl, imported when first needed.
+    """Import pyopencl on first use, and return the module.
 
     Raises
     ------
     DeviceError
-        If OpenCL is not installed, or if this process was forked from one that uses OpenCL. Drivers have threads, which a
-        fork does not copy, so the first call would wait for ever.
+        If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. A fork does not copy the
+        threads of the driver, so the first call would wait forever.
     """
     global _owner
     if _owner not in (None, os.getpid()):
@@ -154,14 +154,14 @@ def pyopencl() -> Any:
 
 
 def devices() -> list[Any]:
-    """Return all OpenCL devices, in the order in which --device and L3_DEVICE number them."""
+    """Return all OpenCL devices, in the order of their numbers for --device and L3_DEVICE."""
     return [device for _, shown, _ in _platforms() for device in shown]
 
 
 def survey() -> list[str]:
     """Return one line per device, with its number, and one line per platform without devices.
 
-    If there are no devices, the lines say what is missing and how to install it.
+    If there are no devices, the lines explain what is missing and how to install it.
     """
     lines, number = [], 0
     platforms = _platforms()
@@ -180,11 +180,11 @@ def survey() -> list[str]:
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return the name and the devices of every platform and, if it has none, the reason."""
+    """Return the name and the devices of every platform, and if it has no devices the reason."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
-    except cl.Error:  # the loader finds no driver
+    except cl.Error:  # the OpenCL loader finds no driver
         return []
     described = []
     for platform in platforms:
@@ -204,7 +204,7 @@ def choose_device(wanted: str) -> Any:
     Parameters
     ----------
     wanted : str
-        Number of the device, or a part of its name. If empty, the first GPU is chosen, or otherwise the first device.
+        Number of the device, or a part of its name. If empty, the first GPU is chosen, or the first device without a GPU.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def choose_device(wanted: str) -> Any:
 
 @contextlib.contextmanager
 def refusals(device: Any) -> Iterator[None]:
-    """Within the block, raise a DeviceError with a single line for any error of OpenCL."""
+    """Convert errors of OpenCL within the block to a DeviceError with a message of one line."""
     cl = pyopencl()
     try:
         yield

@@ -1,4 +1,4 @@
-"""A table in the form that the kernels (opencl/**/*.cl) need: macros for sizes, arrays for values, sources in order."""
+"""Converts a table to the form that the kernels (opencl/**/*.cl) need: macros, arrays and joined source files."""
 
 import functools
 import math
@@ -24,17 +24,18 @@ from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
-EXTRA_CFA_COLUMNS = 31  # columns by which a row of the CFA is extended, so that two vectors of 16 fit from any phase on
-SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # outputs and largest number of taps of side_by_side.cl, for floats
-FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # below opencl/, by variant
+EXTRA_CFA_COLUMNS = 31  # additional columns of a CFA row, so that two vectors of 16 can be loaded from any phase
+SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # for floats, the outputs and largest number of taps of side_by_side.cl
+FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # variant → folder below opencl/
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
 
 
 @functools.cache
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
-    """Return the macros of a transfer curve. Its power part is a polynomial of the fourth root (encoding.cl), fitted at
-    Chebyshev's nodes.
+    """Return the macros of a transfer curve for encoding.cl.
+
+    The power function in the curve is approximated by a polynomial of the fourth root, fitted at Chebyshev nodes.
     """
     lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
@@ -50,10 +51,11 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 
 @functools.cache
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
-    """Return the macros of a transfer curve as 32 parabolas, which give codes up to `top`, plus one half for rounding.
+    """Return the macros of a transfer curve that is approximated by 32 parabolas.
 
-    The variable is u = 2^-8 + CURVE_SHARE · x. There are four parabolas per octave of u, fitted at Chebyshev's nodes, with
-    errors within 3e-5 of `top`. They are stored in the order in which the upper bits of u number them.
+    The result of the parabolas is a code up to `top`, plus one half for rounding. The variable is u = 2^-8 + CURVE_SHARE ·
+    x. There are four parabolas per octave of u, fitted at Chebyshev nodes, with errors up to 3e-5 of `top`. The upper bits
+    of u are the index of the parabola.
     """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
@@ -83,7 +85,7 @@ def gamut_macros(space: Space) -> dict[str, int | str]:
 
 
 def _literal(value: float) -> str:
-    """Return a number as a single-precision literal of OpenCL C. The exponent marks integers as floating point, too."""
+    """Return a number as a single-precision literal in OpenCL C. The exponent makes integers floating point as well."""
     return f"{value:.8e}f"
 
 
@@ -92,12 +94,12 @@ Macros = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Cut:
-    """How a band is divided: each work-group renders a tile of `tile` columns and `band` rows."""
+    """Division of a band into tiles. Each work-group renders a tile of `tile` columns and `band` rows."""
 
     tile: int  # columns
     band: int  # rows
     group: tuple[int, int]  # work-items of a group
-    lanes: int  # pixels, or taps, that a work-item processes side by side; 0: the device's compiler decides (lanes.cl)
+    lanes: int  # number of pixels or taps that a work-item processes in parallel; if 0, the compiler decides (lanes.cl)
 
     @property
     def macros(self) -> Macros:
@@ -105,16 +107,16 @@ class Cut:
 
 
 def source_folder() -> Path:
-    """Return the folder of the .cl files: inside the installed package, or beside it in a source checkout."""
+    """Return the folder of the .cl files. In a source checkout it lies beside the package."""
     package = Path(__file__).parents[2]
     inside = package / "opencl"
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """Return the joined .cl files for the layer that reads the mosaic, with the features of its rule.
+    """Return the joined .cl files for the first layer, which reads the mosaic, with the features of its rule.
 
-    #line directives keep file names and lines in the compiler's messages.
+    #line directives make the compiler's messages refer to the original files and lines.
     """
     features = [
         joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
@@ -143,8 +145,9 @@ def joined_files(*names: str) -> str:
 
 
 def paired_source(variant: str, name: str, *shared: str) -> str:
-    """Return the joined .cl files of a kernel that has a common part and a part for the variant, after the files
-    `shared`.
+    """Return the joined .cl files of a kernel that consists of a common part and a part for the variant.
+
+    The files `shared` come first.
     """
     return joined_files("common/vectors.cl", *shared, f"common/{name}", f"{FOLDERS[variant]}/{name}")
 
@@ -172,18 +175,19 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 def white_macros(table: TransformTable) -> Macros:
-    """Return the macros that limit outputs to the clipped white, if there is one."""
+    """Return the macros that limit outputs to the clipped white, if the table has one."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
 
 
 def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:
-    """Return the numbers (12) that kernels with outputs read from one buffer.
+    """Return the constants (12) of a display that kernels read from one buffer.
 
     Parameters
     ----------
     table : TransformTable
+        The table.
     matrix : ndarray, (3, 3), or None
-        From X, Y, Z to linear values of the display. None if outputs are written unchanged.
+        Matrix from X, Y, Z to linear values of the display, or None if outputs are written unchanged.
 
     Returns
     -------
@@ -194,8 +198,8 @@ def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[
     return np.concatenate([np.zeros(9) if matrix is None else matrix.ravel(), np.zeros(3) if white is None else white])
 
 
-COARSE_MARGIN = max(SPACINGS)  # blocks around a band, with values that are similar to no block
-UNLIKE_ANY = 1e12  # steps of a plane, value of the blocks in the margin
+COARSE_MARGIN = max(SPACINGS)  # blocks; width of the margin around a band
+UNLIKE_ANY = 1e12  # steps of a plane; value of the blocks in the margin, which is not similar to any block
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
@@ -222,7 +226,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     }
 
 
-# Macros of a layer that another layer follows.
+# Macros of a layer that is not the last.
 TO_PLANES: Macros = {
     "OUTPUTS": PLANES,
     "FIXED_POINT": 1,
@@ -253,7 +257,7 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
 
 
 OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: writes one number per pixel
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: the kernel writes one number per pixel
 
 
 def display_macros(display: Display) -> Macros:
@@ -262,14 +266,14 @@ def display_macros(display: Display) -> Macros:
     if display.tone is not None:
         terms = {**vars(display.tone), "limit": TONE_LIMIT}
         macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
-    # For 8 bits within 8e-5, which changes one code in 200 by one; otherwise within 1.2e-6, the accuracy of float32.
+    # The error for 8 bits is up to 8e-5, which changes one code in 200 by 1. Otherwise it is up to 1.2e-6, as for float32.
     if display.bits == 8:
         return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
     return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """Return the constants of the kernel `classes` in the order of its arguments. `others` are further sets of the table."""
+    """Return the constants of the kernel `classes` in the order of its arguments. `others` are the table's other sets."""
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
@@ -292,16 +296,16 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
 
 @dataclass(frozen=True)
 class Weights:
-    """A layer's transforms in floating point, in the order in which kernels read them."""
+    """The transforms of a layer in floating point, with the taps in the order of the kernels."""
 
-    taps: NDArray[Any]  # (class, output, tap); taps are ordered by column, then row, then plane
+    taps: NDArray[Any]  # (class, output, tap); taps are sorted by column, then row, then plane
     intercept: NDArray[Any]  # (class, output)
-    ratio_taps: int = 0  # number of taps at the end that belong to no window
+    ratio_taps: int = 0  # number of taps at the end that do not belong to a window
 
 
 @dataclass(frozen=True)
 class WholeWeights:
-    """A layer's transforms in fixed point, which make three planes."""
+    """The transforms of a layer in fixed point, with three planes as outputs."""
 
     taps: NDArray[np.int16]  # (class, plane, tap) in the same order
     intercept: NDArray[np.int32]  # (class, plane)
@@ -309,13 +313,13 @@ class WholeWeights:
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the weights of a table's first layer if it writes outputs, per DN above black."""
+    """Return the weights of a first layer that computes outputs, for signals in DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
-    """Return the weights of the first layer if another layer follows. Raw values are read with `raw_middle` subtracted."""
+    """Return the weights of a first layer that another layer follows. `raw_middle` is subtracted from raw values."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
@@ -326,7 +330,7 @@ def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
 
 
 def refinement_weights(layer: PlaneLayer) -> Weights:
-    """Return the weights of the last layer if it is a refinement layer, per step of a plane."""
+    """Return the weights of a refinement layer that is the last layer, for planes in steps."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
@@ -336,17 +340,17 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 class PlaneStep:
     """Buffers for the planes and classes that a refinement layer reads."""
 
-    weights: Any  # of the previous layer
+    weights: Any  # weights of the previous layer
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # unused argument in the place of a display's matrix
+    nothing: Any  # unused argument, where other kernels take the matrix of a display
 
 
 def table_buffers(
     sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
 ) -> tuple[list[Any], Any, list[PlaneStep]]:
-    """Return the buffers of the first layer's class rule, of the last layer's transforms, and of each refinement layer.
+    """Return the buffers for the class rule of the first layer, for the last transforms, and for each refinement layer.
 
-    `constant` puts an array on the device.
+    `constant` copies an array to the device.
     """
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
@@ -363,7 +367,7 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """Return weights (class, output, tap) with the taps reordered from plane, row, column to column, row, plane."""
+    """Reorder the taps of weights (class, output, tap) from plane, row, column to column, row, plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -373,9 +377,13 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
     """Pack weights (class, …) for side_by_side.cl, or (class, group, …) for floating_point.cl.
 
-    The latter consist of, for each group of outputs: vectors (vector, output, lane) of all taps of a window but the last;
-    the last taps of four outputs; their four intercepts; the taps after the window one by one; and zeros up to a multiple
-    of 16.
+    For floating_point.cl, each group of four outputs consists of:
+
+    1. vectors (vector, output, lane) with all taps of a window except the last,
+    2. the last taps of the four outputs,
+    3. the four intercepts,
+    4. the taps after the window, one by one,
+    5. zeros up to a multiple of 16.
     """
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
@@ -402,9 +410,7 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """Pack fixed-point weights (class, …) for side_by_side.cl. The fraction takes the place of a fourth plane's
-    intercept.
-    """
+    """Pack fixed-point weights (class, …) for side_by_side.cl. The fraction is stored as the intercept of a fourth plane."""
     intercept = np.column_stack([layer.intercept, layer.fraction])
     return _side_by_side(layer.taps, intercept, 8)
 
@@ -412,8 +418,8 @@ def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
     """Pack the weights for side_by_side.cl.
 
-    Per class there is a header with the four intercepts at a stride of 4, then blocks of `once` taps for outputs 0 to 3 in
-    turn. Missing outputs and taps are zero.
+    For each class there is a header with the four intercepts at a stride of 4, followed by blocks of `once` taps for outputs
+    0 to 3 in turn. Missing outputs and taps are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
@@ -449,21 +455,21 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 
 @dataclass(frozen=True)
 class Variant:
-    """The same computation, arranged for one kind of device."""
+    """The arrangement of the computation for one kind of device."""
 
-    # Files below opencl/ for the first layer, which follow those of the features in this order.
+    # Files below opencl/ for the first layer, in this order, after the files of the features.
     sources: tuple[str, ...]
-    refinement_sources: tuple[str, ...]  # the same for a refinement layer
-    encoder_sources: tuple[str, ...]  # for encoding outputs as pictures
+    refinement_sources: tuple[str, ...]  # files for a refinement layer
+    encoder_sources: tuple[str, ...]  # files for the encoder, which converts outputs to pictures
     encoder_cut: Cut
-    joins: bool  # whether classes and transforms of the first layer may be one kernel
-    cut: Callable[[TransformTable, int], Cut]  # division of a band, from the number of lanes that suits the device
-    pack: Callable[[Weights, int], NDArray]  # packs weights for its kernels, for a number of lanes
+    joins: bool  # whether one kernel may compute both classes and transforms of the first layer
+    cut: Callable[[TransformTable, int], Cut]  # returns the division of a band for a number of lanes
+    pack: Callable[[Weights, int], NDArray]  # packs weights for a number of lanes
     pack_whole: Callable[[WholeWeights, int], NDArray]
 
 
 VARIANTS = {
-    # A few long work-items, each vectorised: over pixels for the classes, over taps for the transforms.
+    # A few long work-items, which are vectorised over pixels for classes and over taps for transforms.
     "processor": Variant(
         (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
@@ -474,7 +480,7 @@ VARIANTS = {
         pack_in_vectors,
         pack_whole_in_vectors,
     ),
-    # One work-item per pixel, which the device itself runs side by side.
+    # One work-item per pixel. The device runs them in parallel.
     "graphics": Variant(
         (*SHARED, "gpu/frame.cl"),
         ("gpu/frame.cl",),

@@ -1,4 +1,4 @@
-"""The OpenCL programs of a table, each of which is built when a frame first needs it."""
+"""The OpenCL programs of a table. Each program is built when a frame needs it for the first time."""
 
 import functools
 import os
@@ -16,29 +16,29 @@ from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl.processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
-TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # leaves out the kernel for classes, which another program contains
-# Where classes and transforms may be joined, programs have one kernel each, so that unused kernels are not compiled.
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # omits the kernel for classes, which is in another program
+# If classes and transforms may be joined, each program has a single kernel, so that unused kernels are not compiled.
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
-JOINED: layout.Macros = {"JOINED": 1}  # classes and transforms of the first layer in one kernel
+JOINED: layout.Macros = {"JOINED": 1}  # puts classes and transforms of the first layer into one kernel
 Key = tuple[Any, ...]
 
 
 class Compiler:
-    """Builds programs for a device, and reuses those that this process has built."""
+    """Builds programs for a device, and reuses programs that this process has already built."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device
-        self._built: dict[tuple[str, ...], Any] = {}  # program by source and options
+        self._built: dict[tuple[str, ...], Any] = {}  # source and options → program
 
     def build(self, source: str, macros: layout.Macros) -> Any:
         """Build a program."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        if name := compiled_for(self._device):  # keeps PoCL's cache from reusing kernels for another processor
+        if name := compiled_for(self._device):  # keeps PoCL from reusing cached kernels for another processor
             options.append(f"-DCOMPILED_FOR={name}")
         key = (source, *options)
         if key not in self._built:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # pyopencl warns whenever the compiler prints something
+                warnings.simplefilter("ignore")  # pyopencl warns whenever the compiler prints anything
                 self._built[key] = pyopencl().Program(self.context, source).build(options)
         return self._built[key]
 
@@ -52,7 +52,7 @@ def compiler_of(device: Any) -> Compiler:
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
     """Return the device and the variant for a renderer (see OpenCLRenderer).
 
-    DeviceError if there is no such device, RecipeError if the variant is unknown.
+    Raises DeviceError if there is no such device, and RecipeError if the variant is unknown.
     """
     found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
     name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
@@ -62,16 +62,16 @@ def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
 
 
 def make_ready(device: str | None = None, variant: str | None = None) -> None:
-    """Build what a renderer needs for any table. Errors as in `chosen`."""
+    """Build the programs that renderers need for any table. Raises the same errors as `chosen`."""
     found, name = chosen(device, variant)
     with refusals(found):
         usual_encoder(compiler_of(found), name)
 
 
 def usual_encoder(compiler: Compiler, variant: str) -> int:
-    """Build the encoder for 8-bit sRGB pictures, and return the number of lanes, which its kernel's name states.
+    """Build the encoder for 8-bit sRGB pictures, and return the number of lanes, which is part of its kernel's name.
 
-    The kernel runs once on a single pixel, so that PoCL compiles it now.
+    The kernel is run once on a single pixel, so that PoCL compiles it now.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -85,25 +85,28 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 
 
 class Programs:
-    """The kernels of a table's layers, counted from 0, and of the encoder.
+    """The kernels of a table's layers, which are counted from 0, and of the encoder.
 
-    `ending` are the macros of what the transforms write (layout.py).
+    In the methods, `ending` are the macros that determine the output of the transforms (layout.py).
 
     Parameters
     ----------
     compiler : Compiler
+        The compiler of the device.
     table : TransformTable
+        The table.
     variant : str
+        A key of layout.VARIANTS.
     lanes : int or None
-        Length of the processor variant's vectors. None: as the device's registers allow.
+        Length of the vectors in the processor variant. None selects the width of the device's registers.
     sets : int
-        Number of sets of transforms that pixels choose from.
+        Number of sets of transforms from which one is chosen for each pixel.
     """
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # by layer (-1: encoder) and ending
-        self._kernels: dict[Key, Any] = {}  # by program and name
+        self._programs: dict[Key, Any] = {}  # layer (-1 for the encoder) and ending → program
+        self._kernels: dict[Key, Any] = {}  # program and name → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
         self.joins = made_for.joins
@@ -111,18 +114,20 @@ class Programs:
         self.cut = made_for.cut(table, lanes or usual_encoder(compiler, variant))
 
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
-        """Return the kernel of the last layer's transforms. If it is the only layer, the kernel may also decide the
-        classes.
+        """Return the kernel for the transforms of the last layer.
+
+        If this is the only layer and `joined` is true, the kernel also decides the classes.
         """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that renders the outputs of the first layer, if the last layer corrects them."""
+        """Return the kernel that computes the outputs of the first layer, for tables whose last layer corrects them."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """Return the kernel that renders the planes for layer `layer` + 1. For the first layer it may also decide the
-        classes.
+        """Return the kernel that computes the planes of `layer`, which layer `layer` + 1 reads.
+
+        For the first layer, the kernel also decides the classes if `joined` is true.
         """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
@@ -132,7 +137,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that decides a layer's classes, from any of its programs."""
+        """Return the kernel that decides the classes of a layer, from any program that contains it."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
@@ -140,7 +145,7 @@ class Programs:
         return self._kernel(key, "structures" if layer else "classes")
 
     def encoder(self, ending: layout.Macros) -> Any:
-        """Return the kernel that encodes outputs as pictures."""
+        """Return the kernel that converts outputs to pictures."""
         key = self._built(-1, ending)
         return self._kernel(key, self._programs[key].kernel_names)
 
@@ -150,7 +155,7 @@ class Programs:
         return self._kernels[*key, name]
 
     def _built(self, layer: int, ending: layout.Macros) -> Key:
-        """Return the key of a program, which is built if necessary."""
+        """Build a program if necessary, and return its key."""
         key = (layer, *ending.items())
         if key not in self._programs:
             self._programs[key] = self._compiler.build(*self._program(layer, ending))

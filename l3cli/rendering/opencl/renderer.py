@@ -1,8 +1,8 @@
-"""Rendering on an OpenCL device: upload, one or two kernels a layer (opencl/*.cl), download (docs/method.md#rendering).
+"""Rendering on an OpenCL device: upload, one or two kernels per layer (opencl/*.cl), download (docs/method.md#rendering).
 
-A frame is taken in horizontal bands, so that the device's memory is bounded whatever the frame's size; a usual frame is one
-band. Two tracks, each a queue with its buffers, take the bands in turn, of this frame and the next: while one
-computes, the other may upload and download.
+A frame is processed in horizontal bands, so that the memory on the device is limited for frames of any size. A frame of
+usual size is a single band. Bands, including those of consecutive frames, alternate between two tracks. A track is a queue
+with its own buffers. While one track computes, the other can upload and download.
 """
 
 from collections import deque
@@ -39,17 +39,20 @@ from l3cli.rendering.opencl.work import (
 from l3cli.rendering.reference import SPECTRA_DARKEST
 
 LONG_RUN = 1 << 14  # pixels per work-item, in the variant with vectors
-GROUP = 64  # work-items per group, if each has one pixel
+GROUP = 64  # work-items per group, in the variant with one pixel per work-item
 
 
 class DeviceShading:
-    """Kernel and buffers for shading, built when the first frame with shading comes. Buffers are kept while frames share a
-    shading.
+    """Kernel and buffers for lens shading. They are created for the first frame with shading.
+
+    Buffers are reused as long as frames have the same shading.
     """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """Prepare without building. `kernel` builds a kernel from source, macros and name; `constant` puts an array on the
-        device; `lanes` is the length of its vectors.
+        """Store the arguments, without building anything.
+
+        `kernel` builds a kernel from source, macros and name. `constant` copies an array to the device. `lanes` is the
+        length of the vectors.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -62,12 +65,12 @@ class DeviceShading:
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return the buffer of a band's gains, which is an argument of kernels for frames with shading."""
+        """Return the buffer with the gains of a band, as additional argument of kernels for frames with shading."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether the channels of a frame differ in shading, so that its values on the device must be writable."""
+        """Return whether a frame has colour shading, in which case its values on the device must be writable."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
@@ -95,13 +98,14 @@ class DeviceShading:
 
 
 class DeviceSpectra:
-    """The kernel for smoothing spectra, built when the first frame comes."""
+    """The kernel that smooths spectra. It is built for the first frame."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """Prepare without building. `kernel` builds a kernel from source, macros and name; `run` enqueues it over rows and
-        columns of a track.
+        """Store the arguments, without building anything.
+
+        `kernel` builds a kernel from source, macros and name. `run` enqueues a kernel on a track, over rows and columns.
         """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
@@ -115,9 +119,7 @@ class DeviceSpectra:
         return track.made
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer of `room`. Its own rows are written to
-        `result`.
-        """
+        """Enqueue the smoothing of a band whose outputs are in the buffer `room`. Only its own rows go to `result`."""
         if self._kernel is None:
             macros: Macros = {
                 "OUTPUTS": self._outputs,
@@ -138,9 +140,9 @@ class Unread:
     """Outputs of a frame that are still on the device."""
 
     frame: RawFrame
-    values: NDArray[np.uint16]  # a copy, because the caller may change the frame's values
+    values: NDArray[np.uint16]  # copy of the frame's values, which the caller may change
     track: Track
-    result: Any  # the buffer
+    result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
         """Return whether the outputs belong to this frame."""
@@ -150,32 +152,33 @@ class Unread:
 TRACKS = 2
 Labels = Mapping[int, NDArray]  # layer → array (row, col) that receives its classes
 NO_LABELS: Labels = {}
-READ_AHEAD_BYTES = 16  # bytes after the last pixel, which vectors may read
+READ_AHEAD_BYTES = 16  # number of bytes after the last pixel that vector loads may read
 
 
 class OpenCLRenderer:
     """Renderer on an OpenCL device.
 
-    Programs, kernels and the table's buffers are created once, the buffers of bands once per frame size. Only one thread at
-    a time may use a renderer; other threads run while it waits.
+    Programs, kernels and the buffers of the table are created once, and the buffers of bands once per frame size. Only one
+    thread at a time may use a renderer. Other threads can run while it waits for the device.
 
     Parameters
     ----------
     table : TransformTable
+        The table.
     device : str, optional
-        Number of the device, or a part of its name. By default the environment variable L3_DEVICE, the first GPU, or the
-        first device.
+        Number of the device, or a part of its name. [default: the environment variable L3_DEVICE, otherwise the first GPU,
+        otherwise the first device]
     variant : str, optional
-        A key of layout.VARIANTS. By default the variant for the device's type.
+        A key of layout.VARIANTS. [default: the variant for the type of the device]
     lanes : int, optional
-        Length of the processor variant's vectors. By default as the device's registers allow.
+        Length of the vectors in the processor variant. [default: the width of the device's registers]
     by_noise : bool
         See `make_renderer`.
 
     Raises
     ------
     DeviceError
-        If there is no device, or it fails.
+        If there is no device, or if the device fails.
     """
 
     def __init__(
@@ -202,7 +205,7 @@ class OpenCLRenderer:
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._unread: Unread | None = None
             self._in_place = shares_memory(self.device)
-            self._joined = self._programs.joins  # whether classes and transforms of the first layer are one kernel
+            self._joined = self._programs.joins  # whether one kernel computes classes and transforms of the first layer
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             chroma = table.later[-1].coarse_chroma if table.later else None
@@ -213,7 +216,7 @@ class OpenCLRenderer:
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
         """Return the class (row, col) of every pixel in a layer of the table."""
         labels = np.empty(frame.values.shape, np.uint32)
-        if self._layers and self._unread is not None and self._unread.are_of(frame):  # its classes are still on the device
+        if self._layers and self._unread is not None and self._unread.are_of(frame):  # the classes are still on the device
             work, track = Work(self.device, self.stages), self._unread.track
             work.fetch(track.queue, track.refined_labels[layer - 1] if layer else track.labels, [labels])
         else:
@@ -222,11 +225,12 @@ class OpenCLRenderer:
         return labels
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
-        """Return the outputs, and the classes (row, col) of the first layer and, if there are several, of the last, in one
-        pass.
+        """Compute outputs and classes in one pass.
+
+        The classes (row, col) are those of the first layer and, if there are several layers, of the last layer.
         """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
-        joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined single layer stores no classes
+        joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined kernel does not store classes
         try:
             planes, work = self._start_outputs(frame, labels)
         finally:
@@ -234,7 +238,7 @@ class OpenCLRenderer:
         return self._ended(planes, work, frame), [labels[layer] for layer in sorted(labels)]
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs of the table, (output, row, col)."""
+        """Return the outputs (output, row, col) of the table."""
         planes, work = self._start_outputs(frame)
         if len(self._bands(frame.values.shape)) == 1:
             self._unread = Unread(frame, frame.values.copy(), self._tracks[-1], self._tracks[-1].result)
@@ -248,15 +252,16 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3), encoded on the device; RecipeError unless outputs are X, Y, Z or
-        GREY.
+        """Return the frame as a picture (row, col, 3), encoded on the device.
+
+        Raises RecipeError unless the outputs are X, Y, Z or GREY.
         """
         picture, work = self._start_picture(frame, display)
         work.end()
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame, in order. The next picture is computed while the caller uses one."""
+        """Yield the picture of each frame, in order. While the caller uses a picture, the next one is computed."""
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display, borrow=False))
@@ -269,12 +274,12 @@ class OpenCLRenderer:
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Return the time in ms that the device spent in each of `stages`, for a picture, or for outputs if `display` is
-        None.
+        """Measure the time, in ms, that the device spends in each of `stages`.
 
-        Classes and transforms of the first layer are timed separately, even if they are otherwise one kernel. "transforms"
-        is the time of the kernel built without encoding, which writes one number per pixel instead. "encode" is the
-        additional time of the whole kernel. The first call warms up, so use the second.
+        The times are for a picture, or for outputs if `display` is None. Classes and transforms of the first layer are timed
+        separately, even if they are usually computed by one kernel. "transforms" is the time of a kernel without encoding,
+        which writes one number per pixel. "encode" is the additional time of the kernel with encoding. The first call
+        includes compilation, so call this method twice and use the second result.
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -308,9 +313,10 @@ class OpenCLRenderer:
     ) -> Work:  # fmt: skip
         """Start to render a frame.
 
-        `results` are one or several arrays (row, …), which follow one another on the device. The kernel `transform` with
-        the given ending fills them. `labels` (row, col), by layer, receive the classes. With `borrow` the frame's values
-        may be read until all is done; otherwise they are copied, because the caller may change them.
+        The kernel `transform` with the given ending fills `results`, which are one or several arrays (row, …) and are
+        contiguous on the device. `labels` are arrays (row, col), by layer, that receive the classes. If `borrow` is true,
+        the values of the frame may be read until all work is done. Otherwise they are copied, because the caller may change
+        them.
         """
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)
@@ -329,7 +335,7 @@ class OpenCLRenderer:
                 if not self._joined or (kernel is None and not any(labels)):
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
-                if encoding is None:  # prepared after the first kernel is enqueued, while the device works
+                if encoding is None:  # prepared only after the first kernel is enqueued, so that the device is not idle
                     encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
@@ -359,7 +365,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload a band, with the adjacent rows that refinement layers read."""
+        """Upload a band, including the adjacent rows that refinement layers read."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -373,7 +379,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Return the buffer with the number of the set that renders each pixel of a band."""
+        """Return the buffer with the index of the set of transforms for each pixel of a band."""
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD_BYTES, np.uint8)
         pixels[:-READ_AHEAD_BYTES].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -383,15 +389,15 @@ class OpenCLRenderer:
         return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
-        """Return the buffers from which the first layer's classes are decided, and the buffer of the classes."""
+        """Return the buffers from which the classes of the first layer are decided, and the buffer for the classes."""
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
-        """Return the row and column in the CFA at which a band begins."""
+        """Return the CFA row and column of the first pixel of a band."""
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Enqueue the planes that refinement layer `number` reads for a band, and its classes."""
+        """Enqueue the computation of the planes that refinement layer `number` reads for a band, and of its classes."""
         step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)
@@ -403,10 +409,10 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the buffers that the transforms of a layer read, and the numbers that follow them as arguments.
+        """Return the buffers that the transforms of a layer read, and the integers that follow them as arguments.
 
-        The buffers are the source, the positions of its padded rows and columns, and the classes or what they are decided
-        from.
+        The buffers are the source, the indices of its padded rows and columns, and either the classes or the buffers from
+        which they are decided.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
@@ -418,8 +424,9 @@ class OpenCLRenderer:
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Enqueue a band's last transforms, with encoding or smoothing into `result`. A single layer also decides its
-        classes.
+        """Enqueue the last transforms of a band, followed by encoding or smoothing. They write to `result`.
+
+        If the table has a single layer, the kernel also decides the classes.
         """
         number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
@@ -440,7 +447,7 @@ class OpenCLRenderer:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the outputs of the first layer, which a band's last transforms correct, and return their buffer."""
+        """Enqueue the computation of the first layer's outputs, which the last transforms correct. Return their buffer."""
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
         track.first = self._scratch(track.first, size + 4 * READ_AHEAD_BYTES)
@@ -450,10 +457,10 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer that becomes the result.
+        """Return the buffer for the result.
 
-        If there is one array and the device shares the host's memory, it is the array itself, otherwise the track's
-        buffer.
+        If there is a single array and the device shares the host's memory, the buffer is this array. Otherwise it is the
+        track's buffer.
         """
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
@@ -461,7 +468,7 @@ class OpenCLRenderer:
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel over rows and columns, which are its last arguments."""
+        """Enqueue a kernel over rows and columns, whose numbers are its last arguments."""
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
@@ -472,7 +479,7 @@ class OpenCLRenderer:
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands of frames of a shape (row, col), which are kept until a frame has another shape."""
+        """Return the bands for frames of a shape (row, col). They are kept until a frame has another shape."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

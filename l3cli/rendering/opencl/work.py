@@ -1,6 +1,6 @@
 """Work on an OpenCL device: queues with their buffers, events, and the bands of a frame.
 
-A band states which rows every layer reads for it, and which row and column each padded one repeats.
+A band defines which rows every layer reads, and the source of each padded row and column.
 """
 
 import os
@@ -20,9 +20,9 @@ from l3cli.rendering.opencl.devices import pyopencl, refusals
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
-COARSE_CHROMA = "coarse chroma"  # a stage between structures and transforms, if the last layer has coarse chroma
-SPECTRA = "spectra"  # a stage between transforms and encoding, if spectra are smoothed
-BAND_PIXELS = 1 << 22  # pixels of a band, without margins
+COARSE_CHROMA = "coarse chroma"  # stage between structures and transforms, for tables with coarse chroma
+SPECTRA = "spectra"  # stage between transforms and encoding, for tables that smooth spectra
+BAND_PIXELS = 1 << 22  # number of pixels of a band, without margins
 
 
 Source = Any  # a buffer of indices
@@ -37,9 +37,9 @@ def stages_of(table: TransformTable) -> tuple[str, ...]:
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
-    """Return a device buffer that holds an array."""
+    """Return a device buffer with the contents of an array."""
     flags = pyopencl().mem_flags
-    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # no buffer may be empty
+    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # buffers must not be empty
     return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
 
 
@@ -54,14 +54,14 @@ class Track:
     """A queue and the buffers of one band. The buffers grow when needed."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """Create a track without buffers, for a table with so many refinement layers."""
+        """Create a track without buffers, for a table with the given number of refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         self.raw: Any = None  # raw values that kernels read
         self.uploaded: Any = None  # copy of the host's raw values, unless the device reads the host's memory
         self.labels: Any = None
-        self.sets: Any = None  # copy of the number of the set that renders each pixel
-        self.chosen: tuple[Any, ...] = ()  # `sets`, or the host's array; empty if there is one set
+        self.sets: Any = None  # copy of the index of the set of transforms for each pixel
+        self.chosen: tuple[Any, ...] = ()  # `sets` or the host's array; empty if there is only one set
         self.planes: list[Any] = [None] * layers  # planes that each refinement layer reads
         self.refined_labels: list[Any] = [None] * layers
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
@@ -71,13 +71,13 @@ class Track:
         self.first: Any = None  # outputs of the first layer, if the last layer corrects them
         self.made: Any = None  # outputs before smoothing of spectra
         self.result: Any = None
-        self._typed: set[Any] = set()  # kernels
+        self._typed: set[Any] = set()  # kernels whose argument types pyopencl knows
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Enqueue a kernel.
 
-        The types of its arguments are stated once. Otherwise pyopencl would determine them on every call, which takes
-        longer than everything else before a frame's first kernel.
+        The types of its arguments are declared once. Otherwise pyopencl would determine them in every call, which would take
+        longer than all other steps before the first kernel of a frame.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
@@ -86,14 +86,14 @@ class Track:
 
 
 def shares_memory(device: Any) -> bool:
-    """Return whether a device computes in the host's memory, so that nothing needs to be copied."""
+    """Return whether a device shares the host's memory, so that nothing needs to be copied."""
     return bool(device.type & pyopencl().device_type.CPU)
 
 
 class Work:
-    """The work started for one frame: its events by stage, and the arrays that the device still uses.
+    """The work that was started for one frame: its events by stage, and the arrays that the device still uses.
 
-    The arrays are kept until the work is done, even after an interrupt.
+    References to the arrays are kept until the work is done, even after an interrupt.
     """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
@@ -102,7 +102,7 @@ class Work:
         self.arrays: list[NDArray] = []
         self._queues: list[Any] = []
         self._in_place: list[Any] = []  # buffers in the memory of host arrays
-        self._mapped: list[tuple[Any, Any]] = []  # queue, mapping
+        self._mapped: list[tuple[Any, Any]] = []  # pairs of queue and mapping
         self._owner = os.getpid()
 
     def __del__(self) -> None:
@@ -111,9 +111,7 @@ class Work:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """Return a buffer in the memory of a contiguous array, which a device that shares the host's memory reads or
-        writes.
-        """
+        """Return a buffer in the memory of a contiguous array, for a device that shares the host's memory."""
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -128,9 +126,9 @@ class Work:
         return buffer
 
     def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
-        """Start to copy a buffer, from byte `offset` on, into contiguous arrays one after the other.
+        """Start to copy a buffer, from byte `offset` on, into consecutive contiguous arrays.
 
-        Buffers that share host memory are mapped instead of copied.
+        Buffers in host memory are mapped instead of copied.
         """
         cl = pyopencl()
         for array in arrays:
@@ -145,13 +143,13 @@ class Work:
             self.add("download", event)
 
     def end(self) -> "Work":
-        """Wait until the work is done, and return it. Other threads run meanwhile. DeviceError if the device fails."""
+        """Wait until the work is done, while other threads may run. Raises DeviceError if the device fails."""
         with refusals(self._device):
             for event in self.events["download"]:
                 event.wait()
             while self._mapped:
                 queue, mapping = self._mapped.pop()
-                mapping.release(queue).wait()  # from now on the array belongs to the caller
+                mapping.release(queue).wait()  # now the array belongs to the caller again
         self._queues.clear()
         return self
 
@@ -168,21 +166,22 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """For a refinement layer: the rows and columns of planes that each padded row and column repeats."""
+    """The source of each padded row and column of planes, for a refinement layer."""
 
-    classes: tuple[Source, Source, Source]  # (padded row) of the planes and of the first layer's classes, (padded col)
-    transforms: tuple[Source, Source]  # (padded row), (padded col)
+    classes: tuple[Source, Source, Source]  # (padded row) in the planes and in the first layer's classes; (padded col)
+    transforms: tuple[Source, Source]  # (padded row); (padded col)
 
 
 @dataclass(frozen=True)
 class Band:
-    """Rows of a frame, and the rows that every layer reads for them."""
+    """A range of rows of a frame, and the rows that every layer reads for it."""
 
-    # rows of the planes that each refinement layer reads; rows of outputs, if spectra are smoothed; the band's own rows
+    # Rows of the planes that each refinement layer reads, then rows of outputs if spectra are smoothed, then the band's own
+    # rows.
     reads: tuple[slice, ...]
-    raw_rows: slice  # raw rows that the patches of `reads[0]` touch
+    raw_rows: slice  # raw rows that the patches of `reads[0]` cover
     columns: int
-    mosaic_source: tuple[Source, Source]  # (padded row) of the raw rows, (padded col)
+    mosaic_source: tuple[Source, Source]  # (padded row) in the raw rows; (padded col)
     later: tuple[PlaneSource, ...]
 
     @property
@@ -191,7 +190,7 @@ class Band:
 
     @property
     def made(self) -> slice:
-        """Rows that the last layer renders."""
+        """Rows that the last layer computes."""
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
@@ -200,18 +199,18 @@ class Band:
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands of frames of a shape (row, col). `constant` puts indices (int32) on the device."""
+    """Yield the bands for frames of a shape (row, col). `constant` copies indices (int32) to the device."""
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
     coarse = bool(table.later and table.later[-1].coarse_chroma)
-    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # higher bands have relatively smaller margins
+    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # the taller a band, the smaller the relative margins
 
     sides = {BORDER_PIXELS, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return the rows of `there` for the rows `seen` and `margin` more."""
+        """Return the indices into `there` of the rows `seen`, extended by `margin` rows on both sides."""
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
     for first in range(0, rows, height):
@@ -224,7 +223,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BLOCK  # blocks are aligned to the frame, not to the band
+                above -= above % BLOCK  # blocks are aligned with the frame and not with the band
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

@@ -1,1 +1,1 @@
-"""The temporal filter: what a mosaic shares with the frames before it, before the table (docs/method.md#temporal)."""
+"""The temporal filter, which blends a mosaic with the previous frames before it is rendered (docs/method.md#temporal)."""

@@ -1,8 +1,8 @@
-"""The temporal filters of a sequence, and the frames at which they start, which do not depend on who renders the sequence.
+"""The temporal filters of a sequence. They start at fixed frames, so that the result does not depend on how it is rendered.
 
 A sequence is divided into chunks of CHUNK frames, counted from the first frame. The filter of a chunk starts LEAD frames
 before the chunk, so that little noise is left when the chunk begins. A frame therefore depends on at most LEAD + CHUNK − 1
-other frames. A run that resumes another reads these frames again and gives the same result.
+other frames. A resumed run reads these frames again and gives the same result.
 """
 
 import importlib
@@ -21,35 +21,36 @@ class Filter(Protocol):
     """A recursive filter of one backend."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the frames before it."""
+        """Return the next frame, blended with the previous frames."""
 
 
 class Chunks:
-    """The filters of a sequence: one per chunk, and two where the next chunk leads in."""
+    """The filters of a sequence: one per chunk, or two during the lead-in of the next chunk."""
 
     def __init__(self, make: Callable[[], Filter]) -> None:
         self._make = make
-        self._filters: dict[int, Filter] = {}  # by chunk
+        self._filters: dict[int, Filter] = {}  # chunk → filter
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the frame at a place of the sequence, from 0. Places increase; frames that are not `needed` may be left
-        out.
+        """Filter the frame with index `place` in the sequence.
+
+        Indices must increase. Frames that are not `needed` may be left out.
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
-        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the next chunk's filter only leads in
+        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the filter of the next chunk is in its lead-in
         return made[0]
 
 
 def chunks_of(place: int) -> range:
-    """Return the chunks whose filters read the frame at a place: its own and, during its lead-in, the next."""
+    """Return the chunks whose filters read the frame with index `place`: its own and, during its lead-in, the next."""
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield whether the filter must read each frame, because the frame itself or a later one that depends on it is wanted.
+    """Yield whether the filter must read each frame, because this frame or a later frame that depends on it is wanted.
 
-    Each frame is given as its place and whether it is wanted. Up to LEAD + CHUNK frames are read ahead.
+    `wanted` are the index of each frame and whether it is wanted. They are read up to LEAD + CHUNK frames ahead.
     """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
@@ -64,34 +65,34 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 
 
 class AnyOrder:
-    """The filters of a sequence whose frames are requested in any order, as video editors do.
+    """The filters of a sequence whose frames are requested in any order, as by video editors.
 
-    Each frame is the same as in a sequential run. A frame that does not follow the previous request is computed from the
-    start of its chunk's lead-in. Threads may share an instance, but only one works at a time.
+    Each frame is the same as in a sequential run. If a frame does not follow the previous request, filtering begins at the
+    start of its chunk's lead-in. Several threads may share an instance, but only one works at a time.
 
     Parameters
     ----------
     make : callable
-        Makes a filter.
+        Function that creates a filter.
     read : callable
-        Returns the raw frame at a place, from 0. Its exceptions are passed on.
+        Function that takes the index of a frame, from 0, and returns the raw frame. Its exceptions are passed on.
     most : int
-        Number of recent frames that are kept, since threads request them in any order.
+        Number of recent frames that are kept, because threads request frames in any order.
     """
 
     def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], most: int) -> None:
         self._make, self._read, self._most = make, read, most
         self._alone = ThreadLock()
-        self._made: dict[int, RawFrame] = {}  # by place
-        self._next, self._complete = 0, 0  # place of the next frame; first place at which the result is complete
+        self._made: dict[int, RawFrame] = {}  # index → frame
+        self._next, self._complete = 0, 0  # index of the next frame; first index for which the result is complete
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the frame at a place, blended with the frames before it."""
+        """Return the frame with index `place`, blended with the previous frames."""
         with self._alone:
             if place in self._made:
                 return self._made[place]
-            first = max(0, place // CHUNK * CHUNK - LEAD)  # earliest frame that the result depends on
+            first = max(0, place // CHUNK * CHUNK - LEAD)  # earliest frame on which the result depends
             if not first <= self._next <= place:
                 self._begin(first)
             for at in range(self._next, place + 1):
@@ -104,11 +105,11 @@ class AnyOrder:
                 if at >= self._complete:
                     self._made[at] = made
                 if len(self._made) > self._most:
-                    del self._made[next(iter(self._made))]  # the oldest
+                    del self._made[next(iter(self._made))]  # removes the oldest frame
             return self._made[place]
 
     def _begin(self, place: int) -> None:
-        """Start again at a place where a chunk's lead-in begins."""
+        """Restart the filter at an index where the lead-in of a chunk begins."""
         self._chunks, self._next = Chunks(self._make), place
         self._complete = place + LEAD if place else 0  # frames of the lead-in belong to an earlier chunk
         self._made = {}
@@ -121,12 +122,12 @@ FILTERS = {
 
 
 def filters(backend: str, table: TransformTable, **options: str | None) -> Callable[[], Filter]:
-    """Return a function that makes filters of a backend for a table's frames. `options` are those of `make_renderer`.
+    """Return a function that creates filters of a backend. The `options` are the same as for `make_renderer`.
 
     Raises
     ------
     RecipeError
-        If the table does not hold its camera's noise.
+        If the table does not contain the noise of its camera.
     DeviceError
         If no device is found.
     """

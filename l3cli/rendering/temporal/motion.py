@@ -1,9 +1,9 @@
-"""Motion vectors: where each block of a frame was in the previous frame (docs/method.md#temporal), in integers.
+"""Estimates motion vectors: the position of each block of a frame in the previous frame (docs/method.md#temporal).
 
-Both frames are averaged over periods of the array, which removes the mosaic. These planes are halved repeatedly, until a
-sample is about as large as a block. The search goes from the coarsest plane to the finest, in whole periods, so that sites
-keep their channel. Most blocks do not move, or the vector of the coarser plane fits: their difference is no larger than
-noise, and they are not searched further.
+All computations are in integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of
+these planes is halved repeatedly, until a sample is about as large as a block. The search goes from the coarsest to the
+finest plane, in whole periods, so that sites keep their channel. Most blocks do not move, or the vector of the coarser plane
+fits. If the difference is not larger than noise, a block is not searched further.
 """
 
 import itertools
@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 from l3cli.rendering.temporal.noise import DEEP, Grid, NoiseTerms
 
 Plane = NDArray[np.int32]
-Vectors = NDArray[np.int32]  # (block row, block col, 2), rows and columns
+Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows and columns
 
-MAX_COARSE_DISPLACEMENT = 2  # samples of the coarsest plane, largest displacement in each direction
-CLIPPED = (1 << 12) - 1  # u, clamp of differences, so that the sums of a window's columns fit 16 bits in kernels
-SETTLED = 5  # eighths of the noise of a difference; blocks that differ by no more on average are not searched
-RELUCTANCE = 2  # standard deviations of the noise by which a vector must fit better than the starting vector
-NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # blocks whose coarser vectors are tried in addition
+MAX_COARSE_DISPLACEMENT = 2  # samples of the coarsest plane; largest displacement in each direction
+CLIPPED = (1 << 12) - 1  # u; differences are clamped to this value, so that column sums fit into 16 bits in kernels
+SETTLED = 5  # eighths of the noise of a difference; blocks with a smaller mean difference are not searched
+RELUCTANCE = 2  # standard deviations of noise by which a vector must fit better than the starting vector
+NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # offsets to the blocks whose coarser vectors are also tried
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
-    """Return the means of a mosaic over periods, then over 2 × 2 of these, and so on. The mosaic consists of whole
-    blocks.
+    """Return the means of a mosaic over CFA periods, the means of 2 × 2 of these, and so on.
+
+    The mosaic must consist of whole blocks.
     """
     down, across = grid.period
     sums = values.reshape(grid.shape[0] // down, down, grid.shape[1] // across, across).sum(axis=(1, 3), dtype=np.int64)
@@ -39,8 +40,9 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
 
 
 def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
-    """Return the vector of every block in pixels: content that is now at a pixel was at pixel + vector in the previous
-    frame.
+    """Return the vector of every block, in pixels.
+
+    The content of a pixel in this frame was at pixel + vector in the previous frame.
     """
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
@@ -57,7 +59,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Differences between the windows of all blocks at one level of the planes."""
+    """Computes the differences between the windows of all blocks at one plane level."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level
@@ -93,7 +95,7 @@ class _Search:
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best vector per block. All candidates except the first have to overcome the reluctance."""
+        """Return the best vector for each block. All candidates except the first must be better by the reluctance."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:
@@ -104,7 +106,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Return vectors limited such that the displaced blocks stay within the frame."""
+        """Limit vectors so that the displaced blocks stay within the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -121,7 +123,7 @@ def root_of(window: tuple[int, int]) -> int:
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
-    """Yield the vectors of the blocks beside each block; at the edge, its own."""
+    """Yield the vectors of the neighbours of each block. At the edge, these are the vectors of the block itself."""
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:
         yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

@@ -1,7 +1,7 @@
-"""The cells and blocks into which the filter divides a frame, and the camera's noise in the filter's integers.
+"""The cells and blocks into which the filter divides a frame, and the camera's noise as integers of the filter.
 
-Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion so keeps fractions
-of a DN, and every camera uses the full range of 16 bits.
+Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion therefore preserves
+fractions of a DN, and every camera uses the full range of 16 bits.
 """
 
 from dataclasses import dataclass
@@ -13,29 +13,29 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
-MIN_CELL, MIN_BLOCK = 4, 16  # pixels, shortest side of a cell and of a block
-LANES = 8  # pixels that kernels process side by side; the columns of a block are a multiple
-DEEP = 16  # bits of a value
-LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # fractional bits of the linear and the quadratic term
+MIN_CELL, MIN_BLOCK = 4, 16  # pixels; shortest side of a cell and of a block
+LANES = 8  # number of pixels that kernels process in parallel; the columns of a block are a multiple of it
+DEEP = 16  # bits per value
+LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # number of fractional bits of the linear and of the quadratic term
 NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of a camera's noise for which there are class edges
-MAX_UNEVEN, MAX_FIXED = 1 << 20, 1 << 28  # clamps of the fixed-pattern terms: a quarter of the signal, and of the range
-ROW_PERIODS_PER_READ = 8  # periods of rows, one of which is read for the mean level of a frame
-TABULATED_LEVELS = 256  # levels at which the noise of a difference is tabulated
+MAX_UNEVEN, MAX_FIXED = 1 << 20, 1 << 28  # limits of the fixed-pattern terms: a quarter of the signal and of the range
+ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every EVERY-th period of rows
+TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
 
 
 @dataclass(frozen=True)
 class Grid:
-    """How a frame is divided. Sizes are in pixels, as (rows, columns)."""
+    """The division of a frame into cells and blocks. Sizes are (rows, columns) in pixels."""
 
     period: tuple[int, int]
-    cell: tuple[int, int]  # whole periods; each cell has its own blending weight
-    block: tuple[int, int]  # whole cells; each block has its own motion vector
+    cell: tuple[int, int]  # size of a cell, in whole CFA periods; each cell has its own blending weight
+    block: tuple[int, int]  # size of a block, in whole cells; each block has its own motion vector
     blocks: tuple[int, int]  # number of blocks
-    planes: int  # number of planes of means, each with half the resolution of the one before
+    planes: int  # number of planes of means, each with half the resolution of the previous one
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """Return the grid for frames of a shape and an array with a period."""
+        """Return the grid for frames of the given shape and a CFA with the given period."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1
@@ -59,9 +59,9 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return the rows and columns of the window by which a block is searched in a plane.
+        """Return the rows and columns of the window for the search of a block in a plane.
 
-        It is the block and, if that is small, two samples on each side.
+        It is the block itself or, if the block is small, the block with two additional samples on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
@@ -79,14 +79,14 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Return the sides of a period, a cell and a block; the block's is a multiple of `lanes`."""
+    """Return the sides of a period, a cell and a block. The side of the block is a multiple of `lanes`."""
     cell = period * -(-MIN_CELL // period)
     block = next(side for side in range(cell, 8 * MIN_BLOCK, cell) if side >= MIN_BLOCK and side % lanes == 0)
     return period, cell, block
 
 
 def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
-    """Return the index of each of `wanted` samples; beyond the end, the sample with the same phase in the last period."""
+    """Return the source index of each of `wanted` samples. Beyond the end, the last period is repeated."""
     index = np.arange(wanted)
     beyond = index - there
     last = index - (beyond // period + 1) * period if there >= period else np.full(wanted, there - 1)
@@ -98,22 +98,23 @@ class NoiseTerms:
     """Noise of a pixel with signal S above black, in units u.
 
     The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is fixed +
-    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters where a vector compares different pixels.
+    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only if different pixels are compared because of motion.
     """
 
-    protect: int  # bits by which a DN is shifted left to give u
+    protect: int  # number of bits by which a DN is shifted to the left to give u
     black: int  # u
     white: int  # u
     linear: int
     constant: int
     fixed: int
     uneven: int
-    spread: NDArray[np.int32]  # (LEVELS) standard deviation, u, of the difference of two frames' means over a period
+    spread: NDArray[np.int32]  # (LEVELS) u; standard deviation of the difference between two frames' means over a period
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
-    """Return the noise of a camera's frames at these levels, including dark current. `sites` is the number of pixels in a
-    period.
+    """Return the noise of a camera's frames with the given levels, including dark current.
+
+    `sites` is the number of pixels in a CFA period.
     """
     protect = DEEP - int(white_level).bit_length()
     unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
@@ -135,10 +136,10 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """Return the fraction of a camera's noise variance that a filter has left at a frame's mean level.
+    """Return the fraction of a camera's noise variance that remains after a filter, at the mean level of a frame.
 
-    `left` is the fraction of the temporal variance. The fixed pattern is not reduced. The result is the least of SHARES
-    that is not below the fraction.
+    `left` is the remaining fraction of the temporal variance. The fixed pattern is not reduced. The result is rounded up to
+    one of SHARES.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
@@ -150,20 +151,20 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return the approximate mean of values (row, col), from one of every EVERY periods of rows."""
+    """Return the approximate mean of values (row, col), computed from every EVERY-th period of rows."""
     whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
     sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Return DN as u. Values too large for 16 bits, which all lie above the white level, become the largest value."""
+    """Convert DN to u. Values that do not fit into 16 bits become the largest value. All of them exceed the white level."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Return u as DN, rounded."""
+    """Convert u to DN, rounded."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
@@ -179,13 +180,13 @@ def settings_of(frame: RawFrame) -> tuple[float, float | None]:
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the ratio of signals with the settings `now` to those with the settings `before`, under the same light."""
+    """Return the ratio between the signals with the settings `now` and with the settings `before`, under the same light."""
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return the camera whose noise the filter uses; RecipeError if the table does not hold it."""
+    """Return the camera whose noise the filter uses. Raises RecipeError if the table does not contain it."""
     if camera is None:
         raise RecipeError(
             "‹temporal› needs the camera's noise, but the table does not hold its camera; train the table again"

@@ -1,4 +1,4 @@
-"""The temporal filter on an OpenCL device. Each kernel of opencl/common/temporal*.cl matches a step of reference.py."""
+"""The temporal filter on an OpenCL device. Each kernel in opencl/common/temporal*.cl is a step of reference.py."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,16 +26,21 @@ from l3cli.rendering.temporal.noise import (
     times_brighter,
 )
 
-STRIPS = {"processor": 32, "graphics": 1}  # blocks, cells or periods per work-item
-MARGIN_PIXELS, PADDING_COLUMNS = 4, 8  # rows and columns around a plane; columns after it
-TILE_ROWS = 4  # rows of a window that are read at a time
+STRIPS = {"processor": 32, "graphics": 1}  # number of blocks, cells or periods per work-item
+MARGIN_PIXELS, PADDING_COLUMNS = (
+    4,
+    8,
+)  # width of the margin around a plane; number of additional columns after it
+TILE_ROWS = 4  # number of rows of a window that are read at once
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
 
 class Device:
-    """A device, a queue, and the kernels for an array with a `period` of rows and columns. DeviceError if there is none, or
-    it refuses."""
+    """A device, a queue, and the kernels for a CFA with a `period` of rows and columns.
+
+    Raises DeviceError if there is no device, or if it fails.
+    """
 
     def __init__(self, period: tuple[int, ...], device: str | None = None, variant: str | None = None) -> None:
         cl = pyopencl()
@@ -52,11 +57,12 @@ class Device:
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
-        """Enqueue a kernel over rows and columns, with STRIP columns per work-item. Integer arguments are passed as 32
-        bits.
+        """Enqueue a kernel over rows and columns, with STRIP columns per work-item.
+
+        Integer arguments are passed as 32-bit integers.
         """
         kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
-        if name not in self._typed:  # once, as in work.Track
+        if name not in self._typed:  # argument types are declared once, as in work.Track
             kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
             self._typed.add(name)
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
@@ -72,7 +78,7 @@ class Device:
 
 
 def _macros(period: tuple[int, ...]) -> layout.Macros:
-    """Return the macros that the kernels are compiled with."""
+    """Return the macros with which the kernels are compiled."""
     grid = Grid.of((1, 1), period)
     names = (
         "ONE",
@@ -115,10 +121,10 @@ class _Buffers:
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
-        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # of the frame before, of this one
+        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # states after the previous frame and this frame
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
-        # Of cells, with what lies beside them.
+        # Remaining noise of the cells, with a margin around them.
         self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING_COLUMNS), np.uint16)
         self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
         self.weights = device.cleared(self.host_left.nbytes)
@@ -127,7 +133,7 @@ class _Buffers:
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
-        # Where nothing need be copied a frame's own arrays are its buffers.
+        # If the device shares the host's memory, the arrays of a frame are used as buffers and nothing is copied.
         self.borders = None if device.in_place else (device.buffer(2 * pixels), device.buffer(2 * pixels))
 
 
@@ -137,10 +143,10 @@ class OpenCLFilter:
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
         self._device, self._period, self._camera = device, period, camera
         self._kind: tuple[object, ...] | None = None
-        self._settings: tuple[float, float | None] = (1.0, None)  # of the frame before
+        self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with those before it, if they are of its size and levels."""
+        """Return the next frame. It is blended with the previous frames if they have the same size and levels."""
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
             if first:
@@ -172,7 +178,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the filtered state after the frames so far, u (row, col)."""
+        """Return the state (row, col) of the filter after the frames so far, in u."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
@@ -182,7 +188,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Rescale the state to the gain and exposure time of this frame, on the host, because they rarely change."""
+        """Rescale the state to the gain and exposure time of this frame. They rarely change, so this is done on the host."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -194,7 +200,7 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute all planes of `values`, and the coarser planes of `before`, whose finest plane is given."""
+        """Compute all planes of `values`, and the coarser planes of `before`, of which the finest plane is given."""
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
@@ -232,7 +238,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the size of all planes together, including the rows that the last window may read beyond them."""
+    """Return the total size of all planes, including rows beyond the last plane that a window may read."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum(
@@ -243,12 +249,12 @@ def _units(grid: Grid) -> int:
 def opencl_filters(
     period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
 ) -> Callable[[], OpenCLFilter]:
-    """Return a function that makes filters on a device, which is chosen as in OpenCLRenderer.
+    """Return a function that creates filters on a device. The device is chosen as in OpenCLRenderer.
 
-    The filters share kernels and have to run in one thread.
+    The filters share kernels and must run in one thread.
     """
     shared = Device(period, device, variant)
-    # PoCL compiles a kernel when it first runs. Run all now, before a renderer in another thread compiles its kernels.
+    # PoCL compiles a kernel in its first run. All kernels are run now, before a renderer in another thread compiles its own.
     first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))

@@ -1,4 +1,4 @@
-"""The temporal filter in numpy, with which the kernels of opencl/common/temporal*.cl agree exactly."""
+"""The temporal filter in numpy. The kernels in opencl/common/temporal*.cl give exactly the same results."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,14 +24,14 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-ONE = 1 << 10  # the value of 1 for weights and for fractions of noise
-POWER_FACTOR, POWER_FREE = 4, 5  # the residual power of 3 × 3 cells counts as motion above 5/4 of the noise, 4-fold
-MEAN_FREE, WIDE_FREE = 2, 6  # multiples of the noise above which cell sums, and the sum of 3 × 3 cells, count as motion
-CUT = 8  # residual power, relative to noise, from which a cell shows another scene
-CLIPPED = (1 << 14) - 1  # u, clamp of residuals, so that sums of squares fit 32 bits in kernels
-MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u², clamps of a cell, which fit 32 bits in kernels
-MOST_BEYOND = 1 << 42  # u², clamp, so that all sums stay exact in a double (below 2^53)
-FEW = 2  # the filter restarts if more than one in so many cells shows another scene
+ONE = 1 << 10  # fixed-point 1 of weights and of fractions of noise
+POWER_FACTOR, POWER_FREE = 4, 5  # residual power of 3 × 3 cells above 5/4 of the noise counts as motion, with a factor of 4
+MEAN_FREE, WIDE_FREE = 2, 6  # sums over a cell and over 3 × 3 cells count as motion above these multiples of the noise
+CUT = 8  # a cell shows another scene if its residual power exceeds the noise by this factor
+CLIPPED = (1 << 14) - 1  # u; residuals are clamped to this value, so that sums of squares fit into 32 bits in kernels
+MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u²; limits for a cell, so that kernels need only 32 bits
+MOST_BEYOND = 1 << 42  # u²; limit of motion evidence, so that all sums are exact in float64 (below 2^53)
+FEW = 2  # the filter restarts if more than 1/FEW of the cells show another scene
 
 
 Cells = NDArray[np.int64]
@@ -41,22 +41,22 @@ LEAST_WEIGHT = ONE // 12  # lowest weight of the new frame
 
 @dataclass(frozen=True)
 class Blend:
-    """The state that is carried from frame to frame."""
+    """The state of the filter between two frames."""
 
-    values: NDArray[np.uint16]  # (row, col) u, extended to whole blocks
+    values: NDArray[np.uint16]  # (row, col) u; extended to whole blocks
     left: Cells  # (cell row, cell col) remaining fraction of a frame's noise variance, in units of 1/ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state after the first frame of a scene, from values (row, col) u of whole blocks."""
+    """Return the state after the first frame of a scene. `values` (row, col) are in u and consist of whole blocks."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
 def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
-    """Return the state for frames with another gain or exposure time (docs/method.md#temporal).
+    """Convert the state to another gain or exposure time (docs/method.md#temporal).
 
-    Signals become `times` as large. `noises` are the noise before and now; the remaining noise becomes another fraction of
-    the new noise, at most all of it.
+    Signals are multiplied by `times`. `noises` are the noise before and after the change. The remaining noise is expressed
+    as a fraction of the new noise, which is at most 1.
     """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
@@ -71,7 +71,10 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """Blend a frame, values (row, col) u of whole blocks, with the previous state displaced by `vectors`."""
+    """Blend a frame with the previous state, displaced by `vectors`.
+
+    The `values` (row, col) of the frame are in u and consist of whole blocks.
+    """
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
     history = before.values[rows + of_pixel[..., 0], cols + of_pixel[..., 1]].astype(np.int64)
@@ -91,7 +94,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return the remaining noise of each cell, read at the place where its centre was before."""
+    """Return the remaining noise of each cell in the previous frame, at the displaced position of its centre."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -100,7 +103,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """Return values per cell (cell row, cell col) from values per block (block row, block col)."""
+    """Repeat values of blocks (block row, block col) for all their cells (cell row, cell col)."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -108,9 +111,9 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return the evidence for motion, and the noise expected of it, each over 3 × 3 cells around a cell.
+    """Return the evidence for motion in 3 × 3 cells around each cell, and its expected value due to noise.
 
-    It consists of the power of the residuals, the power of each cell's sum, and the squared sum of all cells.
+    The evidence is the power of the residuals, the power of the sums over cells, and the square of the sum over all cells.
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -131,24 +134,24 @@ def _sums(values: Cells, grid: Grid) -> Cells:
 
 
 def _nearby(cells: Cells) -> Cells:
-    """Return the sums over 3 × 3 cells; there is nothing beyond the border."""
+    """Return the sums over 3 × 3 cells. Cells beyond the border count as zero."""
     padded = np.pad(cells, 1)
     tall = padded[:-2] + padded[1:-1] + padded[2:]
     return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]
 
 
 class ReferenceFilter:
-    """Temporal filter for frames of an array with a `period` of rows and columns."""
+    """Temporal filter for frames with a CFA that has a `period` of rows and columns."""
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
         self._kind: tuple[object, ...] | None = None
-        self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the last frame
+        self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the previous frame
         self.history: Blend | None = None
-        self.vectors: Vectors | None = None  # motion of the last frame, unless it was the first
+        self.vectors: Vectors | None = None  # motion vectors of the latest frame; None for the first frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the frames before it if size and levels are the same."""
+        """Return the next frame. It is blended with the previous frames if they have the same size and levels."""
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(
@@ -174,5 +177,5 @@ class ReferenceFilter:
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:
-    """Return a function that makes reference filters."""
+    """Return a function that creates reference filters."""
     return lambda: ReferenceFilter(period, camera)

@@ -1,1 +1,1 @@
-"""White of the scene: where it comes from, and how frames are balanced for it."""
+"""The white of a scene: its sources, and the white balance of frames."""

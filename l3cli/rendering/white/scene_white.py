@@ -1,6 +1,6 @@
-"""The white of a scene, and how frames are balanced for it (docs/method.md#scene-white).
+"""The white of a scene, and the white balance of frames (docs/method.md#scene-white).
 
-Before a table renders a frame, gains are applied to the channels. Afterwards the outputs are adapted.
+Before a table renders a frame, gains are applied to the channels. After rendering, the outputs are adapted to the white.
 """
 
 import functools
@@ -23,17 +23,17 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
-MAX_CLIPPED = 0.01  # fraction of a square's pixels that may be clipped
-FLAT = 0.5  # fraction of a channel's pixels with the frame's highest value, from which it counts as clipped
-DARK_FRACTION = 0.01  # of full scale; below it a low certainty is attributed to noise, above it to a pattern
-MIN_CERTAINTY = 50.0  # mean signal of a channel in a square, divided by the standard deviation of that mean
+MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a usable square
+FLAT = 0.5  # a channel counts as clipped if at least this fraction of its pixels has the frame's highest value
+DARK_FRACTION = 0.01  # fraction of full scale; low certainty is attributed to noise below it, to a pattern above
+MIN_CERTAINTY = 50.0  # smallest mean signal of a channel in a square, divided by the standard deviation of this mean
 
 
 @dataclass(frozen=True)
 class Grey:
     """A part of a frame that shows a grey object."""
 
-    name: str  # for messages
+    name: str  # name for messages
     where: tuple[slice, slice]  # rows and columns on the sensor
 
 
@@ -41,12 +41,12 @@ class Grey:
 class Square:
     """A square in the upright picture."""
 
-    row: int  # of its centre
-    col: int  # of its centre
-    size: int  # pixels
+    row: int  # row of the centre
+    col: int  # column of the centre
+    size: int  # side in pixels
 
     def within(self, frame: RawFrame) -> Grey:
-        """Return this part of a frame; InputFileError if it is not inside the sensor."""
+        """Return the part of a frame in this square. Raises InputFileError if it extends beyond the frame."""
         rows, cols = frame.values.shape
         turned = bool(frame.orientation & 4)
         height, width = (cols, rows) if turned else (rows, cols)
@@ -64,7 +64,7 @@ class Square:
 
 
 class GreyRenderer:
-    """Renders uniform areas on the processor in float64, so that all devices agree about white."""
+    """Renders uniform areas on the CPU in float64, so that the white does not depend on the device."""
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
@@ -72,9 +72,9 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(BORDER_PIXELS, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Return the outputs (area, output) of uniform areas with signals (area, channel) as fractions of full scale."""
+        """Return the outputs (area, output) of uniform areas. Their signals (area, channel) are fractions of full scale."""
         table, (rows, cols) = self.table, self.table.cfa.shape
-        down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # periods of an area
+        down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # size of an area in CFA periods
         tile = np.tile(table.cfa, (down, across))
         values = table.black_level + np.hstack([share[tile] for share in shares]) * (table.white_level - table.black_level)
         plain = RawFrame("plain areas", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
@@ -100,7 +100,7 @@ class GreyRenderer:
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Return the mean outputs over some rows and columns of a frame, in the orientation of the sensor."""
+        """Return the mean outputs over a range of rows and columns of a frame, in sensor orientation."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -112,10 +112,10 @@ class GreyRenderer:
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
-    """Return a part of a frame without colour shading. Shading common to all channels stays, since it is about uniform
-    there.
+    """Return a part of a frame with its colour shading corrected.
 
-    The phase is still that of the whole frame.
+    Shading that is common to all channels is not corrected, because it is nearly uniform in a small part. The phase is still
+    that of the whole frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
@@ -123,14 +123,14 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal (channel) of a part of a frame in DN, and the reason why it cannot be used as a grey, or ""."""
+    """Return the mean signal (channel) of a part of a frame in DN, and the reason why it is not a usable grey, or ""."""
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
     if clipped > MAX_CLIPPED:
         return means, f"is clipped in {clipped:.0%} of its pixels; give a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     channel = tiled(cfa, values.shape)
-    top, reached = int(frame.values.max()), 0  # the frame's highest value; number of channels that mostly have it
+    top, reached = int(frame.values.max()), 0  # highest value in the frame; number of channels that clip at this value
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
@@ -147,16 +147,16 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
     return means, ""
 
 
-TIME_CONSTANT = 1.0  # s, in which exposure and white follow 63 % of a change of light
+TIME_CONSTANT = 1.0  # s; in this time, exposure and white follow 63 % of a change of light
 
 
 @dataclass(frozen=True)
 class WhiteBalance:
     """Gains and adaptation that make the white of a scene neutral."""
 
-    gains: NDArray[np.float64]  # (channel) none below 1, so that clipped pixels stay at the white level
-    adaptation: NDArray[np.float64]  # (3, 3) from a table's X, Y, Z to XYZ under D65; keeps the Y of white
-    luminance: float  # Y of a grey without the gains, divided by its Y with them
+    gains: NDArray[np.float64]  # (channel) at least 1, so that clipped pixels stay at the white level
+    adaptation: NDArray[np.float64]  # (3, 3) from a table's X, Y, Z to XYZ under D65; preserves the Y of white
+    luminance: float  # Y of a grey without the gains, divided by its Y with the gains
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
@@ -170,7 +170,7 @@ def plain_balance(white: Array, channels: int) -> WhiteBalance:
 
 
 def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
-    """Return a frame whose channels are multiplied by gains, up to the white level."""
+    """Multiply the channels of a frame by gains. Values are limited to the white level."""
     if (gains == 1).all():
         return frame
     curves = _curves(frame.black_level + frame.dark, frame.white_level, tuple(gains.tolist()))
@@ -183,7 +183,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """Return patches (patch, tap) multiplied by gains, as in `balanced`; `channel` (tap) is the channel of each tap."""
+    """Multiply patches (patch, tap) by gains, as in `balanced`. `channel` (tap) is the channel of each tap."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))
@@ -192,17 +192,17 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return the balanced value of every 16-bit value in each channel (channel, value). Clipped values stay unchanged."""
+    """Return look-up tables (channel, value) from 16-bit values to balanced values. Clipped values do not change."""
     every = np.arange(1 << 16)
     raised = np.rint((every - zero) * np.array(gains)[:, None] + zero)
     return np.where(every < white_level, np.clip(raised, 0, np.ceil(white_level)), every).astype(np.uint16)
 
 
 class SteadyWhite:
-    """White balance of each frame of a sequence, in order.
+    """Computes the white balance of each frame of a sequence, in order.
 
-    The first frame has its own balance. Later frames approach theirs exponentially, as the exposure does. Only past
-    frames count.
+    The first frame has its own balance. After that, the balance approaches that of each frame exponentially, like the
+    exposure. It does not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -210,8 +210,9 @@ class SteadyWhite:
         self._now: WhiteBalance | None = None
 
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
-        """Return the balance of the next frame. A frame without a measured white keeps the last balance (None at the
-        beginning).
+        """Return the balance of the next frame.
+
+        A frame without a measured white has the balance of the previous frame, which is None at the beginning.
         """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
@@ -219,7 +220,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a change that is followed from one frame to the next."""
+    """Return the fraction of a change by which exposure and white follow it from one frame to the next."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -229,21 +230,21 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
     return WhiteBalance(gains, matrix, now.luminance * (wanted.luminance / now.luminance) ** share)
 
 
-GREY_LEVEL = 0.4  # of full scale in the brightest channel, where tables have most training patches
-MAX_GAIN = 8.0  # of a channel; with more it would mostly be noise
-SURFACES = 64  # measured reflectances from which the colour correction under a light is fitted
+GREY_LEVEL = 0.4  # fraction of full scale in the brightest channel, a level with many training patches
+MAX_GAIN = 8.0  # largest gain of a channel; with a higher gain, the channel would mostly be noise
+SURFACES = 64  # number of measured reflectances to which the colour correction for an illuminant is fitted
 UNSURE = 1e-3  # error of a rendered surface, which the correction must not amplify
-MIN_WEIGHT_LUMINANCE = 0.05  # of white; errors of darker surfaces are weighted as at this luminance
-MAX_DUV = 0.03  # distance from the black bodies in CIE 1960 uv, beyond which no lamp for lighting lies
-SAME_WHITE = 5e-4  # distance in CIE 1960 uv up to which whites are the same when written with four digits
-MAX_MISFIT = 0.12  # RMS misfit of the logarithms of the channels; fluorescent and LED lamps reach half of it
-NEAR_WHITE = 0.02  # distance in CIE 1976 u′v′ from which two whites belong to different lights
-COOLEST, WARMEST = 24_000.0, 1_700.0  # K; searches that find nothing end beyond them
+MIN_WEIGHT_LUMINANCE = 0.05  # luminance relative to white; errors of darker surfaces are weighted as at this luminance
+MAX_DUV = 0.03  # largest distance of a lamp from the black-body locus in CIE 1960 uv
+SAME_WHITE = 5e-4  # whites are the same up to this distance in CIE 1960 uv, to allow for four-digit coordinates
+MAX_MISFIT = 0.12  # largest RMS misfit of the logarithms of the channels; fluorescent and LED lamps reach half of it
+NEAR_WHITE = 0.02  # two whites belong to different illuminants from this distance in CIE 1976 u′v′ on
+COOLEST, WARMEST = 24_000.0, 1_700.0  # K; a search that ends beyond these limits has found nothing
 
 
 @dataclass(frozen=True)
 class SceneWhite:
-    """The white of a scene, the balance for it, and the light that has this white, as far as it is known."""
+    """The white of a scene, its white balance, and as far as known the illuminant with this white."""
 
     balance: WhiteBalance
     light: CorrelatedLight
@@ -251,7 +252,7 @@ class SceneWhite:
 
     @property
     def plausible(self) -> bool:
-        """Whether a lamp, daylight or shade can have this white."""
+        """Whether lamps, daylight or shade can have this white."""
         return _is_plausible(self.light)
 
     def __str__(self) -> str:
@@ -262,11 +263,11 @@ class SceneWhite:
 
 
 class Whites:
-    """Finds the whites of scenes for a table.
+    """Computes the whites of scenes for a table.
 
-    If the table knows its camera and its training light, the channels of a frame are first brought to the ratios they have
-    under the training light. Only then are the edges of grey objects grey and clipped highlights white. A matrix corrects
-    the remaining colour errors of surfaces.
+    If the table contains its camera and its training illuminant, gains first give the channels of a frame the ratios that
+    they have under the training illuminant. This is necessary for grey edges of grey objects and white highlights. A matrix
+    then corrects the remaining colour errors of surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -278,16 +279,16 @@ class Whites:
 
     @functools.cached_property
     def trained(self) -> NDArray[np.float64] | None:
-        """Signals (channel) of a grey under the training light; None if the table does not hold its camera and light."""
+        """Signals (channel) of a grey under the training illuminant. None if the table does not contain camera and light."""
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
             return None
         return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
-        """Return the white under which a neutral object has the signals `neutral` (channel), on any scale.
+        """Return the white for which a neutral object has the signals `neutral` (channel), at any scale.
 
-        InputFileError if the table cannot render these signals as a white.
+        Raises InputFileError if the table cannot render these signals as a white.
         """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             raise InputFileError("all channels of the white are zero, or one is not finite; give another ‹white›")
@@ -298,7 +299,7 @@ class Whites:
         return SceneWhite(self._balance(neutral, light), light, True)
 
     def of_light(self, name: str) -> SceneWhite:
-        """Return the white of a named illuminant; RecipeError if the name is unknown."""
+        """Return the white of a standard illuminant. Raises RecipeError if the name is unknown."""
         white, camera = spectra.white_point(name), self.table.camera
         if camera is None:
             return self.of_xyz(white)
@@ -309,8 +310,9 @@ class Whites:
     def of_chromaticity(self, white: Array) -> SceneWhite:
         """Return the scene white for a known XYZ (3).
 
-        If it matches the training white, pictures are adapted from it. Otherwise the light is assumed to be the nearest
-        black body or daylight, shifted between green and magenta. If no such light is plausible, pictures are adapted only.
+        If it agrees with the training white, pictures are adapted from it. Otherwise the illuminant is assumed to be the
+        nearest black body or daylight, with a green or magenta tint. If no such illuminant is plausible, pictures are only
+        adapted.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
@@ -322,24 +324,24 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return the white with this XYZ (3), for which pictures are only adapted."""
+        """Return the scene white for a known XYZ (3), without gains, so that pictures are only adapted."""
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
     def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
-        """Return the white that makes several greys in a frame as neutral as possible, by the sum of C*ab squared.
+        """Return the white that makes several greys in a frame as neutral as possible, in terms of the sum of C*ab².
 
-        InputFileError if a grey is clipped, too dark or not uniform.
+        Raises InputFileError if a grey is clipped, too dark or not uniform.
         """
         signals = np.array([self.grey.signals(frame, grey) for grey in greys])
         share = signals.mean(axis=1) / signals.mean(axis=1).max()
-        weights = share ** (2 / 3) / share  # weight of each grey, because C*ab grows with the cube root of light
+        weights = share ** (2 / 3) / share  # C*ab is proportional to the cube root of luminance
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
-        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains may clip bright greys
+        whole = [number for number, grey in enumerate(greys) if self.grey.usable(even, grey)]  # gains can clip bright greys
         if not whole:
             return made
         shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
-        left = made.balance.adaptation @ _white(shown)  # remaining cast of the rendered greys
+        left = made.balance.adaptation @ _white(shown)  # remaining colour cast of the rendered greys
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
     def _balance(self, neutral: Array, light: CorrelatedLight) -> WhiteBalance:
@@ -352,21 +354,21 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return gains (channel), none below 1, that bring a neutral close to the training light's neutral."""
+        """Return gains (channel) of at least 1 that bring a neutral close to that under the training illuminant."""
         if self.trained is None:
             return np.ones(len(neutral))
-        seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may get no light from a lamp
+        seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may receive no light from a lamp
         ratio = np.where(seen, self.trained / np.where(seen, neutral, 1.0), 0.0)
         return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, MAX_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
-        """Return the table's output (3) for a grey with these signals."""
+        """Return the output (3) of the table for a grey with the given signals."""
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
-        """Return the matrix (3, 3) that corrects the balanced and adapted outputs of measured surfaces, by least squares.
+        """Fit the matrix (3, 3) that corrects the balanced and adapted outputs of measured surfaces, by least squares.
 
-        White stays unchanged. `radiance` (wavelength) is the light's, on the camera's wavelength grid.
+        It preserves white. `radiance` (wavelength) is that of the illuminant, on the camera's wavelength grid.
         """
         camera = self.table.camera
         assert camera is not None
@@ -376,7 +378,7 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # errors are visible relative to the luminance
+        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # errors are visible relative to luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
@@ -387,13 +389,13 @@ def _is_plausible(light: CorrelatedLight) -> bool:
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Return measured reflectances (surface, wavelength), evenly sampled from the library."""
+    """Return an evenly spaced selection of measured reflectances (surface, wavelength) from the library."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 
 
 def _white(outputs: Array) -> NDArray[np.float64]:
-    """Return the outputs (3) of a white; InputFileError unless all are above zero."""
+    """Check the outputs (3) of a white, and return them. Raises InputFileError unless all are positive."""
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         raise InputFileError("the table does not render this grey as a white; give the table of this camera")
     return np.asarray(outputs, np.float64)
@@ -403,7 +405,7 @@ def _white(outputs: Array) -> NDArray[np.float64]:
 
 
 def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
-    """Return a warning if the requested white is probably far from the lights of the training, otherwise ""."""
+    """Return a warning if the requested white is probably far from the training illuminants, otherwise ""."""
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
@@ -414,7 +416,7 @@ def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> s
 
 
 def implausible(what: str, white: SceneWhite) -> str:
-    """Return a warning if no likely light has this white, otherwise ""."""
+    """Return a warning if no likely illuminant has this white, otherwise ""."""
     if white.plausible:
         return ""
     return (
@@ -424,7 +426,7 @@ def implausible(what: str, white: SceneWhite) -> str:
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if the white that the file states differs much from the chart's in its frame, otherwise ""."""
+    """Return a warning if the white stated in the file differs much from that of the chart in the frame, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (
@@ -434,6 +436,6 @@ def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
 
 
 def _alike(one: Array, other: Array) -> bool:
-    """Return whether two whites (XYZ) may belong to the same light."""
+    """Return whether two whites (XYZ) may belong to the same illuminant."""
     difference = (uv(one) - uv(other)) * (1.0, 1.5)  # CIE 1976 u′v′
     return float(np.linalg.norm(difference)) <= NEAR_WHITE

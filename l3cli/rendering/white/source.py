@@ -1,5 +1,8 @@
-"""Sources of a scene's white (docs/method.md#scene-white): the file, a grey in the frame, the greys of a ColorChecker in it,
-or the whole frame, by grey edges and the white patch, kept near daylight and black bodies."""
+"""Sources of the white of a scene (docs/method.md#scene-white).
+
+The white can be read from the file, measured on a grey or a ColorChecker in the frame, or estimated from the whole frame.
+The estimate uses grey edges and the white patch, and is kept near daylight and black bodies.
+"""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -22,19 +25,20 @@ from l3cli.rendering.white.scene_white import GREY_LEVEL, Grey, SceneWhite, Squa
 from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
-EDGE_NORM = 6  # of Minkowski, over the edges: the strongest count most
-PATCH_PERCENTILE = 99  # of each cone response, which is assumed to belong to a white patch
-MIN_SAMPLES = 24  # that are neither clipped nor black, for an estimate
-MIREDS = np.arange(80.0, 521.0, 20.0)  # 12 500 K to 1920 K
-GREENS = np.linspace(-0.2, 0.4, 7)  # as correlated_lights.GREENS
-SEARCH_POINTS = (111, 31)  # points along MIREDS and GREENS in the search for a white
-LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # standard deviations: of log cone responses, and of the green of lights
+EDGE_NORM = 6  # order of the Minkowski norm over the edges, in which strong edges dominate
+PATCH_PERCENTILE = 99  # percentile of each cone response that is assumed to belong to a white patch
+MIN_SAMPLES = 24  # smallest number of samples, neither clipped nor black, for an estimate
+MIREDS = np.arange(80.0, 521.0, 20.0)  # 10^6 / K; 12 500 K to 1920 K
+GREENS = np.linspace(-0.2, 0.4, 7)  # tints, as in correlated_lights.GREENS
+SEARCH_POINTS = (111, 31)  # number of points along MIREDS and GREENS in the search for a white
+LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # standard deviations of log cone responses, and of the tint of illuminants
 
 
 class AutoWhite:
-    """Estimates the white of frames, from about 1500 pixels of one CFA site that are rendered on the processor.
+    """Estimates the white of frames from about 1500 pixels of one CFA site, which are rendered on the CPU.
 
-    The result depends only on the frame, not on the device. Frames are balanced by `balanced_by`, or by `whites` itself.
+    The result depends only on the frame and not on the device. `balanced_by`, or `whites` if it is None, computes the white
+    balance.
     """
 
     about, held = "estimated on the frame", False
@@ -58,14 +62,14 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the indices of the most likely light for an estimate."""
+        """Return the indices of the most likely illuminant, given an estimate."""
         green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Return the signals (channel) of a grey under the light with these indices."""
+        """Return the signals (channel) of a grey under the illuminant with the given indices."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], SEARCH_POINTS, strict=True)
@@ -73,7 +77,10 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses (row, col, 3) of a grid of pixels, and which (row, col) are neither clipped nor dark."""
+        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask (row, col) of usable pixels.
+
+        Usable pixels are neither clipped nor dark.
+        """
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
         classes, signal = rule.on_site(labels, site), self._spread.signal(patches)
@@ -84,7 +91,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Return the log ratios of rendered whites over a fine grid of lights."""
+        """Return the log ratios of rendered whites on a fine grid of illuminants."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -94,8 +101,7 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Return the logarithms (2) of the outer cone responses relative to the middle one, of white, or None with too few
-    samples.
+    """Estimate the cone responses of white from a grid of pixels.
 
     The result is the mean of two estimates. The grey-edge method assumes that large steps between neighbours are grey (van
     de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each cone belongs to
@@ -104,7 +110,14 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
     Parameters
     ----------
     cones : ndarray, (row, col, 3)
+        Cone responses.
     usable : ndarray of bool, (row, col)
+        Mask of usable pixels.
+
+    Returns
+    -------
+    ndarray, (2), or None
+        Logarithms of the first and third cone responses relative to the second, or None if there are too few samples.
     """
     if int(usable.sum()) < MIN_SAMPLES:
         return None
@@ -119,9 +132,9 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Return the signals (mired, green, channel) of a grey under lights near daylight and black bodies.
+    """Return the signals (mired, green, channel) of a grey under illuminants near daylight and black bodies.
 
-    For a table without its camera these are XYZ, which the table is assumed to render correctly.
+    If the table does not contain its camera, the result is XYZ, because the table is assumed to render them correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -132,12 +145,12 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return the logarithms (…, 2) of the outer cone responses relative to the middle one, from (…, 3)."""
+    """Return the logarithms (…, 2) of the first and third cone responses relative to the second, given `cones` (…, 3)."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
 def _between(values: Array, rows: Array, cols: Array) -> Array:
-    """Return values (row, col, …) at fractional indices `rows` and `cols`, by linear interpolation."""
+    """Interpolate values (row, col, …) linearly at fractional indices `rows` and `cols`."""
     low_row = np.clip(rows.astype(int), 0, values.shape[0] - 2)
     low_col = np.clip(cols.astype(int), 0, values.shape[1] - 2)
     down, across = (rows - low_row)[:, None, None], (cols - low_col)[None, :, None]
@@ -147,25 +160,25 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
     return np.asarray(along * (1 - across) + beyond * across)
 
 
-NEUTRALS = range(18, 24)  # the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square, relative to a patch, so that the frame of the patch is left out
+NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
+CORE = 0.25  # half the side of the measured square relative to a patch, so that the border of the patch is left out
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
-MIN_R_SQUARED = 0.95  # of a chart; 48 pictures without a chart reach at most 0.83, two with a chart 0.998
+MIN_R_SQUARED = 0.95  # smallest R² of a chart; 48 pictures without a chart reach at most 0.83, two with a chart 0.998
 
 
 @dataclass(frozen=True)
 class ChartSceneWhite(SceneWhite):
-    """The white that a chart shows."""
+    """The white of a scene as measured on a chart."""
 
     place: str  # position of the chart in the upright picture
-    stated: SceneWhite | None  # the white that the file states
+    stated: SceneWhite | None  # white that the file states
 
     def __str__(self) -> str:
         return f"{super().__str__()}; {self.place}"
 
 
 class ChartWhite:
-    """Takes the white from the grey patches of a ColorChecker in the frame."""
+    """Measures the white on the grey patches of a ColorChecker in the frame."""
 
     about, held = "of the greys of a ColorChecker", True
 
@@ -174,7 +187,7 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """Return the white of a frame; InputFileError if it contains no chart, or no grey patch can be measured."""
+        """Return the white of a frame. Raises InputFileError if there is no chart or none of its greys can be measured."""
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
@@ -191,7 +204,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """Yield a square in the middle of each neutral patch."""
+    """Yield the square in the middle of each neutral patch."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -212,14 +225,14 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Return columns (axis 0) or rows of the sensor, mirrored as the picture is."""
+    """Mirror columns (axis 0) or rows of the sensor in the same way as the picture."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
 TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
-DEFAULT_SIZE = 32  # pixels, side of a square
+DEFAULT_SIZE = 32  # pixels; side of a square
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
-MULTIPLIER = Quantity(0.05, 20)  # of a channel, relative to the others
+MULTIPLIER = Quantity(0.05, 20)  # range of the multiplier of a channel relative to the others
 
 
 class WhiteSource(Protocol):
@@ -227,7 +240,7 @@ class WhiteSource(Protocol):
 
     @property
     def about(self) -> str:
-        """Where the white comes from, for messages."""
+        """Origin of the white, for messages."""
         ...
 
     @property
@@ -236,14 +249,14 @@ class WhiteSource(Protocol):
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, or None if the frame does not show it; InputFileError if it cannot be measured."""
+        """Return the white of a frame, or None if it is unknown. Raises InputFileError if it cannot be measured."""
         ...
 
 
 class CameraWhite:
-    """Takes the white that the camera recorded in the file.
+    """Reads the white that the camera recorded in the file.
 
-    If a file states none, the table's white is used, or InputFileError is raised if `asked`.
+    If a file states no white, the table's white is used. If `asked` is true, InputFileError is raised instead.
     """
 
     about, held = "as the file states it", False
@@ -266,7 +279,7 @@ class CameraWhite:
 
 
 class SquareWhite:
-    """Takes the white from a square of the frame that shows a grey object."""
+    """Measures the white in a square of the frame that shows a grey object."""
 
     held = True
 
@@ -281,22 +294,23 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the source of the frames' white.
+    """Return the source of the white of each frame.
 
     Parameters
     ----------
     text : str or None
-        "camera", "auto", "chart" or "ROW,COL[,SIZE]". Other texts are whites by themselves, for which the result is None.
+        "camera", "auto", "chart" or "ROW,COL[,SIZE]". For any other text, which is a white itself, the result is None.
     table : TransformTable
+        The table.
     photos : bool
-        Whether None means "camera" if the files state a white. Otherwise None means the table's white.
+        Whether None means "camera" for files that state a white. Otherwise None means the table's white.
     estimated_by : TransformTable, optional
-        Table that renders the samples for "auto"; by default `table` (docs/method.md#several-lights).
+        Table that renders the samples for "auto" (docs/method.md#several-lights). [default: `table`]
 
     Raises
     ------
     RecipeError
-        If the white is to be taken from frames, but the table shows grey, which has no white.
+        If the white is to be measured in frames, but the pictures of the table are grey and have no white.
     """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
@@ -315,9 +329,9 @@ def white_source(
 
 
 def _square(text: str | None) -> Square | None:
-    """Return the square that "ROW,COL[,SIZE]" describes, or None if `text` has another form.
+    """Parse "ROW,COL[,SIZE]" as a square, or return None if `text` has another form.
 
-    RecipeError if the numbers are out of range.
+    Raises RecipeError if the numbers are out of range.
     """
     text = text or ""
     parts = text.split(",")
@@ -336,31 +350,31 @@ def _square(text: str | None) -> Square | None:
 def _is_place(parts: list[str]) -> bool:
     """Return whether the parts of a white are ROW,COL or ROW,COL,SIZE in whole numbers.
 
-    A square of one pixel is not allowed, so 1,1,1 is read as multipliers.
+    A square of one pixel is not permitted, so 1,1,1 is read as multipliers.
     """
     return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Return the white that a text states without a frame.
+    """Parse a white that does not depend on a frame.
 
     Parameters
     ----------
     text : str or None
-        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" or None for the table's
-        white.
+        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" and None mean the
+        table's white.
     table : TransformTable
-        The table that renders.
+        The table that renders the frames.
 
     Returns
     -------
     SceneWhite or None
-        None for the table's white.
+        The white, or None for the table's white.
 
     Raises
     ------
     RecipeError
-        If the text is none of these.
+        If the text has another form.
     """
     if text is None or text == TABLE:
         return None
@@ -370,7 +384,7 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
 
 
 def _multipliers(text: str, channels: Sequence[str]) -> Array:
-    """Return one multiplier per channel; RecipeError if their number is wrong, or one is out of range."""
+    """Parse one multiplier per channel. Raises RecipeError if their number is wrong or one of them is out of range."""
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
         raise RecipeError(
@@ -386,5 +400,5 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
 
 
 def usual_balance(table: TransformTable) -> WhiteBalance:
-    """Return the balance for scenes under the training light."""
+    """Return the white balance for scenes under the training illuminant."""
     return plain_balance(table.white_point, len(table.channels))
