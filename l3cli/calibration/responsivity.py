@@ -35,6 +35,8 @@ MISTAKES = {  # common mistakes, and the factor by which each multiplies the qua
     "radiances were per µm": 1e-3,
     "exposures were in s where ms are stated": 1e3,
 }
+CORE = 0.25  # half the side of the sampled core of a patch, in chart cells
+RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # fraction of the signal, DN: error of a patch (docs/method.md#gain-and-offset)
 
 
 @dataclass(frozen=True)
@@ -284,10 +286,6 @@ def likely_mistake(peak: float) -> str:
     likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
     return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")
-
-
-CORE = 0.25  # half the side of the sampled core of a patch, in chart cells
-RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # fraction of the signal, DN: error of a patch (docs/method.md#gain-and-offset)
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:

@@ -24,6 +24,20 @@ PRECISION = 0.002  # relative error due to texture and gloss, which does not dec
 MIN_POINTS = 6  # smallest number of points (patches × channels) for a photon transfer line
 MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a Gaussian
 Array = NDArray[np.floating]
+SEARCHED = 480  # pixels; longer side of the reduced picture in which charts are searched
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # largest relative change between adjacent pixels of a uniform area; tried in this order
+DARK_FRACTION = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
+MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: smallest in pixels, and largest as a fraction of the picture
+LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: largest aspect ratio, and range of its area relative to a parallelogram
+NEIGHBOURS, SEEDS = 8, 160  # number of neighbours that may define the grid steps, and of regions from which grids start
+PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
+ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: largest cosine of the angle between them, and largest ratio of their lengths
+OFF = 0.22  # largest distance of a region from its grid point, in grid steps
+REFINED = (0.25, 0.15, 0.1, 0.1)  # largest distance of a region from its patch in each refinement, in cells
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # smallest fraction of the patches, and smallest number, that must be found as regions
+GROWN, TRIED = 200, 20  # number of grids that are extended, and of grids whose values are compared with the reflectances
+COMPONENTS = 6  # number of principal components of the reflectances; they explain every channel within a few percent
+MIN_FIT = 0.9  # smallest R² of the fit of the components to the values
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -229,22 +243,6 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
     if slope <= 0:
         return None
     return float(slope), float(np.sqrt(max(constant - 1.0 / 12.0, 0.0)))
-
-
-SEARCHED = 480  # pixels; longer side of the reduced picture in which charts are searched
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # largest relative change between adjacent pixels of a uniform area; tried in this order
-DARK_FRACTION = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
-MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: smallest in pixels, and largest as a fraction of the picture
-LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: largest aspect ratio, and range of its area relative to a parallelogram
-NEIGHBOURS, SEEDS = 8, 160  # number of neighbours that may define the grid steps, and of regions from which grids start
-PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: largest cosine of the angle between them, and largest ratio of their lengths
-OFF = 0.22  # largest distance of a region from its grid point, in grid steps
-REFINED = (0.25, 0.15, 0.1, 0.1)  # largest distance of a region from its patch in each refinement, in cells
-MIN_SHARE, MIN_REGIONS = 0.4, 5  # smallest fraction of the patches, and smallest number, that must be found as regions
-GROWN, TRIED = 200, 20  # number of grids that are extended, and of grids whose values are compared with the reflectances
-COMPONENTS = 6  # number of principal components of the reflectances; they explain every channel within a few percent
-MIN_FIT = 0.9  # smallest R² of the fit of the components to the values
 
 
 @dataclass(frozen=True)

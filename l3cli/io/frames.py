@@ -34,6 +34,10 @@ from l3cli.system.limits import require_picture
 TIFF = (".tif", ".tiff")
 RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # formats whose depth is checked before pixels are read
+MOST_FILES, DEEPEST = 20_000, 8  # largest number of files, and depth of nested folders, that are searched
+DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
+PROSE = (".txt", ".asc", ".xml")  # suffixes of files that are rarely tables
+FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
@@ -211,11 +215,6 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 
 # --------------------------------------------------------------------------------------------------- a folder of captures
-
-MOST_FILES, DEEPEST = 20_000, 8  # largest number of files, and depth of nested folders, that are searched
-DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # suffixes of files that are rarely tables
-FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
 
 
 def list_captures(folder: Path) -> CaptureFolder:

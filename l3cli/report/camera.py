@@ -25,6 +25,16 @@ MAX_LABEL_CHARACTERS = 24  # characters; if all channel names together are longe
 SATURATED_VARIANCE = (
     0.9  # a point with less than this fraction of the variance on the photon transfer line counts as saturated
 )
+Array = NDArray[np.floating]
+LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
+SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
+MEANINGS = (
+    "η: quantum efficiency including lens and filters, at the channel's peak. SNR max: square root of the saturation "
+    "capacity. Threshold: the signal with a signal-to-noise ratio of 1. DR: saturation capacity divided by the threshold. "
+    "DSNU and PRNU: standard deviations over pixels. LE: mean relative deviation from a line over 5–95 % of saturation. "
+    "Photons are counted at the peak wavelength before the lens, per pixel and exposure. They are not listed if the "
+    "responsivities are relative."
+)
 
 
 def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> Section:
@@ -239,26 +249,12 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     return plot.figure("Photon transfer", f"{finding} {points}" if full else finding, keys)
 
 
-Array = NDArray[np.floating]
-LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
-SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
-
-
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
     """Build the EMVA 1288 data sheet of a camera whose noise was measured: operation point, values per channel and plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
     blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
     return Subsection("EMVA 1288 data sheet", blocks)
-
-
-MEANINGS = (
-    "η: quantum efficiency including lens and filters, at the channel's peak. SNR max: square root of the saturation "
-    "capacity. Threshold: the signal with a signal-to-noise ratio of 1. DR: saturation capacity divided by the threshold. "
-    "DSNU and PRNU: standard deviations over pixels. LE: mean relative deviation from a line over 5–95 % of saturation. "
-    "Photons are counted at the peak wavelength before the lens, per pixel and exposure. They are not listed if the "
-    "responsivities are relative."
-)
 
 
 def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:

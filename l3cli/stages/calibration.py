@@ -30,6 +30,8 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
+MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
+
 
 def calibrate(
     measurements: Path | None, output: Path, options: CalibrateOptions
@@ -106,9 +108,6 @@ def calibrate(
         csv = f"l3 export {shlex.quote(str(output))} -o DIR"
         console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
         return camera, result, files.and_wrote(output)
-
-
-MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
 
 
 def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:

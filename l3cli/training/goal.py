@@ -63,15 +63,15 @@ def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) 
     """
     camera = head.camera
     levels = camera.black_level, camera.white_level
-    isolated: dict[str, Any] = {}
+    optional: dict[str, Any] = {}
     if len(head.outputs) == 3 or has_components(head):
-        isolated["integers"] = Integers(camera.bits, *levels)
+        optional["integers"] = Integers(camera.bits, *levels)
     if camera.readout is not None:
-        isolated |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
+        optional |= {"filters": tuple(camera.readout.same_filter.tolist()), "sensitivity": camera.sensitivity}
     if light is None:
-        return Goal(head.outputs, camera.channels, white_point, None, *levels, **isolated)
+        return Goal(head.outputs, camera.channels, white_point, None, *levels, **optional)
     signal, white_error = white_signal(light, camera), error_of_white(light, camera)
     surfaces = None
     if one_light(light) and head.outputs == XYZ:
         surfaces = plain_surfaces(camera, light, head.target_light or light, white_point)
-    return Goal(head.outputs, camera.channels, white_point, signal, *levels, white_error, surfaces, **isolated)
+    return Goal(head.outputs, camera.channels, white_point, signal, *levels, white_error, surfaces, **optional)

@@ -72,25 +72,25 @@ def a_pair(camera: CameraModel, raw: np.ndarray, target: np.ndarray) -> Training
 
 def test_patches_of_a_pair_have_the_layout_of_their_site(fiveband: CameraModel) -> None:
     shape = (64, 80)
-    close = neighbourhoods(fiveband.cfa, 9, 5)
+    neighbours = neighbourhoods(fiveband.cfa, 9, 5)
     channel = fiveband.cfa.astype(int)[np.ix_(np.arange(64) % 4, np.arange(80) % 4)]
     target = np.broadcast_to(channel, (3, *shape)) * fiveband.saturation_exposure
     pair = a_pair(fiveband, 300 + 500 * channel, target)
-    maps = site_maps(close.channel, 9)
+    maps = site_maps(neighbours.channel, 9)
     for site in sorted({samples.canonical for samples in maps}):
-        samples = sample_pair(pair, fiveband, close, site, 200, np.random.default_rng(0))
+        samples = sample_pair(pair, fiveband, neighbours, site, 200, np.random.default_rng(0))
         assert len(samples.signal) == 200
         taps = np.rint((samples.signal * (fiveband.white_level - fiveband.black_level) + fiveband.black_level - 300) / 500)
-        assert np.array_equal(taps, np.broadcast_to(close.channel[site], taps.shape))
-        assert np.allclose(samples.target, close.channel[site][40])
+        assert np.array_equal(taps, np.broadcast_to(neighbours.channel[site], taps.shape))
+        assert np.allclose(samples.target, neighbours.channel[site][40])
 
 
 def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> None:
-    close = neighbourhoods(bayer.cfa, 5, 3)
+    neighbours = neighbourhoods(bayer.cfa, 5, 3)
     rng = np.random.default_rng(0)
     mean = 0.5 * (bayer.white_level - bayer.black_level)
     noisy = bayer.black_level + mean + rng.standard_normal((128, 128)) * np.sqrt(bayer.noise_variance(np.array(mean)))
-    samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, close, 0, 4000, rng)
+    samples = sample_pair(a_pair(bayer, np.rint(noisy), np.ones((3, 128, 128))), bayer, neighbours, 0, 4000, rng)
     assert samples.carried is not None
     span = bayer.white_level - bayer.black_level
     assert np.array_equal(samples.possible(np.full(4000, 3.0)), np.ones(4000))
@@ -102,7 +102,7 @@ def test_noise_that_a_pair_carries_is_not_counted_twice(bayer: CameraModel) -> N
         assert signal.var() + variance.mean() == pytest.approx(expected, rel=0.02)
         assert values.var() == pytest.approx(expected * span**2, rel=0.03)
     clipped = np.where(rng.random((128, 128)) < 0.5, bayer.white_level, 500)
-    samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, close, 0, 100, rng)
+    samples = sample_pair(a_pair(bayer, clipped, np.ones((3, 128, 128))), bayer, neighbours, 0, 100, rng)
     assert np.array_equal(samples.possible(np.full(100, 0.1)), np.ones(100))
 
 

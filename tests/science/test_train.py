@@ -59,24 +59,24 @@ def quiet_camera(camera: CameraModel) -> CameraModel:
 def test_symmetry_of_known_arrays(fiveband: CameraModel) -> None:
     for cfa, canonical in ((fiveband.cfa, 5), (np.array([[0, 1], [1, 2]]), 3), (np.zeros((1, 1), int), 1), (XTRANS, 8)):
         for patch in (5, 9):
-            close = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
-            maps = site_maps(close.channel, patch)
+            neighbours = neighbourhoods(cfa, patch, int(cfa.max()) + 1)
+            maps = site_maps(neighbours.channel, patch)
             if cfa is not XTRANS:
                 assert len({site_map.canonical for site_map in maps}) == canonical
             for site, site_map in enumerate(maps):
-                assert (close.channel[site][site_map.permutation] == close.channel[site_map.canonical]).all()
+                assert (neighbours.channel[site][site_map.permutation] == neighbours.channel[site_map.canonical]).all()
 
 
 def test_sites_share_their_training_in_allowed_orientations_only() -> None:
     """Where rows must stay rows, as with row noise, the two greens of a Bayer array are trained apart."""
-    close = neighbourhoods(np.array([[0, 1], [1, 2]]), 5, 3)
+    neighbours = neighbourhoods(np.array([[0, 1], [1, 2]]), 5, 3)
     grid = np.arange(25).reshape(5, 5)
     keep_rows = {tuple(each.ravel()) for each in (grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1])}
     allowed = tuple(number for number, taps in enumerate(orientations(5)) if tuple(taps) in keep_rows)
     assert len(allowed) == 4
     for group, expected in ((EVERY_ORIENTATION, 3), (allowed, 4), (IDENTITY_ONLY, 4)):
-        assert len({site_map.canonical for site_map in site_maps(close.channel, 5, group)}) == expected
-    assert [len(stabilisers(close.channel[0], 5, group)) for group in (EVERY_ORIENTATION, allowed, IDENTITY_ONLY)] == [
+        assert len({site_map.canonical for site_map in site_maps(neighbours.channel, 5, group)}) == expected
+    assert [len(stabilisers(neighbours.channel[0], 5, group)) for group in (EVERY_ORIENTATION, allowed, IDENTITY_ONLY)] == [
         8,
         4,
         1,
@@ -94,8 +94,8 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
     camera, rng = bayer, np.random.default_rng(4)
     frame = a_frame(camera, 1, smooth=False)
     head = TrainingSet(camera=camera, outputs=("X", "Y", "Z"), target_description="")
-    close = neighbourhoods(camera.cfa, 5, 3)
-    sample = sample_patches(frame, head, camera.saturation_exposure, close.channel[1], 64, orientations(5), rng)
+    neighbours = neighbourhoods(camera.cfa, 5, 3)
+    sample = sample_patches(frame, head, camera.saturation_exposure, neighbours.channel[1], 64, orientations(5), rng)
     # the centre tap is the site's channel whatever the orientation, and the target belongs to the same pixel
     share = frame.electrons / camera.full_scale
     truth = np.einsum("oc,crk->ork", MIX, share)
@@ -105,7 +105,7 @@ def test_patches_are_windows_of_the_turned_mosaic(bayer: CameraModel) -> None:
         around = share[:, row - 2 : row + 3, col - 2 : col + 3]
         stack = np.take_along_axis(
             np.stack([np.stack([side.ravel()[turn] for turn in orientations(5)]) for side in around]),
-            close.channel[1][None, None],
+            neighbours.channel[1][None, None],
             axis=0,
         )[0]
         assert np.isclose(stack, signal, rtol=1e-6).all(axis=1).any()
@@ -116,13 +116,13 @@ def test_patches_without_colour_show_luminance_as_white_is_seen(bayer: CameraMod
     light = LightSpectrum(wavelength.astype(np.float64), np.ones(wavelength.size, np.float32))
     frame = dataclasses.replace(a_frame(bayer, 1, smooth=False), light=light)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
-    close = neighbourhoods(bayer.cfa, 5, 3)
+    neighbours = neighbourhoods(bayer.cfa, 5, 3)
 
     def patches(share: float, frame: TrainingFrame = frame, head: TrainingSet = head) -> Patches:
         rng, without = np.random.default_rng(3), colourless_frame(frame, head)
-        return patches_of(frame, head, close, 1, 10, rng, achromatic=share, colourless=without)
+        return patches_of(frame, head, neighbours, 1, 10, rng, achromatic=share, colourless=without)
 
-    sample, window, white = patches(0.3), close.channel[1], white_signal(light, bayer)
+    sample, window, white = patches(0.3), neighbours.channel[1], white_signal(light, bayer)
     coloured = patches(0.0)
     np.testing.assert_array_equal(patches(0.04).signal, coloured.signal)  # less than one of ten
     assert len(sample.signal) == 10
@@ -213,24 +213,24 @@ def test_flat_fields_give_their_true_output(bayer: CameraModel, tmp_path: Path, 
     table = load(TransformTable, tmp_path / "table.h5")
     assert np.isfinite(table.first.weights).all()
     assert (np.abs(table.first.weights).sum(axis=(1, 2)) > 0).all()  # no class is left empty
-    close = neighbourhoods(camera.cfa, 5, 3)
+    neighbours = neighbourhoods(camera.cfa, 5, 3)
     rng = np.random.default_rng(9)
     for level in (0.01, 0.1, 0.5):
         share = rng.random(3) * 0.5 + 0.5
         share = level * share / share.mean()
         truth = MIX @ share
         for site in range(4):
-            patch = camera.black_level + share[close.channel[site]] * (camera.white_level - camera.black_level)
-            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, close, site)[0]
+            patch = camera.black_level + share[neighbours.channel[site]] * (camera.white_level - camera.black_level)
+            label = label_patches(np.rint(patch).astype(np.uint16)[None], table.first.rule, neighbours, site)[0]
             index = site * table.first.rule.classes_per_site + label
-            result = table.first.weights[index] @ share[close.channel[site]] + table.first.intercept[index]
+            result = table.first.weights[index] @ share[neighbours.channel[site]] + table.first.intercept[index]
             assert result == pytest.approx(truth, rel=0.03, abs=0.002 * level)
 
 
 def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
     """Sums of parts are equal to the last bit however they are grouped, and equal a plain float64 computation."""
     rule = make_rule(ClassRecipe(patch=3, levels=4), bayer, np.zeros(8, np.uint16))
-    close = neighbourhoods(bayer.cfa, 3, 3)
+    neighbours = neighbourhoods(bayer.cfa, 3, 3)
     head = TrainingSet(camera=bayer, outputs=("X", "Y", "Z"), target_description="")
     pass_ = TrainingPass(head, (1000,) * 6, rule, LearningRecipe(patches=6000, draws=2, darkest=0.003), np.ones(3), 1, LAST)
     frames = [a_frame(bayer, seed, smooth=False) for seed in range(6)]
@@ -250,7 +250,7 @@ def test_sums_are_exact_in_any_order(bayer: CameraModel) -> None:
         frames[0],
         head,
         bayer.saturation_exposure,
-        close.channel[1],
+        neighbours.channel[1],
         1000,
         orientations(3),
         np.random.default_rng([1, 2, 0, 1]),

@@ -38,11 +38,11 @@ def test_mosaic_and_patches_are_labelled_alike(
     values = rng.choice([0, 109, 120, 700, 4000, 4095], (rows, cols)).astype(np.uint16)
     values[: rows // 2] = rng.integers(100, 140, (rows // 2, cols))
     labels = label_mosaic(values, rule, fiveband.cfa, 5, (row_phase, col_phase))
-    close = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    neighbours = neighbourhoods(fiveband.cfa, rule.patch, 5)
     site = sites(rows, cols, fiveband.cfa.shape, (row_phase, col_phase))
     patches = windows(values, rule.patch, fiveband.cfa.shape)
     for number in np.unique(site):
-        of_site = label_patches(patches[site == number], rule, close, number) + number * rule.classes_per_site
+        of_site = label_patches(patches[site == number], rule, neighbours, number) + number * rule.classes_per_site
         assert (of_site == labels[site == number]).all()
 
 
@@ -50,10 +50,10 @@ def test_one_contrast_asks_for_no_squares_and_changes_no_other_feature(fiveband:
     rng = np.random.default_rng(2)
     about = fiveband, random_case_of_code(5, rng), rng.dirichlet(np.ones(5), 6)
     values = rng.integers(100, 4096, (24, 31)).astype(np.uint16)
-    close, places = neighbourhoods(fiveband.cfa, 9, 5), []
+    neighbours, places = neighbourhoods(fiveband.cfa, 9, 5), []
     for contrasts in ((1.4,), ()):
         rule = make_rule(ClassRecipe(contrasts=contrasts), *about)
-        statistics = mosaic_statistics(values, rule, close, fiveband.cfa, (0, 0))
+        statistics = mosaic_statistics(values, rule, neighbours, fiveband.cfa, (0, 0))
         assert (statistics.squares is None) == (not contrasts)
         places.append(rule.split(labels(rule, statistics)))
     listed, one = places
@@ -84,7 +84,7 @@ def test_sites_take_the_second_chroma_in_turn(fiveband: CameraModel) -> None:
     """Along a line from one centre to the next a growing share of the sites takes the other, half of them in the middle, and
     none near the centres; without dither all change at once."""
     centres = np.array([[0.3, 0.2, 0.2, 0.2, 0.1], [0.1, 0.2, 0.2, 0.2, 0.3], [0.05, 0.05, 0.05, 0.8, 0.05]])
-    close = neighbourhoods(fiveband.cfa, 9, 5)
+    neighbours = neighbourhoods(fiveband.cfa, 9, 5)
     for dither in (False, True):
         recipe = ClassRecipe(contrasts=(), chroma_dither=dither)
         rule = make_rule(recipe, fiveband, np.zeros(32, np.uint16), centres)
@@ -94,8 +94,8 @@ def test_sites_take_the_second_chroma_in_turn(fiveband: CameraModel) -> None:
             mean = 5000.0 * ((1 - step) * kept[0] + step * kept[1]) + fiveband.black_level
             chromas = []
             for site in range(16):
-                patch = np.rint(mean[close.channel[site]])[None].astype(np.uint16)
-                chromas.append(int(rule.split(label_patches(patch, rule, close, site)[0]).kind))
+                patch = np.rint(mean[neighbours.channel[site]])[None].astype(np.uint16)
+                chromas.append(int(rule.split(label_patches(patch, rule, neighbours, site)[0]).kind))
             assert set(chromas) <= {0, 1}
             shares.append(np.mean(chromas))
         assert np.all(np.diff(shares) >= 0)
@@ -114,11 +114,11 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
     camera = dataclasses.replace(fiveband, bits=16, white_level=65535.0)
     recipe = ClassRecipe(patch=patch, contrasts=(1.4, 4.0), chroma_dither=True)
     rule = make_rule(recipe, camera, np.zeros(32, np.uint16), np.eye(5))
-    close = neighbourhoods(camera.cfa, patch, 5)
+    neighbours = neighbourhoods(camera.cfa, patch, 5)
     patches = extreme_patches(patch**2)
     for site in range(16):
-        expected = label_patches(patches, rule, close, site)
-        member = close.channel[site][:, None] == np.arange(5)
+        expected = label_patches(patches, rule, neighbours, site)
+        member = neighbours.channel[site][:, None] == np.arange(5)
         values = (patches >> rule.shift).astype(np.uint32)
         level_sum = np.zeros(len(patches), np.uint32)
         score = np.zeros((len(rule.chroma_weights), len(patches)), np.int32)
@@ -126,15 +126,15 @@ def test_the_sums_fit_32_bits(fiveband: CameraModel, patch: int) -> None:
         for channel in range(5):
             of_channel = values[:, member[:, channel]]
             total, square = of_channel.sum(axis=1, dtype=np.uint32), (of_channel * of_channel).sum(axis=1, dtype=np.uint32)
-            scaled = total * np.uint32(close.mean_reciprocal[site, channel])
+            scaled = total * np.uint32(neighbours.mean_reciprocal[site, channel])
             mean = scaled >> np.uint32(16)
-            deviation = square - mean * (total + total - np.uint32(close.count[site, channel]) * mean)
+            deviation = square - mean * (total + total - np.uint32(neighbours.count[site, channel]) * mean)
             level_sum += scaled >> np.uint32(8)
             signal = np.maximum((scaled >> np.uint32(12)).astype(np.int32) - np.int32(rule.chroma_black_level), 0)
             signal = np.minimum(signal, 65535)
             score += signal * rule.chroma_weights[:, channel, None]
             channel_sum += signal
-            product = deviation * np.uint32(close.variance_reciprocal[site, channel])
+            product = deviation * np.uint32(neighbours.variance_reciprocal[site, channel])
             contrast_sum += np.minimum(product, np.uint32((2**32 - 1) // 5))
         level = np.searchsorted(rule.level_edges, level_sum, side="right")
         nearest, second = np.argsort(score, axis=0, kind="stable")[:2]

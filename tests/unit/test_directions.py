@@ -86,13 +86,13 @@ def test_mosaic_and_patches_are_labelled_alike(fiveband: CameraModel, keys: dire
     rule = a_rule(fiveband, keys)
     values = rng.integers(100, 4096, (21, 26)).astype(np.uint16)
     labels = label_mosaic(values, rule, fiveband.cfa, 5, (1, 2))
-    close = neighbourhoods(fiveband.cfa, rule.patch, 5)
+    neighbours = neighbourhoods(fiveband.cfa, rule.patch, 5)
     padded = pad_mosaic(values, rule.radius, fiveband.cfa.shape)
     patches = np.lib.stride_tricks.sliding_window_view(padded, (9, 9)).reshape(*values.shape, -1)
     site = sites(21, 26, fiveband.cfa.shape, (1, 2))
     assert len(np.unique(rule.split(labels).combination)) > rule.combinations / 2
     for number in range(16):
-        of_site = rule.on_site(label_patches(patches[site == number], rule, close, number), number)
+        of_site = rule.on_site(label_patches(patches[site == number], rule, neighbours, number), number)
         np.testing.assert_array_equal(of_site, labels[site == number])
 
 
@@ -109,24 +109,24 @@ def test_a_turned_patch_has_the_turned_direction(bayer: CameraModel, keys: direc
     )
     for cfa in ((1, 1), (2, 2), (3, 3)):
         rule = a_rule(dataclasses.replace(camera, cfa=np.zeros(cfa, np.uint8)), keys, patch)
-        close = neighbourhoods(camera.cfa, patch, 1)
+        neighbours = neighbourhoods(camera.cfa, patch, 1)
         patches = np.random.default_rng(1).integers(300, 4096, (500, patch**2)).astype(np.uint16)
-        before = label_patches(patches, rule, close, 0)
+        before = label_patches(patches, rule, neighbours, 0)
         for number, turn in enumerate(orientations(patch)):
-            wrong = label_patches(patches[:, turn], rule, close, 0) != turned_classes(rule, number)[before]
+            wrong = label_patches(patches[:, turn], rule, neighbours, 0) != turned_classes(rule, number)[before]
             assert wrong.mean() < 0.01  # ties, in which the first axis wins
 
 
 def test_sums_are_averaged_over_all_turns_of_a_window_with_the_classes_they_turn_into(bayer: CameraModel) -> None:
     rule = a_rule(bayer, FOUR)
-    close = neighbourhoods(bayer.cfa, rule.patch, 3)
-    turns = turns_of(rule, close.channel[0])
-    assert len(turns) == len(stabilisers(close.channel[0], rule.patch)) == 8
-    assert len(turns_of(rule, close.channel[0], IDENTITY_ONLY)) == 1
+    neighbours = neighbourhoods(bayer.cfa, rule.patch, 3)
+    turns = turns_of(rule, neighbours.channel[0])
+    assert len(turns) == len(stabilisers(neighbours.channel[0], rule.patch)) == 8
+    assert len(turns_of(rule, neighbours.channel[0], IDENTITY_ONLY)) == 1
     patches = np.random.default_rng(1).integers(300, 4096, (500, rule.patch**2)).astype(np.uint16)
-    before = label_patches(patches, rule, close, 0)
+    before = label_patches(patches, rule, neighbours, 0)
     for turn in turns:
-        wrong = turn.classes[label_patches(patches[:, turn.taps], rule, close, 0)] != before
+        wrong = turn.classes[label_patches(patches[:, turn.taps], rule, neighbours, 0)] != before
         assert wrong.mean() < 0.01  # ties, in which the first axis wins
 
 

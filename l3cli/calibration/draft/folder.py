@@ -26,6 +26,15 @@ from l3cli.system.text import counted
 SAMPLED = 6  # frames from which the period of the array is estimated
 LEFT_OUT = "; left out"  # ends the notes of files that are not used
 MOST_NOTED = 12  # rejected files that get a line of their own
+LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep
+USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
+SENSOR = (
+    ("rows", 3000, "of the sensor, by its data sheet"),
+    ("cols", 4000, "of the sensor, by its data sheet"),
+    ("pixel_pitch_um", 3.45, PITCH),
+    ("bits", 12, "of the converter, by its data sheet"),
+)
+SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 10000), ("read_noise_e", 5.0))
 
 
 @dataclass(frozen=True)
@@ -184,17 +193,6 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
     """Return the first `most` lines, and a line with the number of further lines. `more` is its format."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
-
-
-LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep
-USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
-SENSOR = (
-    ("rows", 3000, "of the sensor, by its data sheet"),
-    ("cols", 4000, "of the sensor, by its data sheet"),
-    ("pixel_pitch_um", 3.45, PITCH),
-    ("bits", 12, "of the converter, by its data sheet"),
-)
-SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 10000), ("read_noise_e", 5.0))
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:

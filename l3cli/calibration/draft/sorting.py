@@ -32,6 +32,8 @@ GRID_NM = np.arange(400.0, 701.0, 10.0)
 SEARCHED = 6  # brightest captures of a series in which the chart is searched
 DIM = 0.05  # fraction of the range below which charts are too dark to be searched
 Corners = list[tuple[float, float]]
+NARROW_NM = 40.0  # nm, largest full width at half maximum of a line
+NEAR_NM = 5.0  # nm, largest difference between the wavelength in a name and the peak of its spectrum
 
 
 @dataclass(frozen=True)
@@ -260,10 +262,6 @@ def corners_of_series(
         return None
     middle = np.median(np.array(found), axis=0)
     return [(round(float(x), 1), round(float(y), 1)) for x, y in middle]
-
-
-NARROW_NM = 40.0  # nm, largest full width at half maximum of a line
-NEAR_NM = 5.0  # nm, largest difference between the wavelength in a name and the peak of its spectrum
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ TERMS = 6  # terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # size of the cache
 _EVIDENCES: dict[bytes, float] = {}  # cache by content of shots and prior; one photo needs the same lights three times
+IMPROBABLE = 0.02  # lights with a lower probability do not widen the band
+NOTICED = 3.0  # l3 warns if the named light is less probable than another by e to this power
 
 
 @dataclass(frozen=True)
@@ -403,10 +405,6 @@ def _peaks(state: Array, prior: Prior) -> float:
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
     return float(-0.5 * off @ np.linalg.solve(prior.log_peak_covariance + 1e-9 * np.eye(count), off))
-
-
-IMPROBABLE = 0.02  # lights with a lower probability do not widen the band
-NOTICED = 3.0  # l3 warns if the named light is less probable than another by e to this power
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
