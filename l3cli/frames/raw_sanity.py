@@ -32,6 +32,8 @@ TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; lar
 ARRAYS_DIFFER = 0.05
 MOST_SITES_DIFFER = 0.03  # 30 % of the sites differ more if the CFA is another one; otherwise only autofocus pixels do
 STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction
+SLANTED = 0.03  # the same for a factor per slanted line
+SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # steps of rows and columns across slanted lines
 TWO_GAINS = 2.0  # smallest ratio of the gains in sensors whose pairs of rows alternate between two gains
 CONTROL = 3.0  # a difference is evidence if it exceeds that of a period that no CFA has by this ratio
 FITS = 0.01  # a CFA fits if the sites of each channel differ by less
@@ -122,7 +124,7 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
     1. single pixels, such as autofocus pixels,
     2. differences that are equally large modulo a period that no sensor has,
-    3. stripes of the scene along rows or columns, which change all channels by the same factor.
+    3. stripes of the scene along rows, columns or slanted lines, which change all channels by the same factor.
     """
     tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
@@ -161,7 +163,7 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Return whether super-pixels of a `period` differ only by a factor per row or by a factor per column.
+    """Return whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
 
     Pairs of rows that alternate between two factors do not count as stripes, because they occur in sensors with two gains.
     """
@@ -174,7 +176,19 @@ def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
         factors = lines / np.maximum(lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True), MIN_SIGNAL)
         if np.abs(blocks - sites * factors).mean() <= STRIPED * differ:
             return along == (0, 1) or not _has_two_gains(factors.ravel())
-    return False
+    return any(_are_slanted(means, sites, slant) for slant in SLANTS)
+
+
+def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:
+    """Return whether a factor for each slanted line turns the mean super-pixel `sites` into `means`.
+
+    The limit is strict, because arrays with a channel on their diagonals, such as RGBW, come close.
+    """
+    usual = np.maximum(tiled(sites[0, :, 0], means.shape), MIN_SIGNAL)
+    row, col = np.indices(means.shape)
+    line = (slant[0] * row + slant[1] * col) % np.gcd(*means.shape)
+    factors = np.bincount(line.ravel(), (means / usual).ravel()) / np.bincount(line.ravel())
+    return bool(np.abs(means - usual * factors[line]).mean() <= SLANTED * np.abs(means - usual).mean())
 
 
 def _has_two_gains(factors: NDArray[np.float64]) -> bool:

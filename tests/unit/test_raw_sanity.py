@@ -135,6 +135,14 @@ def test_stripes_of_an_exact_period_are_no_other_array(period: int, line: np.nda
     assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
+@pytest.mark.parametrize("period", [4, 8, 12])
+@pytest.mark.parametrize("line", [ROW + COL, ROW - COL, 2 * ROW + COL], ids=["falling", "rising", "flat"])
+@pytest.mark.parametrize("ratio", [1.2, 2, 25])
+def test_slanted_stripes_of_an_exact_period_are_no_other_array(period: int, line: np.ndarray, ratio: float) -> None:
+    for light in (np.where(line % period < period / 2, 0.5, 0.5 / ratio), 0.3 + (0.3 - 0.3 / ratio) * np.sin(line)):
+        assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
+
+
 def test_pairs_of_rows_of_two_gains_are_another_array() -> None:
     for first in range(4):
         light = np.where((ROW + first) % 4 < 2, 0.1, 0.4)
