@@ -67,17 +67,22 @@ def read_cgats(text: str, path: Path) -> Spectra:
     Returns
     -------
     Spectra
-        One spectrum per sample of the first table that contains spectra.
+        One spectrum per sample of the table that contains spectra. Other tables, of colours for example, may surround it.
 
     Raises
     ------
     InputFileError
-        If no table contains spectra, a row is broken, or the stated grid contradicts the fields.
+        If no table or several tables contain spectra, a row is broken, or the stated grid contradicts the fields.
     """
     tables = _tables(text, path)
-    for table in tables:
-        if _bands(table) or "SPECTRAL_BANDS" in table.keywords or "SPECTRAL_NM" in map(str.upper, table.fields):
-            return _spectra(table, text.split(None, 1)[0].upper(), path)
+    spectral = [table for table in tables if _bands(table) or "SPECTRAL_NM" in map(str.upper, table.fields)]
+    spectral = spectral or [table for table in tables if "SPECTRAL_BANDS" in table.keywords][:1]
+    if len(spectral) > 1:
+        raise InputFileError(
+            f"{path}: contains {len(spectral)} tables of spectra; save the one to be used in a file of its own"
+        )
+    if spectral:
+        return _spectra(spectral[0], text.split(None, 1)[0].upper(), path)
     fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
     raise InputFileError(
         f"{path}: contains {fields[:60] or 'no data'}, but no spectra; export spectral data, in fields such as SPEC_380"

@@ -189,6 +189,7 @@ TWO = 'SPECT\nSPECTRAL_BANDS "3"\nSPECTRAL_START_NM "380"\nSPECTRAL_END_NM "400"
         ("gone.jdx", jcamp("##XYDATA= (X++(Y..Y))\n380 1 ? 3"), "?"),
         ("xyz.cie", "CTI3\nBEGIN_DATA_FORMAT\nSAMPLE_ID XYZ_X\nEND_DATA_FORMAT\nBEGIN_DATA\n1 2\nEND_DATA\n", "XYZ_X"),
         ("two.sp", TWO + "END_DATA_FORMAT\nBEGIN_DATA\n1 2\nEND_DATA\n", "3 bands"),
+        ("m0_m1.txt", 2 * cgats("CGATS.17", LIGHT_A, None), "2 tables"),
         ("row.sp", cgats("SPECT", LIGHT_A, 1.0).replace("END_DATA\n", "1 2\nEND_DATA\n"), "row 2"),
         ("word.sp", cgats("SPECT", LIGHT_A, 1.0).replace("9.795100", "x"), "x"),
         *((f"{unit}.csv", f"wavelength (nm),intensity ({unit})\n{pairs(',')}", unit) for unit in ("counts", "mV", "dBm")),
@@ -206,6 +207,14 @@ def test_what_is_no_light_is_refused_by_name(name: str, content: str, culprit: s
         read_curve(tmp_path / name, "light")
     assert culprit.lower() in str(caught.value).lower()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_tables_of_colours_around_a_table_of_spectra_are_left_out(first: bool, tmp_path: Path) -> None:
+    spectra = cgats("CGATS.17", LIGHT_A, 1.0)
+    colours = "CGATS.17\nBEGIN_DATA_FORMAT\nSAMPLE_ID XYZ_X XYZ_Y\nEND_DATA_FORMAT\nBEGIN_DATA\n1 2 3\nEND_DATA\n"
+    (tmp_path / "both.ti3").write_text(colours + spectra if first else spectra + colours)
+    np.testing.assert_allclose(read_table(tmp_path / "both.ti3").values, [LIGHT_A], atol=1e-6)
 
 
 @pytest.mark.parametrize("role", ["light", "transmittance"])
