@@ -590,26 +590,28 @@ def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float |
 
 
 FORMATS = (
-    SpectrumFormat("IES TM-27", SPDX, "one spectrum, in the unit of its quantity", None, _spdx),
+    SpectrumFormat("IES TM-27", SPDX, "one spectrum, in the unit that the file states", None, _spdx),
     SpectrumFormat(
         "CGATS.17, ArgyllCMS",
         (".sp", ".ti3", ".cie", ".ccss", ".cgats"),
-        "illuminants, reflectances and charts: fields SPEC_380, SPECTRAL_NM380, nm380; one column per sample",
+        "illuminants, reflectances and charts, with one column per sample; the fields are called SPEC_380, SPECTRAL_NM380 or "
+        "nm380",
         is_cgats,
         _cgats,
     ),
     SpectrumFormat(
         "JCAMP-DX",
         (".jdx", ".dx", ".jcamp"),
-        "one spectrum over nm, µm or Å, packed (ASDF) or not; from files of SpectraSuite the processed spectrum",
+        "one spectrum over nm, µm or Å, compressed (ASDF) or not; from a file of SpectraSuite, l3 reads the processed "
+        "spectrum",
         is_jcamp,
         _jcamp,
     ),
     SpectrumFormat(
         "text table",
         (".csv", ".tsv", ".txt", ".dat", ".asc", ".spd", ".irr", ".trm", ".trt", ".ttt", ".jaz", ".jazirrad"),
-        "one row per wavelength, or one row per spectrum: spreadsheets, CIE data, WebPlotDigitizer, Ocean Optics "
-        "(SpectraSuite, OceanView, Jaz), Avantes, StellarNet, Konica Minolta, Photo Research",
+        "one row per wavelength or one row per spectrum, from spreadsheets, CIE data, WebPlotDigitizer, or instruments by Ocean "
+        "Optics (SpectraSuite, OceanView, Jaz), Avantes, StellarNet, Konica Minolta and Photo Research",
         lambda _: True,
         _text_curves,
     ),
