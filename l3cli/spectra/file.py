@@ -594,8 +594,8 @@ FORMATS = (
     SpectrumFormat(
         "CGATS.17, ArgyllCMS",
         (".sp", ".ti3", ".cie", ".ccss", ".cgats"),
-        "illuminants, reflectances and charts, with one column per sample; the fields are called SPEC_380, SPECTRAL_NM380 or "
-        "nm380",
+        "illuminants, reflectances and charts, with one column per sample; the fields are called SPEC_380, "
+        "SPECTRAL_NM380 or nm380",
         is_cgats,
         _cgats,
     ),
@@ -610,8 +610,8 @@ FORMATS = (
     SpectrumFormat(
         "text table",
         (".csv", ".tsv", ".txt", ".dat", ".asc", ".spd", ".irr", ".trm", ".trt", ".ttt", ".jaz", ".jazirrad"),
-        "one row per wavelength or one row per spectrum, from spreadsheets, CIE data, WebPlotDigitizer, or instruments by Ocean "
-        "Optics (SpectraSuite, OceanView, Jaz), Avantes, StellarNet, Konica Minolta and Photo Research",
+        "one row per wavelength or one row per spectrum, from spreadsheets, CIE data, WebPlotDigitizer, or instruments by "
+        "Ocean Optics (SpectraSuite, OceanView, Jaz), Avantes, StellarNet, Konica Minolta and Photo Research",
         lambda _: True,
         _text_curves,
     ),
