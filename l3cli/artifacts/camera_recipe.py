@@ -29,18 +29,8 @@ from l3cli.artifacts.store import load
 from l3cli.errors import RecipeError, raised_as, suggestion
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.faults import Fault, fault, refuse_first
-from l3cli.recipes.toml import (
-    Count,
-    CountOrNone,
-    NotNegative,
-    Positive,
-    Recipe,
-    Seed,
-    load_recipe,
-    parse_recipe,
-    parse_toml,
-    read_text,
-)
+from l3cli.recipes.load import load_recipe, parse_recipe
+from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Seed, parse_toml, read_text
 from l3cli.spectra.table import CurveTable
 
 UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # of a key, by the unit of its value

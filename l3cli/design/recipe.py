@@ -24,6 +24,7 @@ from l3cli.physics import spectra
 from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.builtin import CURVES, find_recipe
 from l3cli.recipes.faults import Fault, fault, inside
+from l3cli.recipes.load import load_recipe
 from l3cli.recipes.toml import (
     KIND_KEYS,
     Count,
@@ -32,7 +33,6 @@ from l3cli.recipes.toml import (
     Positive,
     Recipe,
     Share,
-    load_recipe,
     parse_toml,
     read_text,
     toml_value,

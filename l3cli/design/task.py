@@ -31,7 +31,7 @@ from l3cli.design.recipe import (
 from l3cli.design.search import Problem, anneal, canonical, every_array, independent_outputs
 from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 
 ANNEALING = 1000  # number of steps of simulated annealing
 MOST_REPEATED = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array

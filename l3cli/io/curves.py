@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import DIODE, CurveStatistics, FinishedCurves, SweepTable
 from l3cli.recipes.builtin import recipe_folder
-from l3cli.recipes.toml import MAX_NUMBER, Recipe, load_recipe
+from l3cli.recipes.load import load_recipe
+from l3cli.recipes.toml import MAX_NUMBER, Recipe
 from l3cli.spectra.file import other_unit, read_table
 from l3cli.spectra.table import CurveTable, without_noise
 from l3cli.system.files import write_whole

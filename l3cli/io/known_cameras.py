@@ -12,7 +12,8 @@ from l3cli.artifacts.camera import Optics
 from l3cli.artifacts.camera_recipe import F_NUMBER, FOCAL_MM, PITCH_UM
 from l3cli.frames.measurement import Body, FinishedCurves, Stated
 from l3cli.recipes.builtin import recipe_folder, slug_of
-from l3cli.recipes.toml import Count, Positive, Recipe, load_recipe
+from l3cli.recipes.load import load_recipe
+from l3cli.recipes.toml import Count, Positive, Recipe
 from l3cli.spectra.file import read_table
 
 ROLES = ("r", "g", "b")

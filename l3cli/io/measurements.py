@@ -58,7 +58,8 @@ from l3cli.io.measurement_recipe import (
 )
 from l3cli.io.raw import RawContent
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import KeyPath, parse_recipe, parse_toml, read_text
+from l3cli.recipes.load import parse_recipe
+from l3cli.recipes.toml import KeyPath, parse_toml, read_text
 from l3cli.spectra import units
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import RELATIVE, CurveTable

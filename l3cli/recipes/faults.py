@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args
 import msgspec
 
 from l3cli.errors import RecipeError
-from l3cli.recipes.toml import KeyPath, Recipe, place, plain, refusals
+from l3cli.recipes.messages import place, plain
+from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
 LISTED_FAULTS = 100  # faults listed with a message; the rest are only counted

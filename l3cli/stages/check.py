@@ -26,8 +26,9 @@ from l3cli.io.measurement_check import measurement_faults, measurement_lines, me
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED_FAULTS, Fault, about_others, fault, typed
+from l3cli.recipes.key_lines import key_lines, line_of
 from l3cli.recipes.schema import schema_of
-from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, key_lines, line_of, parse_toml, read_text
+from l3cli.recipes.toml import KIND_KEYS, KeyPath, Recipe, parse_toml, read_text
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.lab import LabRecipe, lab_recipe_faults
 from l3cli.simulation.light import Filters, named_beyond_known

@@ -44,7 +44,8 @@ from l3cli.parallel import WorkerPool, workers
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 from l3cli.physics.mosaic import least_period
 from l3cli.recipes.builtin import find_recipe
-from l3cli.recipes.toml import load_recipe, read_text, toml_value
+from l3cli.recipes.load import load_recipe
+from l3cli.recipes.toml import read_text, toml_value
 from l3cli.simulation.frame import SimulationRun, spectral_planes
 from l3cli.simulation.light import SCENE_LIGHT, Filters, named_beyond_known, photon_weights
 from l3cli.simulation.recipe import SceneRecipe

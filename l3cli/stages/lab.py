@@ -14,7 +14,7 @@ from l3cli.io.curves import write_curves
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.options.commands import LabOptions
 from l3cli.parallel import workers
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation.lab import FOLDERS, LabCapture, LabRecipe, chart_corners, plan, take
 from l3cli.simulation.light import camera_unknown
 from l3cli.simulation.sensor import DefectRecipe

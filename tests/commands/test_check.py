@@ -18,7 +18,7 @@ from l3cli.classes.rule import make_rule
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, pixel_of
 from l3cli.errors import L3Error
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation.lab import LabRecipe, plan
 from l3cli.simulation.light import automatic_exposure, make_light
 from l3cli.simulation.recipe import SceneRecipe
@@ -394,17 +394,6 @@ def test_a_hundred_faults_are_listed_and_the_others_counted(tmp_path: Path, l3: 
     assert "500 faults in 1 of 1 files" in err
     (file,) = json.loads(l3("check", tmp_path / "scenes.toml", "--json")[1])["files"]
     assert (len(file["faults"]), file["more_faults"]) == (100, 400)
-
-
-def test_keys_are_not_deep_and_dots_in_texts_and_numbers_are_none(tmp_path: Path, l3: L3) -> None:
-    (tmp_path / "deep.toml").write_text('name = "x"\n' + "a." * 101 + "a = 1\n")
-    code, out, _ = l3("check", tmp_path / "deep.toml")
-    assert (code, out.partition(": ")[0]) == (3, f"{tmp_path}/deep.toml:2")
-    assert "a key has more than 100 parts" in out
-    dots, numbers = "." * 200, "0.9, " * 200
-    text = f'# {dots}\nexposure_share = [{numbers}] # {dots}\n[[scene]]\nsource = "rgb"\nfile = """\n"{dots}""" # {dots}\n'
-    (tmp_path / "dots.toml").write_text(text)
-    assert "parts" not in l3("check", tmp_path / "dots.toml")[1]
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "a\\u0000b"])

@@ -12,7 +12,7 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.training_set import open_training_set, read_part
 from l3cli.io.images import read_image
 from l3cli.io.sequences import find_pictures
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare
 from l3cli.stages.simulation.units import StoredFrames, simulate_unit, units_of

@@ -13,7 +13,7 @@ from l3cli.evaluation.demosaic import interpolate
 from l3cli.evaluation.quality import psnr
 from l3cli.io.images import read_image
 from l3cli.recipes.builtin import CLASSES, COMMON, known_benchmarks, known_recipes
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS

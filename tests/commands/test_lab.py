@@ -10,7 +10,7 @@ import pytest
 from l3cli.artifacts.camera import CameraModel
 from l3cli.cli import run
 from l3cli.io.frames import read_frame
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation.lab import LabRecipe, MonoRecipe, plan, take
 from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table

@@ -24,7 +24,8 @@ from l3cli.cli import run
 from l3cli.io.measurement_recipe import CaptureRecipe, CorrectionRecipe, MeasurementRecipe
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.recipes import builtin
-from l3cli.recipes.toml import Recipe, load_recipe
+from l3cli.recipes.load import load_recipe
+from l3cli.recipes.toml import Recipe
 from l3cli.simulation.recipe import SceneRecipe
 from l3cli.simulation.sensor import expose
 from tests.helpers.calls import L3

@@ -17,7 +17,7 @@ from l3cli.cli import COMMANDS
 from l3cli.cli import l3 as every_command
 from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.io.pictures.openimageio import write_mosaic
-from l3cli.recipes.toml import parse_recipe
+from l3cli.recipes.load import parse_recipe
 from l3cli.system.text import NoSuchNumber, Quantity
 from l3cli.training.recipe import TrainingRecipe
 from tests.helpers.calls import L3, Refused

@@ -20,7 +20,7 @@ from l3cli.classes.refinement import label_planes, taps_behind
 from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.display import lab
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.training.layers.coarse_chroma import LUMINANCES, measured_noise
 from l3cli.training.layers.learn import FADED_RESPONSE, LayerPass, add_sums, learn_layer, no_sums, sum_layer

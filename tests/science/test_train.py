@@ -26,7 +26,7 @@ from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.io.images import read_image
 from l3cli.physics import spectra
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.accumulate import sum_sites
 from l3cli.training.patches import (

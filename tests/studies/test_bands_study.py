@@ -23,7 +23,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import open_training_set
 from l3cli.evaluation.quality import band_figures, band_quality
 from l3cli.frames.frame import RawFrame
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.rendering.renderer import make_renderer
 from l3cli.training.recipe import TrainingRecipe
 from l3cli.training.solve import Solution

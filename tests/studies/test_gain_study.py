@@ -18,7 +18,7 @@ import pytest
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.gain_estimate import estimate_gain
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation import sensor
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import prepare, scene_over_time

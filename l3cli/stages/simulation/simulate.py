@@ -19,7 +19,7 @@ from l3cli.artifacts.training_set import (
 from l3cli.io.file_names import IDEAL, MOTION, RAW
 from l3cli.options.commands import SimulateOptions
 from l3cli.parallel import workers
-from l3cli.recipes.toml import load_recipe
+from l3cli.recipes.load import load_recipe
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import SceneRecipe, shots
 from l3cli.stages.simulation.preparation import (

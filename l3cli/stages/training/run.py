@@ -14,7 +14,8 @@ from l3cli.artifacts.training_set import TrainingPair, TrainingSet, open_trainin
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.options.commands import TrainOptions
 from l3cli.recipes.builtin import known_recipes
-from l3cli.recipes.toml import load_recipe, read_text
+from l3cli.recipes.load import load_recipe
+from l3cli.recipes.toml import read_text
 from l3cli.system.files import require_same, sha256, stamp
 from l3cli.training.goal import has_components
 from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera

@@ -25,7 +25,7 @@ from l3cli.errors import InputFileError, RecipeError, raised_as
 from l3cli.options.commands import ShardOptions, TrainOptions
 from l3cli.parallel import workers
 from l3cli.recipes.faults import refuse_first
-from l3cli.recipes.toml import parse_recipe
+from l3cli.recipes.load import parse_recipe
 from l3cli.stages.training.conditions import learn_conditions, runs_by_light
 from l3cli.stages.training.passes import Execution, first_pass, learn_first, pass_of, sum_unit, summed
 from l3cli.stages.training.refinement_layers import (

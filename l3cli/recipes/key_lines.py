@@ -1,0 +1,115 @@
+"""The line of each key of a TOML text, which tomllib does not report."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+
+from l3cli.recipes.toml import KeyPath
+
+STRING = (
+    r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may stand before the three that end it
+    r"|'''[^']*(?:'{1,2}(?!')[^']*)*'{3,5}"
+    r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
+    r"|'[^'\n]*'"
+)
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # TOML token; words include adjacent blanks
+
+
+def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
+    """Return the line of a key. If it is missing, return the line of its table, or 1 at the top level."""
+    return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
+
+
+def key_lines(text: str) -> dict[KeyPath, int]:
+    """Return the line, from 1, of every key, table and list entry in a valid TOML text."""
+    return _Scanner(text.replace("\r\n", "\n")).document()
+
+
+class _Scanner:
+    """Finds the lines of keys in one pass over the tokens. Each method reads the element that its name says."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.tokens = text, TOKEN.finditer(text)
+        self.token, self.start, self.line = "", 0, 1
+        self.lines: dict[KeyPath, int] = {}
+        self.entries: dict[KeyPath, int] = {}  # index of the latest table in each list of tables
+        self._next()
+
+    def _next(self) -> str:
+        """Return the current token and advance to the next one, which is "" at the end."""
+        before, self.token = self.token, ""
+        for found in self.tokens:
+            token = found.group().strip(" \t")
+            if token and token[0] != "#":
+                self.line += self.text.count("\n", self.start, found.start())
+                self.token, self.start = token, found.start()
+                break
+        return before
+
+    def document(self) -> dict[KeyPath, int]:
+        table: KeyPath = ()
+        while self.token:
+            if self.token == "\n":
+                self._next()
+            elif self.token == "[":
+                table = self._heading()
+            else:
+                self._pair(table)
+        return self.lines
+
+    def _heading(self) -> KeyPath:
+        several, line = self.text.startswith("[[", self.start), self.line
+        table: KeyPath = ()
+        *outer, last = self._key()
+        for name in outer if several else (*outer, last):
+            table = (*table, name)
+            self.lines.setdefault(table, line)
+            if table in self.entries:  # a list of tables: the key belongs to its latest table
+                table = (*table, self.entries[table])
+        if several:
+            table = (*table, last)
+            self.lines.setdefault(table, line)
+            self.entries[table] = self.entries.get(table, -1) + 1
+            table = (*table, self.entries[table])
+            self.lines[table] = line
+        while self.token == "]":
+            self._next()
+        return table
+
+    def _key(self) -> list[str]:
+        names = []
+        while self.token not in ("=", "]"):
+            written = self._next()
+            if written[0] in "\"'":
+                names.append(tomllib.loads(f"key = {written}")["key"])
+            elif written not in ".[":
+                names.append(written)
+        return names
+
+    def _pair(self, table: KeyPath) -> None:
+        line = self.line
+        for name in self._key():
+            table = (*table, name)
+            self.lines.setdefault(table, line)
+        self._next()  # the equals sign
+        self._value(table)
+
+    def _value(self, path: KeyPath) -> None:
+        if self.token in ("[", "{"):
+            self._entries(path, "]" if self._next() == "[" else "}")
+        while self.token not in (",", "]", "}", "\n", ""):
+            self._next()
+
+    def _entries(self, path: KeyPath, end: str) -> None:
+        """Read a list or an inline table, whose opening bracket has been read."""
+        number = 0
+        while self.token != end:
+            if self.token in (",", "\n"):
+                self._next()
+            elif end == "]":
+                self.lines[*path, number] = self.line
+                self._value((*path, number))
+                number += 1
+            else:
+                self._pair(path)
+        self._next()

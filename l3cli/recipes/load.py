@@ -1,0 +1,29 @@
+"""Reads TOML recipes into typed structures."""
+
+from pathlib import Path
+from typing import TypeVar
+
+from l3cli.errors import RecipeError
+from l3cli.recipes.faults import typed
+from l3cli.recipes.key_lines import key_lines, line_of
+from l3cli.recipes.toml import KIND_KEYS, Recipe, parse_toml, read_text
+
+R = TypeVar("R", bound=Recipe)
+
+
+def load_recipe(path: Path, recipe: type[R]) -> R:
+    """Read a TOML file as a structure of type `recipe`. Raises RecipeError with the file, the key and the fault."""
+    return parse_recipe(read_text(path, recipe.title), recipe, str(path))
+
+
+def parse_recipe(text: str, recipe: type[R], name: str) -> R:
+    """Convert TOML text to a structure of type `recipe`. RecipeError, which begins with `name`, states the first fault."""
+    content = parse_toml(text, name)
+    given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
+    if given and recipe.title in KIND_KEYS and recipe.title not in given:
+        raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
+    found, faults = typed(content, recipe)
+    if found is None or faults:
+        message, (key, *_) = faults[0]
+        raise RecipeError(f"{name}:{line_of(key, key_lines(text))}: {message}")
+    return found

@@ -1,0 +1,99 @@
+"""msgspec's messages on recipes in the terms of TOML: keys and tables, and what was probably meant."""
+
+import re
+from collections.abc import Sequence
+from typing import Any, Literal, get_args, get_origin
+
+import msgspec
+
+from l3cli.errors import shortened, suggestion
+from l3cli.recipes.toml import KeyPath, Recipe, member_types, tables_in
+from l3cli.system.text import counted
+
+PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # one key or index of a path in a message of msgspec, such as `$.scene[1].size`
+BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
+
+
+def plain(message: str, recipe: type[Recipe], content: Any) -> str:
+    """Rewrite a message of msgspec in TOML terms, with keys and tables, and add a suggestion."""
+    what, _, where = message.partition(" - at ")
+    if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
+        value = _value_at(content, where)
+        held = f"has {counted(len(value), 'value')}" if bound[1] else f"is {value}"
+        return f"{_written(where)} {held}; {BOUNDS[bound[2]]} {bound[3].removesuffix('.0')}"
+    table = _written(where)
+    what = what.replace("Object missing required field", "missing key").replace(
+        "Object contains unknown field", "unknown key"
+    )
+    where = f"in [{table}]" if table else "at the top level"
+    wrong = re.fullmatch(r"(unknown key|Invalid(?: enum)? value) ([`'])(.*)\2", what, re.DOTALL)
+    if wrong is None:
+        return f"{what} {where}"
+    name, path = shortened(wrong[3]), place(message)
+    # The path of an entry in a list of words ends with the index of the entry.
+    *outer, key = path if isinstance(path[-1], str) else path[:-1]
+    tables = _tables(recipe, content, tuple(outer))
+    known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, str(key))
+    tag = tables[0].__struct_config__ if len(tables) == 1 else None
+    kind = f' with {tag.tag_field} = "{tag.tag}"' if tag and tag.tag_field else ""
+    line = f"{wrong[1]} {wrong[2]}{name}{wrong[2]} {where}{kind}"
+    return f"{line}; {suggestion(name, known)}" if known else line
+
+
+def place(message: str) -> KeyPath:
+    """Return the key to which a message of msgspec refers, even if it is unknown. For a missing key, return its table."""
+    what, _, where = message.partition(" - at ")
+    unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
+    return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
+
+
+def _written(where: str) -> str:
+    """Return a path from a message of msgspec with list indices that start at 1."""
+    inner = re.sub(r"^`\$\.?|`$", "", where)
+    return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
+
+
+def _value_at(content: Any, where: str) -> Any:
+    """Return the value at a path from a message of msgspec, or None if a key contains a period."""
+    for key, number in re.findall(PATH_PART, where):
+        content = content[int(number)] if number else content.get(key, {})
+    return content
+
+
+def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
+    """Return the keys that a table of one of these structures may have."""
+    tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
+    return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
+
+
+def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
+    """Return the words that are permitted for the key `name` in a table of one of these structures."""
+    words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
+    for each in tables:
+        for field in msgspec.structs.fields(each):
+            if field.encode_name == name:
+                words += [
+                    str(word) for kind in member_types(field.type) if get_origin(kind) is Literal for word in get_args(kind)
+                ]
+    return tuple(dict.fromkeys(words))
+
+
+def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
+    """Return the possible structures of the table at `path` of a recipe.
+
+    If a tag such as `source` selects one of several structures, only this one is returned. If the tag is missing or unknown,
+    all are returned.
+    """
+    tables = [recipe]
+    for part in path:
+        if isinstance(part, str):
+            fields = [field for each in tables for field in msgspec.structs.fields(each) if field.encode_name == part]
+            tables = [table for field in fields for table in tables_in(field.type)]
+            content = content.get(part) if isinstance(content, dict) else None
+        else:
+            content = content[part] if isinstance(content, list) else None
+        if isinstance(content, dict):
+            configs = [(each, each.__struct_config__) for each in tables]
+            named = [each for each, config in configs if config.tag_field and content.get(config.tag_field) == config.tag]
+            tables = named or tables
+    return tables
