@@ -1,6 +1,6 @@
-"""Processes, threads and workers on other machines, all used through this package.
+"""Access to worker processes, threads, and workers on other machines.
 
-Results come in the order of the items, and are the same whatever the workers. What starts processes is imported only when
+Results are in the order of the items and do not depend on the workers. Modules that start processes are imported only when
 processes are needed.
 """
 
@@ -23,25 +23,23 @@ R = TypeVar("R")
 def one_blas_thread() -> None:
     """Limit BLAS to one thread in this process and its children. Call it before numpy is first imported.
 
-    Small products are faster with one thread, waiting threads take no time from encoders, and the rounding of results does
-    not depend on the number of cores.
+    Small matrix products are faster with one thread, idle threads do not slow down encoders, and the rounding of results
+    does not depend on the number of cores.
     """
     os.environ.update(ONE_BLAS_THREAD)
 
 
 def without_plots() -> None:
-    """Keep colour-science from importing matplotlib and pandas, which l3 does not use and which double the time of the
-    import.
-    """
+    """Prevent colour-science from importing matplotlib and pandas, which l3 does not use, to halve the import time."""
     for name in ("matplotlib", "pandas"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes imports fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """Yield function(item) for each item, in order, computed by `jobs` processes (1: this process).
+    """Yield function(item) for each item, in order, computed by `jobs` processes. If `jobs` is 1, use this process.
 
-    At most 2·jobs results wait, so memory does not grow with the number of items. Processes are spawned rather than forked,
-    because a fork hangs once an OpenCL context exists, and each uses one BLAS thread.
+    At most 2·jobs results are stored, so the memory does not grow with the number of items. Processes are spawned rather
+    than forked, because a forked process hangs if an OpenCL context exists. Each process uses one BLAS thread.
     """
     with workers(jobs) as pool:
         yield from pool(function, items)
@@ -49,7 +47,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @contextlib.contextmanager
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
-    """Yield a pool of `jobs` processes, or of the workers of a scheduler, for several calls."""
+    """Yield a pool of `jobs` processes or of the workers of a scheduler, which can be called several times."""
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of
 

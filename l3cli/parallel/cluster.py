@@ -1,4 +1,4 @@
-"""Workers of a dask scheduler, on other machines, as a pool."""
+"""A pool of dask workers on other machines."""
 
 import asyncio
 import collections
@@ -28,9 +28,9 @@ from l3cli.system.limits import ONE_BLAS_THREAD
 T = TypeVar("T")
 R = TypeVar("R")
 
-ANSWER_SECONDS = 10.0  # time within which a scheduler must answer
-WORKERLESS_SECONDS = 60.0  # time without any worker after which a run ends with an error
-CHECK_SECONDS = 1.0  # time between checks of the number of workers
+ANSWER_SECONDS = 10.0  # s; time limit for the answer of a scheduler
+WORKERLESS_SECONDS = 60.0  # s; a run fails after this time without any worker
+CHECK_SECONDS = 1.0  # s; interval between checks of the number of workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
 WITHOUT_TLS = "the scheduler accepts other machines without TLS, so they can run programs as you; use tls:// and ‹tls_ca›"
 _one_at_a_time = threading.Lock()
@@ -50,8 +50,8 @@ class Scheduler:
 
     address: str  # tcp://HOST:PORT or tls://HOST:PORT
     ca: Path | None = None  # certificate of the authority that both sides trust
-    certificate: Path | None = None  # of this machine
-    key: Path | None = None  # of this certificate
+    certificate: Path | None = None  # certificate of this machine
+    key: Path | None = None  # private key of this certificate
     warn: Callable[[str], None] = lambda message: None  # called if other machines can reach the scheduler without TLS
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ class Scheduler:
 def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
     """Yield the workers of a scheduler as a pool.
 
-    If the block fails, waiting items are dropped, and each worker finishes its current item.
+    If the block fails, waiting items are discarded, and each worker finishes its current item.
 
     Raises
     ------
@@ -87,10 +87,10 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # errors become one line of l3's
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports errors itself, in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
-        # dask advises to scatter large data, but then they would be lost if their worker died.
+        # dask recommends scattering large data, but scattered data are lost if their worker dies.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -135,7 +135,7 @@ class _Workers:
     def __init__(self, client: Any) -> None:
         self._client = client
         self._checked = -CHECK_SECONDS
-        self._seen = time.monotonic()  # when there was last a worker
+        self._seen = time.monotonic()  # time at which there was last a worker
         self._count = 0
 
     def first(self) -> int:
@@ -145,8 +145,9 @@ class _Workers:
         return self._count
 
     def count(self) -> int:
-        """Return the number of workers. Raise L3Error if there has been none for WORKERLESS_SECONDS, or if the scheduler is
-        gone.
+        """Return the number of workers.
+
+        Raises L3Error if there has been no worker for WORKERLESS_SECONDS, or if the scheduler does not answer.
         """
         if time.monotonic() - self._checked >= CHECK_SECONDS:
             try:
@@ -168,11 +169,14 @@ _GONE = "the scheduler has stopped; start it and its workers again"
 
 
 def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """Send items to the workers, at most two per worker at a time. Results stay with the workers until their turn comes."""
+    """Send items to the workers, at most two per worker at a time, and yield the results in order.
+
+    Results stay with the workers until they are needed.
+    """
 
     def work(versions: dict[str, str], content: bytes) -> R:
-        # A local function is sent by value, not by name, so that a worker without l3cli can report that. The scheduler only
-        # passes bytes on, so it needs no l3cli.
+        # A local function is sent by value and not by name, so that a worker without l3cli can report this. The scheduler
+        # only forwards bytes and does not need l3cli.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
@@ -191,7 +195,7 @@ def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items:
 
 
 def _result(client: Any, workers: _Workers, future: Any) -> Any:
-    """Return the result of a future, or raise the error of `function`. dask repeats an item if its worker died."""
+    """Return the result of a future, or raise the error of `function`. If a worker dies, dask repeats its item."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -213,13 +217,13 @@ def _result(client: Any, workers: _Workers, future: Any) -> Any:
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that must agree on all machines, so that results have the same bytes."""
+    """Return the versions that must be equal on all machines, so that results have the same bytes."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
-    """Compute function(item) in a worker, one at a time, because not all functions are thread-safe."""
+    """Compute function(item) in a worker. Only one runs at a time, because not all functions are thread-safe."""
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
             raise L3Error(f"a worker has {name} {ours}, but this machine has {theirs}; install the same version on both")
@@ -233,7 +237,7 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield a temporary folder in a worker, among those that dask removes if the worker is killed."""
+    """Yield a temporary folder in a worker, in a place that dask cleans up if the worker is killed."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

@@ -25,9 +25,9 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Yield a `map` that computes in `jobs` new processes, with at most two waiting results for each.
+    """Yield a `map` that uses `jobs` new processes, with at most two stored results per process.
 
-    The processes end with the block, or immediately if the block fails or is interrupted.
+    The processes end at the end of the block, or immediately if the block fails or is interrupted.
     """
     with environment(ONE_BLAS_THREAD):
         pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _begin)
@@ -38,9 +38,9 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # A process that ends while it sends a result leaves half of it in the pipe. The thread of the pool waits for
-            # the rest until every writing end is closed, so this process closes its own. The thread that sends items waits
-            # in the same way for readers; later Pythons handle that (python/cpython#94777).
+            # If a process ends while it sends a result, half of the result remains in the pipe. The pool's thread waits for
+            # the rest until all writing ends are closed, so this process closes its own. The thread that sends items waits
+            # for readers in the same way, which later versions of Python handle (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -65,17 +65,17 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 
 @contextlib.contextmanager
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
-    """Keep a new process from importing the script that is running.
+    """Prevent new processes from importing the running script.
 
-    If a script calls `l3cli` at its top level, every process that imports it would start all the work again. Only functions
-    that the script defines need the import.
+    If a script calls `l3cli` at its top level, every process that imports the script would start all the work again. The
+    import is only needed for functions that the script defines.
     """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
         yield
         return
     names = {name: value for name, value in vars(script).items() if name in ("__spec__", "__file__")}
-    vars(script).update(dict.fromkeys(names))  # multiprocessing finds nothing to import
+    vars(script).update(dict.fromkeys(names))  # multiprocessing then finds nothing to import
     try:
         yield
     finally:
@@ -90,7 +90,7 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    """End the worker as soon as its parent has ended, even if the parent was killed."""
+    """End the worker as soon as its parent process ends, even if the parent was killed."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:

@@ -1,4 +1,4 @@
-"""Threads that read ahead, write behind, or work in the background."""
+"""Threads that read ahead, write behind, or run in the background."""
 
 import contextlib
 import os
@@ -19,7 +19,7 @@ class _End(Exception):
 
 @contextlib.contextmanager
 def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
-    """Yield a `map` that computes in up to `count` threads, but no more than there are cores. Results keep their order."""
+    """Yield a `map` that uses up to `count` threads, but not more than there are cores. Results are in order."""
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
@@ -30,7 +30,7 @@ def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], I
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
-    """Yield the items of an iterable, which another thread computes up to `depth` items ahead."""
+    """Yield the items of an iterable. Another thread computes up to `depth` items ahead."""
     ready: queue.Queue[Any] = queue.Queue()
     room = threading.Semaphore(depth)
     stopped = threading.Event()
@@ -43,7 +43,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
         except BaseException as error:
             ready.put((None, error))
 
-    # A daemon, because a thread that waits for input must not keep the program from ending.
+    # The thread is a daemon, because a thread that waits for input must not prevent the program from ending.
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     try:
@@ -65,7 +65,7 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
 def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        room.acquire()  # before computing an item, because `depth` includes unfinished items
+        room.acquire()  # acquired before an item is computed, because `depth` includes unfinished items
         if stopped.is_set():
             return
         try:
@@ -78,7 +78,7 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 class BackgroundTask:
     """Context manager that runs `work` in another thread during the block.
 
-    Errors are ignored: `work` only prepares what the main thread does later, and the error will occur there again.
+    Errors are ignored. `work` only prepares what the main thread does later, where the error occurs again.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:
@@ -104,18 +104,18 @@ class BackgroundTask:
 
 
 class WriteBehind:
-    """Calls function(item) in other threads, at most `depth` items behind. With one thread, the order is kept.
+    """Calls function(item) in other threads, at most `depth` items behind. With one thread, the order is preserved.
 
-    As a context manager, it waits for the last item, even if the block fails. An error is raised by the next `put` or at the
-    end, and waiting items are dropped. The current item is always finished, but after an interrupt only for up to
-    WRITE_SECONDS.
+    As a context manager, it waits for the last item, even if the block fails. If an item fails, waiting items are discarded,
+    and the error is raised by the next `put` or at the end. The current item is always finished, except that after an
+    interrupt the wait is limited to WRITE_SECONDS.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
         self._function = function
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
-        self._complete = False  # nothing more will be put
+        self._complete = False  # whether all items have been put
         self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(threads)]
 
     def __enter__(self) -> "WriteBehind":
@@ -156,14 +156,14 @@ class WriteBehind:
             thread.join(max(end - time.monotonic(), 0))
 
     def _wake_one(self) -> None:
-        with contextlib.suppress(queue.Full):  # a thread that takes the last item sees `_complete`
+        with contextlib.suppress(queue.Full):  # then a thread will take the last item and see `_complete`
             self._items.put_nowait(_End)
 
     def _work(self) -> None:
         while not (self._complete and self._items.empty()):
             item = self._items.get()
             if item is _End or self._error is not None:
-                continue  # empty the queue, so that `put` does not block
+                continue  # after an error, the queue is emptied so that `put` does not block
             try:
                 self._function(item)
             except BaseException as error:

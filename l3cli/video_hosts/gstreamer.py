@@ -1,11 +1,12 @@
-"""A GStreamer element, l3render: raw frames to RGB.
+"""The GStreamer element l3render, which renders raw frames to RGB.
 
     from l3cli.video_hosts.gstreamer import register
 
     register()
     pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
 
-gst-launch-1.0 and other programs come to it by plugins/python/l3render.py, in their search path (docs/video.md#gstreamer).
+gst-launch-1.0 and other programs find the element through plugins/python/l3render.py, if this folder is in their search path
+(docs/video.md#gstreamer).
 """
 
 import sys
@@ -26,19 +27,19 @@ try:
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
 if not Gst.is_initialized():
-    Gst.init(None)  # the class below is derived from its types
+    Gst.init(None)  # required before the class below, which is derived from GStreamer types
 
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
-DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; more than 8 bits since GStreamer 1.24
+DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; above 8 bits since GStreamer 1.24
 MOSAICS = (
     "video/x-raw, format=(string){ GRAY16_LE, GRAY8 }; "
     f"video/x-bayer, format=(string){{ {', '.join(order + depth for depth in DEPTHS for order in ORDERS)} }}"
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of caps that input and output have in common
-USUAL_RATE = Fraction(30)  # frames/s, if the stream states none
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of caps that are the same for input and output
+USUAL_RATE = Fraction(30)  # frames/s; used if the stream does not state a rate
 
 
 def _pad(name: str, direction: Any, caps: str) -> Any:
@@ -46,10 +47,10 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 
 
 class L3Render(GstBase.BaseTransform):
-    """GStreamer element that renders mosaics in DN as `l3 render` renders a sequence.
+    """GStreamer element that renders mosaics in DN, in the same way as `l3 render` renders a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), whichever the next element accepts. A stream that does not
-    fit ends with an error of one line.
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the next element. If a stream does not fit, it
+    ends with an error of one line.
     """
 
     __gtype_name__ = "L3Render"
@@ -77,8 +78,8 @@ class L3Render(GstBase.BaseTransform):
 
     def __init__(self) -> None:
         super().__init__()
-        self._mosaics: Any = None  # a Mosaics, from start to stop
-        self._reported = ""  # last reported error; GStreamer tries caps several times
+        self._mosaics: Any = None  # the Mosaics between start and stop
+        self._reported = ""  # last reported error, which is not repeated although GStreamer tries caps several times
         self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # _Layout of the negotiated caps of frames
         self._target: Any = None  # _Layout of the negotiated caps of pictures
@@ -158,7 +159,7 @@ class L3Render(GstBase.BaseTransform):
                 pixels = self._target.pixels(outbuf, written.data)
                 pixels[..., :3] = picture
                 if pixels.shape[2] > 3:
-                    pixels[..., 3] = 65535  # opaque
+                    pixels[..., 3] = 65535  # alpha: opaque
         except Exception as error:
             self._failed(error)
             return Gst.FlowReturn.ERROR
@@ -174,7 +175,7 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout of a frame in a buffer, from its caps. Creating it raises RecipeError for interlaced streams."""
+    """Memory layout of a frame in a buffer, according to its caps. Raises RecipeError for interlaced streams."""
 
     def __init__(self, caps: Any) -> None:
         structure = caps.get_structure(0)
@@ -202,7 +203,9 @@ class _Layout:
         stride, offset = (meta.stride[0], meta.offset[0]) if meta else (self.stride, self.offset)
         pixel = np.dtype(self.dtype).itemsize * self.channels
         if offset + stride * (self.shape[0] - 1) + pixel * self.shape[1] > len(content):
-            raise RecipeError(f"a buffer of {len(content)} bytes holds no frame of {self.shape[0]}×{self.shape[1]} pixels")
+            raise RecipeError(
+                f"a buffer of {len(content)} bytes is too small for a frame of {self.shape[0]}×{self.shape[1]} pixels"
+            )
         strides = stride, pixel, np.dtype(self.dtype).itemsize
         return np.ndarray((*self.shape, self.channels), self.dtype, content, offset, strides)
 

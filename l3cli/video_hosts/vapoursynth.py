@@ -33,8 +33,8 @@ def render(
 ) -> Any:  # fmt: skip
     """Render a clip of mosaics through a table.
 
-    Exposure and white are measured on the first frame, unless they are given, and hold for the whole clip. So frames can be
-    requested in any order and from any thread. The device renders one frame at a time.
+    Unless they are given, exposure and white are measured on the first frame and apply to the whole clip. Frames can
+    therefore be requested in any order and from any thread. The device renders one frame at a time.
 
     Parameters
     ----------
@@ -45,19 +45,19 @@ def render(
     bits : {8, 16, 32}, default 8
         8 gives RGB24 and 16 gives RGB48, sRGB as `l3 render` writes it. 32 gives RGBS, linear and not clipped.
     exposure : float, optional
-        Factor of Y. Default: automatic.
+        Factor on Y. Default: automatic.
     white : str, optional
         White of the scene, as in `l3 render`. Default: measured.
     black_level, white_level : float, optional
-        Levels in DN. Default: those of the table.
+        Levels in DN. Default: the levels of the table.
     phase : (int, int) or str, optional
-        CFA row and column of the first pixel, also as "1,0". Default: that of the table.
+        CFA row and column of the first pixel, also as "1,0". Default: (0, 0).
     size : (int, int) or str, optional
         Rows and columns that frames must have, also as "240x360". Default: any size.
     camera : str or path, optional
         Camera model whose defective pixels and flat field are corrected.
     backend, device : str, optional
-        As in `l3 render`.
+        Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
         Filter frames over time, as `l3 render --temporal` does. If a frame is requested out of order, up to 255 earlier
         frames on which it depends are filtered first, so that the result does not depend on the order.
@@ -70,7 +70,7 @@ def render(
     Raises
     ------
     vapoursynth.Error
-        One line, if the clip, a file or a value does not fit.
+        If the clip, a file or a value does not fit. The message is a single line.
     """
     try:
         _require_mosaics(clip)
@@ -110,7 +110,7 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Raise L3Error unless the clip has one plane of 8 to 16 bits and frames of one format."""
+    """Raise L3Error unless all frames of the clip have the same format, with one plane of 8 to 16 bits."""
     form = clip.format
     if form is None or not clip.width:
         raise L3Error("the clip's frames differ in format or size; give a clip with one format and size")

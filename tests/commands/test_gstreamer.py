@@ -149,7 +149,7 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
         (f"{SOURCE} ! l3render table=table.h5 white=D5", 'illuminant "D5" is unknown'),
         (f"{SOURCE} ! l3render table=table.h5 white-level=3", "do not fit; give black-level and white-level"),
         (f"{other} ! l3render table=table.h5", "frames have 40×14 pixels (rows × columns), not 20×28 as expected"),
-        (f"{short} ! l3render table=table.h5", "a buffer of 1000 bytes holds no frame of 20×28 pixels"),
+        (f"{short} ! l3render table=table.h5", "a buffer of 1000 bytes is too small for a frame of 20×28 pixels"),
         (f"{colours} ! l3render table=table.h5", "Internal data stream error"),  # caps that are never agreed on
     ]
     for (line, words), listed in zip(cases, run(folder, [f"{line} ! fakesink" for line, _ in cases]), strict=True):

@@ -218,5 +218,7 @@ def test_a_cube_cut_short_is_refused_with_both_sizes(tmp_path: Path) -> None:
     stored = save(tmp_path / "scene.hdr", a_cube())
     data = tmp_path / "scene.img"
     data.write_bytes(data.read_bytes()[:-1])
-    with pytest.raises(InputFileError, match=f"{stored.nbytes - 1} bytes, its header wants {math.prod(stored.shape) * 4}"):
+    with pytest.raises(
+        InputFileError, match=f"{stored.nbytes - 1} bytes, but its header requires {math.prod(stored.shape) * 4}"
+    ):
         envi.read(tmp_path / "scene.hdr")

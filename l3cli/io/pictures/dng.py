@@ -1,8 +1,8 @@
-"""Write DNG 1.4 files for raw converters.
+"""Writes DNG 1.4 files for raw converters.
 
-Rendered frames become linear files that pass as a camera's own: three channels per pixel, or one channel per pixel in a
-Bayer mosaic (docs/method.md#display). The channels are those of Rec. 2020, in which the scene's white has equal values.
-The exposure is left to the raw converter; the file states the exposure that l3 would use.
+Rendered frames are written as linear files that raw converters treat like files of a camera. They have three channels per
+pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are those of Rec. 2020. The white
+of the scene has equal values. The exposure is left to the raw converter. The file states the exposure that l3 would use.
 
 Raw mosaics may have any colour filter array and matrices with any number of channels.
 """
@@ -44,12 +44,12 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Return the file of a mosaic (row, col) or of three channels (row, col, 3), with the tags that are common to both."""
+    """Return a file with a mosaic (row, col) or three channels (row, col, 3). `tags` are added to the common tags."""
     import tifffile
 
     rows, cols, *channels = values.shape
     tags = [
-        entry("NewSubfileType", LONG, [0]),  # full-size image
+        entry("NewSubfileType", LONG, [0]),  # 0 is a full-size image
         entry("Orientation", SHORT, [UPRIGHT]),
         entry("BlackLevelRepeatDim", SHORT, [1, 1]),
         entry("DefaultScale", RATIONAL, [1, 1]),
@@ -62,7 +62,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
         text_entry("UniqueCameraModel", camera),
         *tags,
     ]
-    content = io.BytesIO()  # in memory, because tifffile omits the reason if a disk is full
+    content = io.BytesIO()  # written in memory first, because tifffile does not report a full disk
     tifffile.imwrite(
         content,
         values,
@@ -78,7 +78,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags of a colour filter array, from its codes (row, col) and the codes of the colour planes."""
+    """Return the tags of a CFA, given its colour codes (row, col) and the colour codes of the planes."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -91,21 +91,21 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; LibRaw would subtract another black level from three channels, not from white
-HEADROOM = 2.0  # value at white level; clipped areas are estimated to be brighter than 1, the sensor's full scale
+BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; with three channels, LibRaw would not subtract another black level from white
+HEADROOM = 2.0  # linear value at the white level; estimated values in clipped areas exceed 1, the sensor's full scale
 D65_CODE = 21  # value of CalibrationIlluminant
 CAMERA = "linear Rec. 2020"
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3), or to a `mosaic` (row, col)."""
+    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3) or, if `mosaic` is given, to a mosaic (row, col)."""
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of a picture of `raw_values`."""
+    """Return the file of a picture with the result of `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -124,9 +124,9 @@ def encode(path: Path, picture: Picture) -> bytes:
 
 
 def _label_tags(label: Label) -> list[Entry]:
-    """Return the tags of the shot.
+    """Return the tags with the settings of the shot.
 
-    The camera gets another name, because raw converters would use the original camera's matrices for these channels.
+    The camera gets another name, because raw converters would otherwise apply the matrices of the original camera.
     """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
@@ -154,20 +154,23 @@ def write_dng(
     path : Path
         The file.
     values : ndarray, (row, col)
-        DN, beginning at CFA phase (0, 0).
+        Mosaic in DN. The first pixel is CFA site (0, 0).
     camera : CameraModel
         The camera.
     matrices : mapping of str to ndarray, (channel, 3)
         Colour matrix from XYZ to channels under each of LIGHT_CODES.
     neutral : ndarray, (channel), or None
-        Signals of a grey, if known.
+        Signals of a grey surface, if known.
     exposure : float
         Exposure time in s.
     """
     name, planes, codes = camera.name, _planes(camera), channel_codes(camera.channels)
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
-    noise = (linear / full_scale, constant / full_scale**2)  # variance = S · x + O for x from 0 (black) to 1 (white level)
+    noise = (
+        linear / full_scale,
+        constant / full_scale**2,
+    )  # slope and intercept of variance; 0 is black, 1 white
     iso = camera.gains.iso if camera.gains else 0.0
     shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3, iso=iso)
     tags = [
@@ -188,8 +191,8 @@ def write_dng(
 def _planes(camera: CameraModel) -> list[int]:
     """Return the channels in the order of the colour planes.
 
-    Of three channels, the one with most pixels is the second, because most raw converters interpolate the second plane on a
-    quincunx, where a Bayer array has green.
+    If there are three channels, the channel with most pixels is the second. Most raw converters expect the second plane on a
+    quincunx grid, like green in a Bayer CFA.
     """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:

@@ -1,6 +1,6 @@
-"""ICC profiles of colour spaces, computed from formulas: version 4, matrix and curve (ICC.1:2022).
+"""Computes ICC profiles of colour spaces: version 4, with matrix and curve (ICC.1:2022).
 
-The profile of a space always has the same bytes.
+The profile of a colour space always has the same bytes.
 """
 
 import functools
@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
-D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, as ICC.1 rounds it
+D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # profiles need a date; a constant keeps their bytes the same
+DATE = (2000, 1, 1, 0, 0, 0)  # profiles need a date; with a constant date, their bytes are always the same
 POWER, SRGB_LIKE = 0, 3  # types of parametric curves
-ID = slice(84, 100)  # place of the digest in the header
+ID = slice(84, 100)  # position of the digest in the header
 NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent and the digest itself
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the profile of a space. Equal values are white under relative colorimetry."""
+    """Return the profile of a colour space. With relative colorimetry, equal values are white."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -33,7 +33,7 @@ def icc_profile(space: Space) -> bytes:
         **{name: _xyz(colorant) for name, colorant in zip((b"rXYZ", b"gXYZ", b"bXYZ"), colorants, strict=True)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), _curve(space.curve)),
     }
-    places: dict[bytes, int] = {}  # content → offset; tags with equal content share it
+    places: dict[bytes, int] = {}  # content → offset, so that tags with equal content share it
     table, body, start = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
     for name, content in tags.items():
         if content not in places:
@@ -50,7 +50,7 @@ def icc_profile(space: Space) -> bytes:
 
 def _header(size: int) -> bytes:
     fields = struct.pack(">I4sI4s4s4s6H4s", size, bytes(4), VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp")
-    intent = bytes(28) + _fixed(D50)  # no platform, flags, device and attributes; perceptual intent
+    intent = bytes(28) + _fixed(D50)  # zeros for platform, flags, device, attributes and (perceptual) intent
     return (fields + intent).ljust(128, b"\0")
 
 
@@ -59,7 +59,7 @@ def _tag(kind: bytes, content: bytes) -> bytes:
 
 
 def _fixed(numbers: NDArray[np.floating]) -> bytes:
-    """Return numbers in fixed point with 16 fractional bits."""
+    """Return numbers in fixed-point format with 16 fractional bits."""
     return np.rint(np.asarray(numbers) * 65536).astype(">i4").tobytes()
 
 

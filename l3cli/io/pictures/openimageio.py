@@ -1,4 +1,4 @@
-"""Write pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) with OpenImageIO."""
+"""Writes pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) with OpenImageIO."""
 
 import contextlib
 import errno
@@ -23,16 +23,16 @@ from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import atomic_output, write_whole
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Noise hardly compresses. The strongest compression takes seven times as long and saves a tenth of the size.
+# Noise is hardly compressible. The strongest compression takes seven times as long and saves only a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
-    # The filter predicts from the mean of two neighbours. Run lengths suffice: longer strings rarely repeat, and searching
-    # for them is slow.
+    # The filter predicts values from the mean of two neighbours. Run-length encoding is sufficient, because longer strings
+    # rarely repeat and searching for them is slow.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     JPEG_XL: {"compression": "lossless", "jpegxl:effort": 1},
 }
-EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of Exif's ColorSpace
+EXIF_SRGB, EXIF_OTHER = 1, 65535  # values of the Exif tag ColorSpace
 XMP = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
     '<rdf:Description rdf:about="" xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.adobe.com/exif/1.0/"'
@@ -42,7 +42,7 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of a picture, with the profile of its colour space and its label."""
+    """Return the file of a picture, including the profile of its colour space and its label."""
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
     if pixels.dtype.kind == "f":
@@ -55,8 +55,8 @@ def encode(path: Path, picture: Picture) -> bytes:
         if space.neutral:
             spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
     elif space is not None:
-        is_named = space == SRGB and suffix != PNG  # a PNG file has either a profile or a name
-        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without a value it would count as sRGB
+        is_named = space == SRGB and suffix != PNG  # a PNG file cannot have both a profile and a name
+        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without a value, sRGB would be assumed
         spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
         profile = np.frombuffer(icc_profile(space), np.uint8)
         spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
@@ -66,7 +66,7 @@ def encode(path: Path, picture: Picture) -> bytes:
     content = encoded(path.name, spec, pixels)
     if suffix != JPEG_XL or picture.label == NOTHING:
         return content
-    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif to JPEG XL, so the label is an XMP box
+    packet = _xmp(picture.label).encode()  # OpenImageIO does not write Exif to JPEG XL, so the label is an XMP box
     return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
@@ -83,8 +83,8 @@ def _add_label(spec: Any, label: Label) -> None:
         if value:
             spec.attribute(name, value)
     if iso := round(label.shot.iso):
-        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # 16 bits in Exif
-        spec.attribute("Exif:ISOSpeed", iso)  # for TIFF, to which OpenImageIO does not write the other attribute
+        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # Exif stores it in 16 bits
+        spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO does not write the other attribute to TIFF
 
 
 def _xmp(label: Label) -> str:
@@ -108,7 +108,7 @@ def _xmp(label: Label) -> str:
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with its exposure time (s) if known."""
+    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with the exposure time (s) if it is known."""
     spec = _spec(values[..., None])
     spec.attribute("compression", "none")
     if exposure:
@@ -117,7 +117,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return a JPEG file of sRGB codes (row, col, 3) with full-resolution colour; `quality` is 1…100."""
+    """Return a JPEG file of sRGB codes (row, col, 3) without chroma subsampling. `quality` is 1…100."""
     spec = _spec(picture)
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("Compression", f"jpeg:{quality}")
@@ -128,12 +128,12 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """Return the bytes of a file. Raises L3Error if it cannot be encoded.
 
-    The file is encoded in memory. On a full disk, the JPEG library would end the whole program, and the PNG library would
-    report nothing.
+    The file is encoded in memory. On a full disk, the JPEG library would abort the whole program, and the PNG library would
+    not report an error.
     """
-    spec.attribute("DateTime", "")  # prevents a timestamp, since the same input must give the same bytes
+    spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must give equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid text
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # not the real name, which may be invalid text
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -143,7 +143,7 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
 
 
 PAGED = (".tif", ".tiff")
-MAX_PIXEL_BYTES = 4_000_000_000  # bytes of pixels that fit into a file with 32-bit offsets
+MAX_PIXEL_BYTES = 4_000_000_000  # largest number of pixel bytes in a file with 32-bit offsets
 
 
 class Pages:
@@ -184,7 +184,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # If an array does not fit, numpy only says how much of it was written.
+            # If the disk is full, numpy only reports how much of the array was written.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:

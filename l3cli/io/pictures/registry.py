@@ -1,7 +1,7 @@
-"""Picture formats that l3 writes: their suffixes, contents and modules.
+"""The picture formats that l3 writes: their suffixes, contents and modules.
 
-A new format is a module in this folder and a line in FORMATS. The module has `encode` and is imported when the first
-picture is written. The bytes of a file do not depend on time or place.
+To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. The module is imported
+when the first picture is written. The bytes of a file must not depend on time or place.
 """
 
 import importlib
@@ -23,7 +23,7 @@ XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata for the file of a rendered frame: settings of the shot, and the files that the picture was made from."""
+    """Metadata for the file of a rendered frame: settings of the shot, and the files from which the picture was made."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # s
@@ -43,18 +43,18 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Describe the frame of a raw file that contains no other, by the file's SHA-256."""
+    """Describe the only frame of a raw file by the SHA-256 of the file."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Describe a frame of a stack or stream, by the SHA-256 of its values: rows in order, 16 bits, little-endian."""
+    """Describe a frame of a stack or stream by the SHA-256 of its values (16 bits, little-endian, row by row)."""
     return f"raw values SHA-256 {digest}"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Contents of a picture file, upright."""
+    """Contents of a picture file, in upright orientation."""
 
     pixels: NDArray[Any]  # (row, col, value): codes (uint8, uint16) or linear values (float32); or a mosaic (row, col) in DN
     space: Space | None = SRGB  # colour space of the values; None if they are not colours
@@ -69,8 +69,8 @@ class PictureFormat:
 
     suffixes: tuple[str, ...]  # in lower case
     module: str  # module in this folder
-    bits: tuple[int, ...] = ()  # possible bits per code; FLOAT_BITS if linear values are possible too
-    holds: str = "codes"  # or "linear" for linear values only, or "raw" for DN of a mosaic or picture for raw converters
+    bits: tuple[int, ...] = ()  # possible bits per code; includes FLOAT_BITS if linear values are also possible
+    holds: str = "codes"  # or "linear" for linear values only, or "raw" for DN for raw converters
 
     def encode(self, path: Path, picture: Picture) -> bytes:
         """Return the bytes of a file. Raises L3Error if the picture cannot be encoded."""
@@ -98,12 +98,12 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of files with "codes", "linear" or "raw" values."""
+    """Return the suffixes of files with the given contents: "codes", "linear" or "raw"."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format for a file name. Raises RecipeError if it cannot be written, or not with `bits` bits per value."""
+    """Return the format for a file name. Raises RecipeError if it does not exist or does not support `bits`."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None:
         codes, linear, raw = (", ".join(suffixes(holds)) for holds in ("codes", "linear", "raw"))
@@ -117,7 +117,7 @@ def format_of(path: Path, bits: int) -> PictureFormat:
 
 
 def holds_linear(path: Path, bits: int = 8) -> bool:
-    """Whether a file with this name and depth contains linear values instead of the codes of a picture."""
+    """Whether a file with this name and bit depth contains linear values rather than codes."""
     return bits == FLOAT_BITS or path.suffix.lower() in suffixes("linear")
 
 
@@ -127,13 +127,13 @@ def holds_raw(path: Path) -> bool:
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a picture's file in the format of its suffix."""
+    """Return the bytes of the file of a picture, in the format that belongs to the suffix."""
     dtype = picture.pixels.dtype
     return format_of(path, FLOAT_BITS if dtype.kind == "f" else 8 * dtype.itemsize).encode(path, picture)
 
 
 def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ()) -> None:
-    """Write a picture to a file in the format of its suffix.
+    """Write a picture to a file, in the format that belongs to the suffix.
 
     Parameters
     ----------

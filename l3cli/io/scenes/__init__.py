@@ -1,7 +1,8 @@
-"""Formats of scene files: which module reads the files of which `source` of a recipe, by suffix.
+"""Formats of scene files. The `source` in a recipe and the suffix of a file determine the module that reads it.
 
-A new format is a module in this folder and a line in FORMATS; a new source also has its keys in simulation/sources.py. A
-format's module has `read` and `size`, and `files` if its line says so. It is imported when the first scene is read.
+To add a format, write a module in this folder and add a line to FORMATS. A new source also needs keys in
+simulation/sources.py. The module has functions `read` and `size`, and also `files` if its line in FORMATS says so. It is
+imported when the first scene is read.
 """
 
 import importlib
@@ -21,13 +22,13 @@ class SceneFormat:
 
     source: str  # value of `source` in a recipe
     module: str  # module in this folder
-    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier format has
-    keys: tuple[str, ...] = ()  # keys of the recipe that the reader takes
-    is_folder: bool = False  # whether a scene is a folder, not a file
+    suffixes: tuple[str, ...] = ()  # in lower case; empty means all suffixes that are not in an earlier line
+    keys: tuple[str, ...] = ()  # keys of the recipe that are passed to the reader
+    is_folder: bool = False  # whether a scene is a folder rather than a file
     has_files: bool = False  # whether a scene consists of several files
-    names_unknown: bool = False  # whether the module's `unknown` returns header fields that l3 does not know
-    holds: str = ""  # contents of the files, for the documentation
-    states: str = ""  # where the files state wavelengths and other values that l3 reads, for the documentation
+    names_unknown: bool = False  # whether the module has a function `unknown`, which returns unknown header fields
+    holds: str = ""  # description of the contents, for the documentation
+    states: str = ""  # description of the metadata that l3 reads, for the documentation
 
     def read(self, path: Path, **keys: Any) -> Scene | SpectralCube | NDArray[np.float32]:
         """Read a scene.
@@ -40,13 +41,13 @@ class SceneFormat:
         Raises
         ------
         InputFileError
-            If the file is not of the format.
+            If the file does not have this format.
         """
         content: Scene | SpectralCube | NDArray[np.float32] = self._reader.read(path, **keys)
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return rows and columns of a scene, from headers if they state the size."""
+        """Return the rows and columns of a scene. They are read from the header if it states them."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
@@ -55,7 +56,7 @@ class SceneFormat:
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the fields of a file's header that l3 does not know and that may change values."""
+        """Return the fields of a file's header that l3 does not know and that may affect the values."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 
@@ -90,7 +91,7 @@ FORMATS = (
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """Return the format of a file of a source."""
+    """Return the format of a file, given the `source` in the recipe."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 

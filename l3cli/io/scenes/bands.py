@@ -1,5 +1,7 @@
-"""Read bands from pictures: a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF
-with one page per band.
+"""Reads spectral cubes from pictures.
+
+A cube may be a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF file with one
+page per band.
 """
 
 import re
@@ -26,9 +28,9 @@ ITEM = re.compile(r'<Item name="(\w+)"([^>]*)>([^<]*)</Item>')
 def read(path: Path) -> SpectralCube:
     """Read the cube of a folder of pictures, of a picture with several channels, or of the pages of a TIFF.
 
-    The pictures of a folder are ordered by the numbers in their names, and their first channels are used. Names of files,
-    channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some do, the others are left out. Raises
-    InputFileError if there are no pictures, or if their sizes differ.
+    The pictures in a folder are sorted by the numbers in their names, and only their first channels are used. The names of
+    files, channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some names do, the other bands are left
+    out. Raises InputFileError if there are no pictures, or if their sizes differ.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -42,7 +44,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return rows and columns of the first picture. Raises InputFileError if there is none."""
+    """Return the rows and columns of the first picture. Raises InputFileError if there are no pictures."""
     if path.suffix.lower() in TIFF and not path.is_dir():
         rows, cols = _tiff_size(path)
         return rows, cols
@@ -50,7 +52,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return the pictures in a folder, ordered by the last number in their names, or the file itself."""
+    """Return the pictures in a folder, sorted by the last number in their names. For a file, return the file itself."""
 
     def order(path: Path) -> tuple[str, int]:
         numbers = re.findall(r"\d+", path.stem)
@@ -64,14 +66,16 @@ def files(path: Path) -> list[Path]:
 def _pictures(folder: Path) -> list[Path]:
     pictures = files(folder)
     if not pictures:
-        raise InputFileError(f"{folder} holds no pictures ({', '.join(BAND_PICTURES)}); give a folder with one a band")
+        raise InputFileError(
+            f"{folder} contains no pictures ({', '.join(BAND_PICTURES)}); give a folder with one picture per band"
+        )
     return pictures
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Return the indices of the bands and their wavelengths in nm, from the names of candidates.
+    """Return the indices of the candidates that are bands, and their wavelengths in nm.
 
-    If no name states a wavelength, all are bands and the wavelengths are None.
+    If the names do not state wavelengths, all candidates are bands, and the wavelengths are None.
     """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
@@ -89,7 +93,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
             cube = np.empty((*pixels.shape, len(pictures)), pixels.dtype)
         if pixels.shape != cube.shape[:2] or pixels.dtype != cube.dtype:
             raise InputFileError(
-                f"{picture} differs in size or depth from {pictures[0].name}; keep only bands in the folder"
+                f"{picture} differs in size or depth from {pictures[0].name}; keep only pictures of bands in the folder"
             )
         cube[..., band] = pixels
     assert cube is not None
@@ -100,7 +104,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
 
 
 def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> SpectralCube:
-    """Return the cube from the result of `_read_tiff`."""
+    """Convert the result of `_read_tiff` to a cube."""
     if said["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(said["wavelengths"], "")
     else:
@@ -138,7 +142,7 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
         said, names = _said(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        has_all_pages = len(pages) * page.samplesperpixel == bands  # otherwise frames follow the only page (ImageJ)
+        has_all_pages = len(pages) * page.samplesperpixel == bands  # if not, the data follow a single page (ImageJ)
         values = None if has_all_pages else series.asarray()
         axes = series.axes
     if values is not None:
@@ -153,7 +157,7 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         require_bearable(path, spec)
         pixels = pixels_of(path, source, spec)
         depth = 8 * pixels.dtype.itemsize
-        if pixels.dtype.kind == "u":  # OpenImageIO scales depths such as 12 bits up, so that the stored bits are on top
+        if pixels.dtype.kind == "u":  # OpenImageIO shifts depths such as 12 bits to the upper bits
             pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
         planes.append(pixels)
         names = names or list(spec.channelnames)
@@ -169,13 +173,13 @@ def _bands_of(path: Path, file: Any) -> Any:
     series = file.series[0]
     page = series.keyframe
     if any(each.shape == series.shape and each is not series for each in file.series[1:]):
-        raise InputFileError(f"{path} holds several stacks of pages; give a file of one cube")
+        raise InputFileError(f"{path} contains several stacks of pages; give a file with one cube")
     further = [axis for axis, length in zip(series.axes, series.shape, strict=True) if axis not in "YX" and length > 1]
     if len(further) > 1 or "Y" not in series.axes or "X" not in series.axes:
         lengths = "×".join(map(str, series.shape))
-        raise InputFileError(f"{path} has axes {series.axes} of lengths {lengths}; give rows, columns and bands alone")
+        raise InputFileError(f"{path} has axes {series.axes} of lengths {lengths}; give only rows, columns and bands")
     if page.samplesperpixel > 1 and sum(each is not None for each in series.pages) > 1:
-        raise InputFileError(f"{path} holds pages of {page.samplesperpixel} channels; give pages of one")
+        raise InputFileError(f"{path} has pages with {page.samplesperpixel} channels; give pages with one channel")
     require_values(str(path), series.shape, series.dtype.itemsize)
     return series
 
@@ -205,8 +209,9 @@ def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the names of the bands: labels of ImageJ, channels of OME, or names or descriptions of pages. Empty if there
-    are none.
+    """Return the names of the bands: labels of ImageJ, channels of OME, or names or descriptions of pages.
+
+    The result is empty if the file states no names.
     """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]

@@ -1,8 +1,8 @@
-"""Spectral cubes as arrays in MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
+"""Reads spectral cubes from MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
 
 MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. Attributes of HDF5 datasets describe how
-values are stored: the CF conventions (scale_factor, add_offset, _FillValue, missing_value) and NEON's (Scale_Factor, by
-which values are divided, and Data_Ignore_Value).
+values are stored. l3 reads the attributes of the CF conventions (scale_factor, add_offset, _FillValue, missing_value) and of
+NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: factor, offset, value of a perfect white
-MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes of pixels without data
+MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes for the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
 DEEPEST = 16  # deepest nesting of groups or structs
 
@@ -36,17 +36,19 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     path : Path
         The file.
     variable : str or None
-        Name of the cube, or None for the only one.
+        Name of the cube, or None if the file contains only one.
     axes : str
-        Names of its axes in order, such as "row col band".
+        Names of the axes in order, such as "row col band".
 
     Raises
     ------
     InputFileError
-        If there is no such cube, or if several lists of wavelengths differ.
+        If there is no such cube, or if there are several different lists of wavelengths.
 
-    Notes ----- Wavelengths are a list with one number per band under a usual name. It is searched as an attribute of the
-    cube, then beside the cube, in the enclosing groups or structs, and finally anywhere if there is only one.
+    Notes
+    -----
+    A list of wavelengths has one number per band and one of the usual names. It is searched first as an attribute of the
+    cube, then beside the cube, then in the enclosing groups or structs, and finally anywhere if there is only one list.
     """
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
     arrays = dict(_arrays(content))
@@ -54,12 +56,12 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
         cubes = [name for name, values in arrays.items() if values.ndim == 3]
         if len(cubes) != 1:
             names = ", ".join(cubes) or "none"
-            raise InputFileError(f"{path} must hold one cube of three axes or variable name it (there: {names})")
+            raise InputFileError(f"{path} does not contain exactly one cube with three axes; set variable (found: {names})")
         name = cubes[0]
     else:
         name = _path_of(variable)
         if name not in arrays or arrays[name].ndim != 3:
-            raise InputFileError(f'{path} holds no cube "{variable}" of three axes; name another variable')
+            raise InputFileError(f'{path} contains no cube "{variable}" with three axes; set variable to another name')
     order = axes.split()
     values = arrays[name].transpose([order.index(axis) for axis in ("row", "col", "band")])
     attributes = {} if path.suffix.lower() == NPY else _attributes(path)
@@ -71,7 +73,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Return the cube of stored values (row, col, band), scaled and masked according to the attributes of its dataset."""
+    """Make a cube from stored values (row, col, band), scaled and masked according to the attributes of the dataset."""
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
         found = missing(values, float(np.ravel(mark)[0]), good)
@@ -83,7 +85,7 @@ def _as_stored(
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """Return rows and columns of what `read` reads, from headers if they state the size."""
+    """Return the rows and columns of the cube. They are read from the header if it states them."""
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
         shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == _path_of(variable))
@@ -96,7 +98,7 @@ def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
 
 
 def _path_of(variable: str) -> str:
-    """Return the path of a variable given as "a", "a/b" or "a.b"."""
+    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path."""
     return variable.replace(".", "/").strip("/")
 
 
@@ -104,8 +106,9 @@ Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of 
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
-    """Return the lists of `length` numbers in a file: arrays by their group, attributes by the group or array that has
-    them.
+    """Return all lists of `length` numbers in a file.
+
+    Arrays are listed under their group, and attributes under the group or array to which they belong.
     """
     found: Lists = {}
     for path, values in arrays.items():
@@ -121,9 +124,9 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return the lists under a usual name that are nearest to a cube.
+    """Return the lists with one of `names` that are nearest to a cube.
 
-    Attributes of the cube are nearest, then lists beside it, in enclosing groups, and anywhere.
+    Attributes of the cube are nearest, followed by lists beside the cube, in enclosing groups, and anywhere else.
     """
     usual = [key for key in lists if is_named(key[1], names)]
     places = [cube]
@@ -136,7 +139,7 @@ def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str,
 
 
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
-    """Return the wavelengths in nm. The unit is in the list's name or attribute "units", or inferred from the values."""
+    """Return the wavelengths in nm. The unit is in the name or the attribute "units" of the list, or inferred from it."""
     found = []
     for group, name in _nearest(cube, lists, NAMES):
         about = attributes.get(f"{group}/{name}".strip("/"), {})
@@ -146,12 +149,12 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
                 found.append((f"{group}/{name}".strip("/"), wavelength))
     if any(not np.allclose(wavelength, found[0][1]) for _, wavelength in found[1:]):
         names = ", ".join(name for name, _ in found)
-        raise InputFileError(f"{path} holds several lists of wavelengths ({names}); give wavelengths_nm in the recipe")
+        raise InputFileError(f"{path} contains several lists of wavelengths ({names}); give wavelengths_nm in the recipe")
     return found[0][1] if found else None
 
 
 def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
-    """Return which bands (band) a list of 0 and 1 marks as good, or None if there is no list."""
+    """Return a mask (band) of the good bands, from a list of 0 and 1, or None if there is no such list."""
     for key in _nearest(cube, lists, GOOD_NAMES):
         if np.isin(lists[key], (0, 1)).all() and lists[key].any():
             return np.asarray(lists[key] == 1)
@@ -162,10 +165,10 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 
 
 def read_content(path: Path) -> Content:
-    """Read all numbers and texts of a MATLAB file (by its suffix) or an HDF5 file (any other).
+    """Read all numbers and texts in a MATLAB file, if the suffix says so, or in an HDF5 file.
 
     Groups and structs become dictionaries. Arrays from MATLAB have their axes in MATLAB's order, without axes of length 1.
-    Raises InputFileError if the file is neither.
+    Raises InputFileError if the file has neither format.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
@@ -185,9 +188,9 @@ def _read_hdf5(path: Path) -> Content:
 
 @isolated("h5py", "scipy.io")
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of all numeric arrays in a .mat or HDF5 file by name ("a", "a/b").
+    """Return the shapes of all numeric arrays in a .mat or HDF5 file, by name ("a", "a/b").
 
-    Shapes come from headers, except for structs in MATLAB files before 7.3, which must be read.
+    Shapes are read from headers, except for structs in MATLAB files before version 7.3, which must be read as a whole.
     """
     import h5py
 
@@ -218,7 +221,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Read the variables `names`, None for all, of a .mat file before 7.3."""
+    """Read the variables `names` of a .mat file before version 7.3. None means all variables."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):
@@ -228,7 +231,7 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """Return the fields that are numbers or text."""
+    """Return only the fields that are numbers or text."""
     fields: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -246,9 +249,9 @@ def _is_matlab(path: Path) -> bool:
 
 @isolated("h5py")
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the numeric and text attributes of every group and dataset of an HDF5 file by path; the path of the root is "".
+    """Return the numeric and text attributes of every group and dataset in an HDF5 file, by path.
 
-    Other files have none.
+    The path of the root is "". The result is empty for other files.
     """
     import h5py
 

@@ -1,7 +1,7 @@
-"""Read ENVI cubes: a text header with a data file beside it.
+"""Reads ENVI cubes, which consist of a text header and a data file beside it.
 
-FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) with
-its treatment. Other fields are manufacturers' own and are ignored; `unknown` returns those that may change values.
+FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and how
+l3 treats it. Manufacturers add fields of their own, which are ignored. `unknown` returns those that may affect the values.
 """
 
 import math
@@ -27,7 +27,7 @@ STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of unc
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
 CURE = "give a whole ENVI header"
 
-# Words in the names of manufacturers' fields that suggest a change of values, such as "radiance gain" or "dark level".
+# Words in the names of manufacturers' fields that suggest an effect on the values, as in "radiance gain" or "dark level".
 CHANGING = re.compile(
     r"gain|offset|scal|factor|calib|coeff|multipl|slope|intercept|bias|dark|black|white|ceiling|gamma|linear|"
     r"no ?data|ignore|mask|bad|invalid|fill|unit|quantity|radiance|reflectance|responsivity|sensitivity"
@@ -41,7 +41,7 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ, REFUSED (unless its value is harmless), or HARMLESS (it does not affect the cube's values)
+    fate: str  # READ, REFUSED (unless the value is harmless), or HARMLESS (the field does not affect the values of the cube)
     meaning: str
 
 
@@ -147,7 +147,7 @@ class Layout:
 
 
 class Header:
-    """The fields of an ENVI header, names in lower case."""
+    """The fields of an ENVI header, with names in lower case."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
@@ -177,22 +177,22 @@ class Header:
         try:
             listed = np.array([float(word) for word in words])
         except ValueError as error:
-            raise self.wrong(name, f"has an entry that is no number ({error})") from error
+            raise self.wrong(name, f"has an entry that is not a number ({error})") from error
         if listed.size not in (1, count):
-            raise self.wrong(name, f"lists {listed.size} numbers for {count} bands")
+            raise self.wrong(name, f"has {listed.size} numbers for {count} bands")
         return np.broadcast_to(listed, count)
 
 
 def read(path: Path, holds: str = "reflectance") -> SpectralCube:
-    """Read the cube of an ENVI header (.hdr), whose data file lies beside it.
+    """Read the cube of an ENVI header (.hdr). The data file must lie beside the header.
 
     Parameters
     ----------
     path : Path
         The header.
     holds : str
-        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It selects the gains to
-        reflectance or the gains to radiance.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It determines whether the gains
+        for reflectance or for radiance are used.
 
     Raises
     ------
@@ -212,12 +212,12 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
     try:
         ignored = missing(values, float(mark), good) if mark else None
     except ValueError as error:
-        raise header.wrong("data ignore value", f'is "{mark[:40]}", no number') from error
+        raise header.wrong("data ignore value", f'is "{mark[:40]}", not a number') from error
     return SpectralCube(scaled(values, gain, offset), wavelength, white, good, ignored)
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Return rows and columns from the header. Raises InputFileError like `read`."""
+    """Return the rows and columns in the header. Raises InputFileError like `read`."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -231,13 +231,13 @@ def files(path: Path) -> list[Path]:
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the fields of a header that are not part of the format and whose names suggest that they change values."""
+    """Return the fields of a header that are not part of the format and whose names suggest an effect on the values."""
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the fields by name in lower case, values without braces and comments."""
+    """Return the fields of a header: names in lower case, and values without braces and comments."""
     with open_regular(path, "give the .hdr file") as stream:  # data may be larger than a text may be
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
@@ -248,7 +248,7 @@ def _fields(path: Path) -> dict[str, str]:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
         raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
-    lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # comments
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
         name, equals, value = lines[at].partition("=")
@@ -264,7 +264,7 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Return whether a value goes on in the line below: its brace is open, or only opens there."""
+    """Return whether a value continues in the next line, because its brace is open or opens there."""
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
@@ -282,18 +282,21 @@ def _whole_data(path: Path, layout: Layout) -> Path:
     data = _data(path)
     held = data.stat().st_size
     if held < layout.end:
-        raise InputFileError(f"{data} has {held} bytes, its header wants {layout.end}; give the whole file")
+        raise InputFileError(f"{data} has {held} bytes, but its header requires {layout.end}; give the whole file")
     return data
 
 
 def _layout(header: Header) -> Layout:
-    """Return the layout of the values. Raises InputFileError that names a missing or unsupported field."""
+    """Return the layout of the values.
+
+    Raises InputFileError, with the name of the field, if one is missing or unsupported.
+    """
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = header.text("file type")
     if kind.lower() not in STANDARD:
         raise header.wrong("file type", f'is "{kind[:40]}"', "give a cube of file type ENVI Standard")
     if header.text("read procedures"):
-        raise header.wrong("read procedures", "name a program that alone can read the data", "save it as ENVI Standard")
+        raise header.wrong("read procedures", "name the only program that can read the data", "save it as ENVI Standard")
     if header.text("file compression").lower() not in ("", "0", "none", "false"):
         raise header.wrong("file compression", "says that the data are compressed", "save the cube without compression")
     code = header.whole("data type")
@@ -305,7 +308,7 @@ def _layout(header: Header) -> Layout:
         raise header.wrong("byte order", f"is {order}, neither 0 nor 1")
     interleave = (header.text("interleave") or ("bsq" if sizes["bands"] == 1 else "")).lower()
     if interleave not in AXES:
-        raise header.wrong("interleave", f'is "{interleave[:40]}", none of bsq, bil and bip' if interleave else "is missing")
+        raise header.wrong("interleave", f'is "{interleave[:40]}", not bsq, bil or bip' if interleave else "is missing")
     axes, dtype = AXES[interleave], np.dtype("<>"[order] + TYPES[code])
     require_picture(str(header.path), sizes["lines"], sizes["samples"], sizes["bands"])
     shape = sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]
@@ -326,7 +329,7 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelengths (band) in nm from their field, or otherwise from the names of the bands."""
+    """Return the wavelengths (band) in nm, from their field if it exists, otherwise from the names of the bands."""
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
         try:
@@ -346,14 +349,14 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
     if listed is None:
         return None
     if not np.isin(listed, (0.0, 1.0)).all():
-        raise header.wrong("bbl", "has entries other than 0 and 1", "mark bad bands by 0, good ones by 1")
+        raise header.wrong("bbl", "has entries other than 0 and 1", "mark bad bands with 0 and good bands with 1")
     if not listed.any():
-        raise header.wrong("bbl", "marks all bands as bad", "mark the good ones by 1")
+        raise header.wrong("bbl", "marks all bands as bad", "mark good bands with 1")
     return np.asarray(listed == 1.0)
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return gain and offset (band) of the stored values, and the scaled value of a perfect white, None if unknown."""
+    """Return gain and offset (band) of the stored values, and the scaled value of a perfect white (None if unknown)."""
     bands = header.whole("bands", 1)
     white = None
     if text := header.text("reflectance scale factor"):
@@ -362,7 +365,7 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
         except ValueError:
             white = math.nan
         if not 0 < white < math.inf:
-            raise header.wrong("reflectance scale factor", f'is "{text[:40]}", no number above zero')
+            raise header.wrong("reflectance scale factor", f'is "{text[:40]}", not a number above zero')
     to_radiance, to_reflectance = (_linear(header, kind, bands) for kind in ("data", "data reflectance"))
     if to_reflectance is not None and holds == "reflectance":
         if white is not None:
@@ -378,13 +381,15 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
         return *to_radiance, None
     if to_reflectance is not None:
         raise header.wrong(
-            "data reflectance gain values", f"make reflectance of the data, not {holds}", 'leave out "holds" in the recipe'
+            "data reflectance gain values",
+            f"convert the data to reflectance, not to {holds}",
+            "leave holds out of the recipe",
         )
     return np.ones(bands), np.zeros(bands), white
 
 
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return gains and offsets (band) of a kind, or None if there are none or they change nothing."""
+    """Return gains and offsets (band) of the given kind, or None if they are missing or change nothing."""
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
     if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):

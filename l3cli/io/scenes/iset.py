@@ -1,4 +1,4 @@
-"""Read ISET scene files (.mat)."""
+"""Reads ISET scene files (.mat)."""
 
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,21 @@ Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 def read(path: Path, light: Curve | None = None) -> Scene:
     """Read an ISET scene and its illuminant.
 
-    All storage forms of ISET are read: a scene struct with floats, or integers between dmin and dmax; photons and wave;
-    coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are noise and become zero. Specular
-    highlights remain (docs/method.md#simulation).
+    l3 reads all storage forms of ISET: a scene struct with floats or with integers between dmin and dmax, the variables
+    photons and wave, and coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are noise and become
+    zero. Specular highlights are preserved (docs/method.md#simulation).
 
     Parameters
     ----------
     path : Path
         The file.
     light : tuple of ndarray, optional
-        Wavelength in nm, and photons, of an illuminant, if the file has none.
+        Wavelengths in nm and photons of an illuminant, for files without an illuminant.
 
     Raises
     ------
     InputFileError
-        If the file is not such a scene.
+        If the file is not an ISET scene.
     """
     content = read_matlab(path)
     content = content["scene"] if isinstance(content.get("scene"), dict) else content
@@ -47,7 +47,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
             f"{path}: wavelengths or photons are not numbers, or a wavelength occurs twice; save it again"
         ) from error
     if wavelength.size == 1 and photons.ndim == 2:
-        photons = photons[..., None]  # the axis was dropped
+        photons = photons[..., None]  # MATLAB drops a last axis of length 1
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
         raise InputFileError(
             f"{path}: {photons.shape} photons do not fit {wavelength.size} wavelengths; save the scene again"
@@ -62,7 +62,7 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """Return rows and columns of an ISET scene, from headers if they state the size."""
+    """Return the rows and columns of an ISET scene. They are read from the header if it states them."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
@@ -72,7 +72,7 @@ def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return wavelengths in nm and photons (row, col, wave). Raises KeyError that names a missing variable."""
+    """Return wavelengths in nm and photons (row, col, wave). Raises KeyError, with its name, if a variable is missing."""
     if "mcCOEF" in content:
         basis = content["basis"]
         functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
@@ -89,8 +89,9 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons from a perfect white at `wavelength`: from ISET's new struct (photons), its old one (energy) or
-    `light`.
+    """Return the photons (wavelength) from a perfect white.
+
+    They come from ISET's new illuminant struct (photons), from its old struct (energy), or from `light`.
     """
     if not isinstance(stored, dict):
         if light is None:
@@ -113,7 +114,7 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Return floats unchanged, and decode integers as ISET codes them: their range from `low` to `high`."""
+    """Return floats unchanged, and decode integers. In ISET, the range of integers is mapped to `low`…`high`."""
     array = np.asarray(values)
     decoded = array.astype(np.float32)
     if array.dtype.kind in "iu":

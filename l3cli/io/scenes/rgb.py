@@ -11,15 +11,15 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return rows and columns of a picture."""
+    """Return the rows and columns of a picture."""
     return picture_size(path)
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
     """Read a picture (row, col, 3) as linear values, where 1 is white.
 
-    Integers are decoded from sRGB, floats are linear already. If the picture `holds` "codes", integers are divided by their
-    type's maximum instead. Raises InputFileError if the file is not a colour picture.
+    Integers are decoded from sRGB, and floats are assumed to be linear. If `holds` is "codes", integers are only divided by
+    the maximum of their type. Raises InputFileError if the file is not a colour picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:

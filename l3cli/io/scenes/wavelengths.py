@@ -1,4 +1,4 @@
-"""Wavelengths as scene files state them: lists in any unit, or names of bands, pages, files and arrays."""
+"""Parses the wavelengths in scene files, which are lists in any unit, or names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
-MICROMETRES = 100.0  # wavelengths without a unit are in µm if all of them are smaller
+MICROMETRES = 100.0  # wavelengths without a unit are assumed to be in µm if all are smaller
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # nm, range of unlabelled numbers that count as wavelengths
+SHORTEST, LONGEST = 300.0, 2600.0  # nm; numbers without a unit count as wavelengths in this range
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -32,8 +32,8 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     values : array, (band)
         Numbers in `unit`.
     unit : str
-        Name of the unit in the file. Without a unit, integers that count from 0 or 1 are indices, other numbers are in µm if
-        all of them are below 100, and all other numbers are in nm.
+        Name of the unit in the file. Without a unit, consecutive integers from 0 or 1 are indices of bands. Other numbers
+        are in µm if all of them are below 100, and otherwise in nm.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     if word.lower() == "index" or (word.lower() in UNSTATED and counted):
         return None
     if not (numbers.size and np.isfinite(numbers).all() and numbers.min() > 0):
-        raise ValueError("wavelengths are numbers above zero")
+        raise ValueError("wavelengths must be numbers above zero")
     if word.lower() in UNSTATED:
         return numbers * (1e3 if numbers.max() < MICROMETRES else 1.0)
     if word.lower() in INVERSE_CM:
@@ -66,7 +66,7 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 def in_name(name: str) -> float | None:
     """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)" or "S0.450,5nm", or None.
 
-    A comma is a decimal point. A point is one too, unless the number would be below 100 nm, as in "S0.450nm".
+    A comma is a decimal point. A period is a decimal point unless the number would be below 100 nm, as in "S0.450nm".
     """
     found = IN_NAME.search(name)
     if found is None:
@@ -78,10 +78,10 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength (band) in nm in each name, or None where a name states none.
+    """Return the wavelength (band) in nm in each name, or None if a name does not state a wavelength.
 
-    Numbers without a unit count if every name ends in one, if all are within 300…2600, and if no two are closer than 2.
-    Otherwise they are indices.
+    Numbers without a unit count as wavelengths if every name ends with a number, if all numbers are within 300…2600, and if
+    they differ by at least 2. Otherwise they are indices.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
@@ -98,12 +98,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Whether the name of an array is one of `names`, ignoring case, punctuation and unit."""
+    """Whether the name of an array is one of `names`. Case, punctuation and unit are ignored."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or an empty string."""
+    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or "" without a unit."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 

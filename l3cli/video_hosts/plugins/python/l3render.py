@@ -1,6 +1,6 @@
-"""Element that GStreamer's loader of Python plugins finds if GST_PLUGIN_PATH names the folder above this one's.
+"""Plugin that GStreamer's Python loader finds if GST_PLUGIN_PATH is the parent folder of this file's folder.
 
-The environment that holds this file need not be that of the loader's Python: what is installed beside l3cli comes first.
+The loader may use a Python of another environment. Packages that are installed beside l3cli then take precedence.
 """
 
 import sys
