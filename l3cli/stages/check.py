@@ -1,7 +1,7 @@
-"""The stage of `l3 check`.
+"""The stage of `l3 check`, which finds the faults of recipes and their lines.
 
-It finds the named recipes and their kinds, checks each, and lists every fault with its line. It also makes the JSON schema
-of each kind. The checks of designs, and of scenes with their files, are here because they need several computing packages.
+This module also makes the JSON schema of each kind of recipe. The checks of design recipes and of scene files stand here
+because they need several packages that do not import each other.
 """
 
 import contextlib
@@ -41,7 +41,15 @@ from l3cli.training.summary import class_lines, class_meaning
 
 
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Return every file that a recipe at `path` names, whatever for: by its name, a pattern, or in a mixture of lights."""
+    """Return every existing file that a recipe names: directly, with a pattern, or within a mixture of illuminants.
+
+    Parameters
+    ----------
+    path : Path
+        The recipe. The names in it are relative to its folder.
+    content : mapping
+        The content of the recipe.
+    """
     found: list[Path] = []
     for _, value in keys_of(content):
         for name in dict.fromkeys([value, *value.split()]) if isinstance(value, str) else []:
@@ -54,7 +62,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
 
 
 def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all that is wrong with a recipe, and with the files that it names."""
+    """Yield the faults of a design recipe; if it has none, those of the spectra that it names."""
     wrong = list(design_faults(recipe))
     yield from wrong
     if not wrong:
@@ -67,7 +75,7 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
-    """Return the peak efficiency of each filter, and the lights and exposures."""
+    """Return the peak quantum efficiency of each filter, and the illuminants and exposures."""
     curves = _design_curves(recipe, source)
     camera = pixel_of(recipe.pixel, source.path.parent)
     filters = Filters.of(dict(zip(recipe.filters, curves, strict=True)), camera.wavelength)
@@ -85,7 +93,7 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all that is wrong with a recipe, for its camera if one is given, and with the files that it names."""
+    """Yield the faults of a scene recipe and of the files that it names, for the camera of `source` if it has one."""
     yield from scene_faults(recipe, source.camera)
     yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
@@ -98,7 +106,7 @@ def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[F
 
 
 def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
-    """Return the frames, and their size where a camera is given; the files that do not fit on its sensor."""
+    """Return how many frames a scene recipe makes and, with a camera, their size and the files that do not fit on it."""
     run = None
     if source.camera is None:
         files = [scene_files(scene, source.path) for scene in recipe.scene]
@@ -127,7 +135,7 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Return the pixels and bytes of the simulated frames of a camera."""
+    """Return the size of the largest frame (rows, cols), and the bytes of that frame and of all frames."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
@@ -146,23 +154,24 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
 
 
 class Kind(NamedTuple):
-    """Kind of a recipe."""
+    """A kind of recipe that `l3 check` knows."""
 
     name: str
-    recipes: tuple[type[Recipe], ...]  # the structures that it may have
-    folder: str | None  # of configs/
+    recipes: tuple[type[Recipe], ...]  # the structure of a whole recipe, and of one with `base`
+    folder: str | None  # folder of the recipes that come with l3, within configs/
 
     @property
     def title(self) -> str:
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """Return the structure of a file of this kind."""
+        """Return the structure that a file of this kind with the given content must have."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 
 CAMERA = "camera"
-BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}  # that tell a file with a base
+# keys that show the kind of a recipe with `base`
+BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}
 KINDS = {
     kind.name: kind
     for kind in (
@@ -177,8 +186,10 @@ KINDS = {
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
-    """Return the kind that has most of a file's keys and tables, those counting most that no other kind has; None where two
-    have equally many."""
+    """Return the kind of recipe that a file's keys and tables suggest, or None if two kinds fit equally well.
+
+    Keys that only one kind has count first; among equals, the number of known keys with a fitting value decides.
+    """
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
     return ranked[0] if best > second else None
@@ -192,7 +203,7 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Return whether a table is where one belongs, and a list where one does."""
+    """Return whether a value has the form of a field (table, list or value), whatever faults it has inside."""
     try:
         msgspec.convert(value, field.type)
     except msgspec.ValidationError as error:
@@ -201,7 +212,7 @@ def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
 
 
 def names() -> dict[str, list[tuple[Kind, Path]]]:
-    """Return every recipe that comes with l3, by name: its kind and file; several kinds may have one of a name."""
+    """Return the recipes that come with l3: by name, every kind and file with that name."""
     known: dict[str, list[tuple[Kind, Path]]] = {}
     for kind in KINDS.values():
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
@@ -215,11 +226,11 @@ def schema(kind: str) -> dict[str, Any]:
 
 
 class Judge(NamedTuple):
-    """Judgement of the recipes of a kind."""
+    """How recipes of a kind are checked and explained."""
 
     faults: Callable[[Any, RecipeSource], Iterator[Fault]]
     meaning: Callable[[Any, RecipeSource], Meaning]
-    lines: Callable[[dict[str, Any], int | None], list[str]]  # the meaning as text, at most so many characters wide
+    lines: Callable[[dict[str, Any], int | None], list[str]]  # turns a meaning into text; the second argument is the width
 
 
 JUDGES = {
@@ -231,13 +242,14 @@ JUDGES = {
     "measurements": Judge(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "
-ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")  # of a message: what differs between equal faults
-FEW, NAMED = 3, 8  # equal faults that each have a line; lines that are named of more
-SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")
+# the part of a message that differs between otherwise equal faults: an entry's number, or the name of a missing file
+ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
+FEW, NAMED = 3, 8  # up to FEW equal faults are listed one by one; of more, NAMED line numbers follow the first
+SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # the place that the TOML parser names
 
 
 class Finding(NamedTuple):
-    """A fault where it stands in a file."""
+    """A fault, with its line and key in the file."""
 
     line: int
     key: str
@@ -246,17 +258,17 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """Faults of a file or, if it has none, its meaning."""
+    """The faults of a file or, if it has none, its meaning."""
 
     path: Path
-    kind: str | None = None  # of KINDS; None: unknown
-    findings: tuple[Finding, ...] = ()  # LISTED at most
-    more: int = 0  # faults that are not listed, as far as they were looked for
+    kind: str | None = None  # a key of KINDS; None if unknown
+    findings: tuple[Finding, ...] = ()  # at most LISTED_FAULTS
+    more: int = 0  # further faults that were found but not listed
     meaning: dict[str, Any] = field(default_factory=dict)
-    files: tuple[Path, ...] = ()  # that it names
+    files: tuple[Path, ...] = ()  # files that the recipe names
 
     def document(self) -> dict[str, Any]:
-        """Return all of it, ready for JSON."""
+        """Return the judgement as `l3 check --json` prints it."""
         found = [finding._asdict() for finding in self.findings]
         return {
             "file": str(self.path),
@@ -268,9 +280,21 @@ class Judgement:
 
 
 def check(given: Sequence[str]) -> list[Judgement]:
-    """Judge recipes, given by path, by folder or by the name of one that comes with l3. Cameras come first: what is given
-    with one is judged for it, for the first or, where there is one, for that beside it. RecipeError or InputFileError if
-    there is no such file."""
+    """Check recipes.
+
+    Cameras are checked first, so that the other recipes can be checked for a camera: the one in their own folder if there
+    is one, otherwise the first.
+
+    Parameters
+    ----------
+    given : sequence of str
+        Paths, folders, or names of recipes that come with l3.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If a file, folder or name does not exist.
+    """
     meant = list(dict.fromkeys(each for name in given for each in recipes_of(name)))
     cameras: dict[Path, CameraModel] = {}
     judged: dict[Path, Judgement] = {}
@@ -283,9 +307,12 @@ def check(given: Sequence[str]) -> list[Judgement]:
 
 
 def recipes_of(name: str) -> list[Path]:
-    """Return the files that are meant by a path, a folder of recipes, or a name, which several kinds of recipes may have."""
+    """Return the files that a path, a folder of recipes, or the name of a recipe stands for.
+
+    Recipes of several kinds may have the same name; then all of them are returned.
+    """
     path = Path(name)
-    if path.exists() and not path.is_dir():  # what is no file its reader refuses
+    if path.exists() and not path.is_dir():  # whatever it is; the reader refuses devices and the like
         return [path]
     if name in names():
         return [file for _, file in names()[name]]
@@ -293,11 +320,11 @@ def recipes_of(name: str) -> list[Path]:
     if folder.is_dir():
         files = sorted(folder.glob("*.toml"), key=lambda each: (each.name != "camera.toml", each.name))
         if not files:
-            raise InputFileError(f"{folder} holds no recipes (*.toml); name a file or a folder of recipes")
+            raise InputFileError(f"{folder} contains no recipes (*.toml); name a file or a folder of recipes")
         return files
     if os.sep in name or path.suffix:
         raise InputFileError(f"{name} does not exist; give a recipe or a measurement file (TOML)")
-    raise RecipeError(f'there is no file and no recipe "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
+    raise RecipeError(f'no file or recipe is called "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
 
 
 def _is_camera(path: Path) -> bool:
@@ -309,7 +336,7 @@ def _is_camera(path: Path) -> bool:
 
 
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
-    """Return all that is wrong with a file, or what it means, for a camera if one is given."""
+    """Check one file, for a camera if one is given."""
     try:
         text = read_text(path, "a recipe or a measurement file")
         content = parse_toml(text, str(path))
@@ -320,7 +347,7 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     kind = next((kind for found in names().values() for kind, file in found if file == path), None) or kind_of(content)
     if kind is None:
         kinds = ", ".join(each.title for each in KINDS.values())
-        message = f"its keys do not show its kind; it may be {kinds}: add what only one of them has, such as responsivity"
+        message = f"the keys do not show whether this is {kinds}; add a key that only one of them has, such as responsivity"
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, RecipeSource(path, content, camera))
     findings = _findings([each for each in faults if each.message][:LISTED_FAULTS], text)
@@ -329,13 +356,16 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 
 
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the meaning of a recipe, and its faults: by types, then by its keys, then by their consequences."""
+    """Return the meaning and the faults of a recipe.
+
+    Faults of type are found first, then faults of the keys; only a recipe without these is interpreted, which may show more.
+    """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
         others = about_others(JUDGES[kind.name].faults(recipe, source), faults)
         faults += itertools.islice(
             others, max(LISTED_FAULTS + 1 - len(faults), 0)
-        )  # what follows would take long and help nobody
+        )  # to look for more would take long and help nobody
     meaning: dict[str, Any] = {}
     if not faults:
         try:
@@ -347,17 +377,17 @@ def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Faul
 
 
 def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
-    """Return the faults in the order of the file."""
+    """Return the faults with their lines, in the order of the file."""
     lines = key_lines(text)
     found = []
     for message, keys in faults:
-        key = next((key for key in keys if key in lines), keys[0] if keys else ())  # rather what stands there
+        key = next((key for key in keys if key in lines), keys[0] if keys else ())  # prefer a key that the file has
         found.append(Finding(line_of(key, lines), _written(key), message))
     return tuple(sorted(found, key=lambda finding: finding.line))
 
 
 def _written(key: KeyPath) -> str:
-    """Return a key as messages write it, entries counted from 1."""
+    """Return a key as messages write it, with entries of lists counted from 1."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
@@ -365,7 +395,11 @@ def _written(key: KeyPath) -> str:
 
 
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
-    """Return a line a fault, as editors know it; or what the recipe means, tables no wider than `width` characters."""
+    """Return a judgement as lines of text.
+
+    Each fault has a line of the form `file:line: message`, which editors understand. Without faults, the lines say what
+    the recipe means, with tables at most `width` characters wide.
+    """
     if judgement.findings:
         lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]
         more = f"{f'{judgement.more} ' * (judgement.more > 1)}more"
@@ -378,8 +412,11 @@ def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
 
 
 def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
-    """Return line and message of each finding; of more than FEW that differ only in the entry of a list, or in the file
-    that is missing, the first with the lines of the others."""
+    """Return line number and message of each finding.
+
+    Where more than FEW findings differ only in the entry of a list or in the missing file, the first stands for all, and
+    its message names the lines of the others.
+    """
     alike: dict[str, list[Finding]] = {}
     for finding in findings:
         alike.setdefault(ENTRY.sub("", finding.message), []).append(finding)

@@ -1,5 +1,9 @@
-"""The stages of designs: scenes × lens and pixel → moments, from which any array's error follows; moments × library of
-filters → arrays by their predicted error; the best ones trained and judged, so that nobody must believe the closed form."""
+"""The stages of `l3 design moments` and `l3 design`.
+
+`l3 design moments` simulates scenes behind a lens and a pixel, and stores the moments of their patches: all that is needed
+to predict the error of any CFA. `l3 design` ranks CFAs made from a library of filters by this error. To check the
+prediction, it can also train and evaluate the best ones.
+"""
 
 import dataclasses
 import functools
@@ -66,12 +70,26 @@ Arrays = Mapping[str, NDArray]
 
 
 class Parts(PartsFolder):
-    """The finished parts of a run: each some arrays, by name."""
+    """The finished parts of a run; each part is a set of named NumPy arrays."""
 
     def each(
         self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
     ) -> Iterator[dict[str, NDArray]]:
-        """Yield the arrays that `work` makes of each item, in order, those of a run before as they are stored."""
+        """Apply `work` to each item and yield the results in order; parts that an earlier run stored are read instead.
+
+        Parameters
+        ----------
+        what : str
+            What the parts are, for their file names and for the progress bar.
+        work : callable
+            Turns an item into named arrays. It must be picklable.
+        items : sequence
+            What there is to do.
+        pool : WorkerPool
+            The processes that do the work.
+        console : Console
+            Where progress is shown.
+        """
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
         done = [path.is_file() and self.checkpoint.items.get(path.name) == dated(path) for path in paths]
         fresh = pool(work, [item for item, stored in zip(items, done, strict=True) if not stored])
@@ -85,13 +103,30 @@ class Parts(PartsFolder):
                 yield {name: arrays[name] for name in arrays.files}
 
 
-PARTS = 8  # that the scenes are divided into, whatever the number of processes
+PARTS = 8  # the scenes are divided into so many parts, whatever the number of processes
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Write the moments of a scene recipe behind the lens and pixel of a camera (model, recipe or design recipe), whatever
-    its filters. RecipeError or InputFileError if recipe, camera or files cannot be used, L3Error if the output cannot be
-    written."""
+    """Compute and write the moments of scenes behind the lens and pixel of a camera; its filters do not matter.
+
+    Parameters
+    ----------
+    scenes : Path
+        A scene recipe.
+    camera : Path
+        A camera model, a camera recipe, or a design recipe.
+    output : Path
+        The file to write.
+    options : MomentsOptions
+        Seed, patches per scene, and what applies to every stage.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If the recipe, the camera or a file cannot be used.
+    L3Error
+        If the output cannot be written.
+    """
     console = options.console
     with OutputGuard(console) as guard:
         recipe, (pixel, pixel_files) = load_recipe(scenes, SceneRecipe), pixel_camera(camera)
@@ -162,15 +197,15 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
-    """Raise RecipeError for scenes without spectra that any light may be laid on."""
+    """Raise RecipeError for scenes without reflectance spectra, which could not be relit."""
     if SCENE_LIGHT in recipe.illuminants:
-        raise RecipeError(f'{path}: moments are of named lights; leave "{SCENE_LIGHT}" out of illuminants')
+        raise RecipeError(f'{path}: moments need named illuminants; leave "{SCENE_LIGHT}" out of illuminants')
     if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
-        raise RecipeError(f"{path}: moments are of spectral scenes; leave pairs and pictures of codes out")
+        raise RecipeError(f"{path}: moments need spectral scenes; leave out pairs and pictures with codes")
     if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
-        raise RecipeError(f"{path}: moments need reflectance; give the light that radiance was measured under")
+        raise RecipeError(f"{path}: moments need reflectance; give the illuminant under which radiance was measured")
     if recipe.lens.transmittance is not None:
-        raise RecipeError(f"{path}: lens.transmittance belongs to the filters of a design; leave it out")
+        raise RecipeError(f"{path}: leave out lens.transmittance; in a design it is part of the filters")
 
 
 Chunk = Sequence[tuple[int, WantedScene]]
@@ -183,7 +218,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Return the second moments of photons (light, wavelength, wavelength) of some scenes."""
+    """Return the second moments of the photon spectra of some scenes (illuminant, wavelength, wavelength)."""
     power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
     for _, wanted in chunk:
         scene = _scene(wanted, run)
@@ -194,7 +229,7 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Return the sums over the patches of some scenes, those of each light under its number."""
+    """Return the sums over the patches of some scenes; each name ends in the number of the illuminant."""
     sums = [empty_sums(basis.shape[1]) for basis in bases]
     for place, wanted in chunk:
         scene = _scene(wanted, run)
@@ -205,9 +240,10 @@ def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: 
     return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
 
 
-CLASSES = "single"
-CROP = 72  # pixels of the first scene that are shown
-FIGURES = ("mean_delta_e", "scielab", "output_psnr")
+CLASSES = "single"  # class recipe for training
+CROP = 72  # pixels; side of the square crop of the first scene that a design stores
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # of evaluation.quality
+# scene recipe for training
 LEARNED = """illuminants = {lights}
 exposure_share = [0.9]
 [[scene]]
@@ -220,6 +256,7 @@ size = [160, 160]
 count = 2
 patches = [4, 4]
 """
+# scene recipe for the evaluation
 UNSEEN = """illuminants = ["{light}"]
 luminances_cd_m2 = [{luminance}]
 {exposure}
@@ -237,16 +274,22 @@ count = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """An array that is to be trained, and where it is judged."""
+    """A CFA to train, and the conditions to evaluate it under."""
 
     camera: CameraModel
-    levels: Sequence[tuple[str, Level]]  # illuminant, and exposure
+    levels: Sequence[tuple[str, Level]]  # name of the illuminant, and exposure
     seed: int
 
 
 def trained(trial: Trial) -> dict[str, NDArray]:
-    """Return FIGURES (level, scene, figure) of an array that is trained and judged on unseen scenes, crops of the first as
-    sRGB codes (level, row, col, 3), ours and ideal, and the SHA-256 of what the scenes show."""
+    """Train a CFA and evaluate it on other scenes.
+
+    Returns
+    -------
+    dict of str to array
+        `figures` (level, scene, figure): the values of FIGURES. `crops` and `ideals` (level, row, col, 3): sRGB codes of a
+        crop of the first scene, rendered and ideal. `digest`: the SHA-256 of what the scenes show, as bytes.
+    """
     with tempfile.TemporaryDirectory(prefix="l3-") as name:
         folder, shown, ends = Path(name), hashlib.sha256(), []
         save(trial.camera, folder / "camera.h5")
@@ -271,8 +314,13 @@ def _simulated(text: str, folder: Path, name: str, seed: int) -> Path:
 
 
 def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tuple[NDArray, NDArray, NDArray]:
-    """Return FIGURES (frame, figure) of a training set, and the crops of the first, ours and ideal; `shown` takes in what
-    they show."""
+    """Evaluate a table on simulated frames, and add to the hash `shown` what the frames show.
+
+    Returns
+    -------
+    (array, array, array)
+        FIGURES (frame, figure), and the crop of the first frame, rendered and ideal.
+    """
     rows, crops = [], list[NDArray]()
     renderers = FrameRenderers("reference", table, Silent())
     with open_training_set(frames) as reader:
@@ -294,14 +342,31 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tupl
     return np.array(rows), ours, ideal
 
 
-AT_ONCE = 64  # arrays that a process judges in a go
-RUNS, STARTS = 2, 4  # of annealing, from random arrays; of tuning, the first of them from the given filters
-TUNED = " (tuned)"  # behind the name of an array with tuned filters
+AT_ONCE = 64  # CFAs whose error a process predicts in one part
+RUNS = 2  # runs of simulated annealing for each pattern; Task.annealed says from where they start
+STARTS = 4  # starting points when filters are tuned; the first is the filters of the recipe
+TUNED = " (tuned)"  # follows the name of a CFA with tuned filters
 
 
 def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
-    """Write the design of a recipe: its arrays by predicted error. RecipeError or InputFileError if recipe, moments or files
-    cannot be used, L3Error if the output cannot be written."""
+    """Rank the CFAs of a design recipe by their predicted error, and write the design.
+
+    Parameters
+    ----------
+    recipe : Path
+        A design recipe.
+    output : Path
+        The file to write.
+    options : DesignOptions
+        The moments, how many CFAs to train and evaluate, and what applies to every stage.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If the recipe, the moments or a file cannot be used.
+    L3Error
+        If the output cannot be written.
+    """
     if options.moments is None:
         raise RecipeError('‹moments› is missing; make them with "l3 design moments"')
     console = options.console
@@ -314,7 +379,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         task.require_same_pixel()
         seen, noise = task.problem.seen, task.problem.noise
         if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
-            raise RecipeError(f"{listed(wrong)}: every filter clips in every part of the scenes; expose less")
+            raise RecipeError(f"{listed(wrong)}: every filter clips everywhere in the scenes; reduce the exposure")
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
@@ -342,7 +407,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """The steps of a design, whose parts are stored as they are finished."""
+    """The steps of a design; each stores its finished parts."""
 
     task: Task
     parts: Parts
@@ -353,7 +418,11 @@ class _Run:
         return self.parts.each(what, work, items, self.pool, self.options.console)
 
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
-        """Yield every array that is judged, Bayer's of the library among them, each once."""
+        """Yield every CFA whose error is to be predicted, without duplicates.
+
+        They are the CFAs of each pattern, or the results of annealing where there are too many, and the Bayer CFAs that
+        the library of filters allows.
+        """
         runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(RUNS)]
         work = functools.partial(self.task.annealed, self.options.seed)
         annealed = [part["cfa"] for part in self._each("annealings", work, runs)] if runs else []
@@ -366,12 +435,12 @@ class _Run:
                 yield cfa
 
     def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
-        """Return the errors (array, level, group)."""
+        """Return the predicted errors (CFA, level, group)."""
         groups = [arrays[start : start + AT_ONCE] for start in range(0, len(arrays), AT_ONCE)]
         return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
 
     def tuned(self, asked: OptimiseRecipe) -> Tuned:
-        """Return the tuned filters of an array, from the start that leads to the least error."""
+        """Tune the filters of a CFA from several starting points, and return the result with the least error."""
         task = self.task
         ends = list(self._each("tunings", functools.partial(task.descended, self.options.seed), range(STARTS)))
         parameters = min(ends, key=lambda end: float(end["score"]))["parameters"]
@@ -389,7 +458,7 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Return arrays trained and judged: the best ones, Bayer's, the rivals of the recipe and the tuned one."""
+        """Train and evaluate CFAs: the `most` best, a Bayer CFA, the rivals of the recipe, and that with tuned filters."""
         task, names = self.task, self.task.names
         given = [made.patterns[place] for place in made.best(most)]
         given += [shown(task.numbered(rows), names) for rows in task.wanted.rivals]
@@ -405,7 +474,7 @@ class _Run:
         ends = list(self._each("trainings", trained, trials))
         digests = {end["digest"].tobytes().hex() for end in ends}
         if len(digests) > 1:
-            raise L3Error("the arrays were not judged on the same scenes; report this as a fault of l3")
+            raise L3Error("the CFAs were not evaluated on the same scenes; this is a bug in l3, please report it")
         figures, crops = (np.array([end[name] for end in ends]) for name in ("figures", "crops"))
         figures = figures.mean(axis=2)  # over scenes
         return Truth(tuple(wanted), np.array(expected), FIGURES, figures, crops, ends[0]["ideals"], digests.pop())

@@ -1,6 +1,6 @@
-"""The stage of `l3 report`: any set of artifacts becomes one page.
+"""The stage of `l3 report`, which writes one HTML page about any set of artifacts.
 
-The computing packages do not import each other, so they are called here.
+Evaluation, simulation, training and the sections of the page do not import each other; this module calls them all.
 """
 
 import functools
@@ -48,16 +48,31 @@ from l3cli.system.files import FilesUsed, files_to_read, sha256, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 
-# of all evaluated frames, of all pixels that can be looked into, of classes elsewhere, of all training sets: see page.LIMIT
+# Bytes of the page for the pictures of all evaluated frames, for the pixel viewers, for the examples of other classes in
+# these viewers, and for the thumbnails of all training sets. Together they keep the page below parts.MAX_PAGE_BYTES.
 PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
-SEQUENCE = ".json"  # suffix of an evaluation of a sequence
-CROPPED = ("ours", "ideal", "basic")  # pictures whose pixels can be looked at
+SEQUENCE = ".json"  # suffix of the files that `l3 evaluate` writes for sequences
+CROPPED = ("ours", "ideal", "basic")  # pictures that the pixel viewer shows
 
 
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
-    """Write a page on camera models, training sets and transform tables; InputFileError if one is none of these, is damaged,
-    or does not fit the others, RecipeError or L3Error if the output cannot be written."""
+    """Write an HTML page about camera models, training sets, transform tables, designs and evaluations of sequences.
+
+    Returns
+    -------
+    FilesUsed
+        The files that were read and written.
+
+    Raises
+    ------
+    InputFileError
+        If a file is damaged, is of another kind, or does not fit the others.
+    RecipeError
+        If the output does not end in .html, or if no frame has the luminance that `options.at` asks for.
+    L3Error
+        If the page cannot be written.
+    """
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
     console = options.console
@@ -81,7 +96,7 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Return artifacts, each once; InputFileError if one is none, is damaged, or does not fit the others."""
+    """Read the given files; files with equal content count once."""
     entries: dict[str, Entry] = {}
     sequences: dict[str, dict[str, Any]] = {}
     sums: dict[str, str] = {}
@@ -104,7 +119,7 @@ def _artifact(path: Path) -> Artifact:
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in KINDS:
-        raise InputFileError(f"{path} holds {a(kind)}; give camera models, training sets, transform tables or designs")
+        raise InputFileError(f"{path} is {a(kind)}; give camera models, training sets, transform tables or designs")
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
     with open_training_set(path, unchanged=True) as reader:
@@ -115,7 +130,7 @@ def _artifact(path: Path) -> Artifact:
 
 
 def _require_luminance(given: Given, at: float | None) -> None:
-    """Raise RecipeError if frames that tables are judged on lack the luminance (cd/m²) at which pictures are wanted."""
+    """Raise RecipeError if a training set that a table is evaluated on has no frame at the luminance `at` (cd/m²)."""
     if at is None:
         return
     for path in dict.fromkeys(pair.frames.path for pair in given.pairs):
@@ -127,7 +142,7 @@ def _require_luminance(given: Given, at: float | None) -> None:
 
 
 def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
-    """Return title, lead and sections of the page: pictures first, then what was given, array by array."""
+    """Return title, lead and sections of the page: pictures first, then the sections of the artifacts, CFA by CFA."""
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)
     pairs = len(given.pairs)
@@ -168,8 +183,19 @@ def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[st
 
 
 def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called: list[str], limit: int) -> list[Section]:
-    """Return cameras, training sets and tables of one array; `called` are the names of the cameras of all arrays, `limit`
-    bytes is what the pictures of a set may take."""
+    """Return the sections on cameras, training sets and tables that share one CFA.
+
+    Parameters
+    ----------
+    given : Given
+        The artifacts with this CFA.
+    cameras : list of (str, CameraModel)
+        Their cameras, with the names of the files.
+    called : list of str
+        The names of all cameras on the page. A name that occurs twice is followed by the file's name in the heading.
+    limit : int
+        Bytes for the pictures of each training set.
+    """
     from l3cli.classes.names import class_name
     from l3cli.training.summary import insight
 
@@ -188,7 +214,7 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
-    """Return what `l3 calibrate --json` says of a camera, as far as it was measured, and why not to trust it."""
+    """Return the figures of `l3 calibrate --json` for a camera, as far as it was measured, and any doubt about its fit."""
     from l3cli.calibration.figures import figures, shortfall
 
     doubt = shortfall(camera) if camera.fit else None
@@ -196,7 +222,7 @@ def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
 
 
 def _warn_of_arrays(given: Given, console: Console) -> None:
-    """Warn about every training set of another array than all tables."""
+    """Warn about every training set whose CFA none of the tables has."""
     tables = [entry for entry, _ in given.of(TransformTable)]
     for entry, _ in given.of(TrainingSet) if tables else ():
         if all(entry.array != table.array for table in tables):
@@ -205,7 +231,7 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
-    """Warn about every camera model that is unlike the first table's camera or, without one, unlike the first artifact's."""
+    """Warn about every camera that differs from that of the first table or, without tables, of the first artifact."""
     from l3cli.evaluation.likeness import unlike
 
     tables, cameras = given.of(TransformTable), given.of(CameraModel)
@@ -222,16 +248,16 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
 
 @dataclass(frozen=True)
 class Judged:
-    """A table on frames that it has not seen; `document` is that of `l3 evaluate --json`."""
+    """A table evaluated on frames that it was not trained on."""
 
     pair: Pair
-    document: dict[str, Any]
-    front: Section | None  # None: the outputs are no picture
-    warning: str | None  # why not to trust it
+    document: dict[str, Any]  # as `l3 evaluate --json` prints it
+    front: Section | None  # the section of pictures; None if the outputs are not colours
+    warning: str | None  # why the evaluation is not to be trusted
 
     @property
     def section(self) -> Section:
-        """Return the section of its figures."""
+        """Return the section with the figures of the evaluation."""
         section = evaluation_section(
             self.document, (self.pair.table.name, self.pair.frames.name), self.pair.head.camera.rows
         )
@@ -239,7 +265,21 @@ class Judged:
 
 
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: ReportOptions, console: Console) -> Judged:
-    """Evaluate a table; `limits` in bytes are those of its pictures, of pixels that can be looked into, of other classes."""
+    """Evaluate a table on the frames of a training set.
+
+    Parameters
+    ----------
+    pair : Pair
+        The table and the training set.
+    anchor : str
+        A name for this pair, unique on the page.
+    limits : (int, int, int)
+        Bytes for the pictures, for the pixel viewer, and for the other classes in it.
+    options : ReportOptions
+        The backend, and the illuminance at which pictures are wanted.
+    console : Console
+        Where warnings and progress go.
+    """
     table = (pair.table.name, pair.transforms)
     transforms, warning = for_frames(table, (pair.frames.name, pair.head.camera), console)
     renderers = FrameRenderers(options.backend, transforms, console)
@@ -277,7 +317,7 @@ def _pixels(
     pictures: dict[str, Pixels],
     limits: tuple[int, int, int],
 ) -> Subsection:
-    """Return part of a frame whose pixels can be looked into."""
+    """Return the pixel viewer, which shows the class, filters and values of each pixel in a crop of the frame."""
     frame = reader.frame(index)
     renderer, raw = renderers.of(frame), raw_of(frame, index, reader.head.camera)
     table = renderer.table
@@ -288,8 +328,19 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Return the patches of the ColorChecker in frame `number` of a training set and in `planes`, those of every pipeline;
-    None where its target shows none."""
+    """Return the figure and table of the ColorChecker's patches in a frame, or None if the frame shows no ColorChecker.
+
+    Parameters
+    ----------
+    frame : TrainingPair
+        A frame of the training set.
+    number : int
+        The index of the frame in the set.
+    planes : dict of str to array
+        The outputs of each pipeline for this frame, as planes (output, row, col); the table's come first.
+    head : TrainingSet
+        What the training set says of all its frames.
+    """
     light = head.target_light or frame.light
     size = frame.raw.shape[0], frame.raw.shape[1]
     regions = next((each for each in chart_places(size) if holds_chart(frame, light, each)), None)
@@ -304,7 +355,7 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
 
 
 def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> Section:
-    """Return all judged tables in one section, whose pictures may take `limit` bytes."""
+    """Return the section that compares all tables; its pictures take at most `limit` bytes."""
     sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
     pictures, chosen = [], shared_frame(sides, options.at)
     for each, index in zip(judged, chosen, strict=False):
@@ -318,8 +369,24 @@ def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> S
 
 
 def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> None:
-    """Draw array, responsivities and noise of the camera recipes without faults; RecipeError if there is none, or if the
-    output is no page, L3Error if it cannot be written."""
+    """Write a page that shows CFA, responsivities and noise of every camera recipe without faults.
+
+    Parameters
+    ----------
+    judged : sequence of Judgement
+        The checked files; those that are not faultless camera recipes are left out.
+    output : Path
+        The page, which must end in .html.
+    options : CheckOptions
+        Whether the page may replace an existing file, and the console.
+
+    Raises
+    ------
+    RecipeError
+        If no camera recipe is left, or if the output does not end in .html.
+    L3Error
+        If the page cannot be written.
+    """
     paths = [judgement.path for judgement in judged if judgement.kind == CAMERA and not judgement.findings]
     if output.suffix != ".html":
         raise RecipeError(f"{output}: a plot is a page; name a file that ends in .html")

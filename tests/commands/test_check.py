@@ -312,8 +312,8 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
     ("content", "line", "what"),
     [
         (b"a = 1\nb = \n", 2, "is not valid TOML"),
-        (b"", 1, "its keys do not show its kind"),
-        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "its keys do not show its kind"),
+        (b"", 1, "the keys do not show whether this is"),
+        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the keys do not show whether this is"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a glob"),
@@ -413,7 +413,7 @@ def test_a_scene_without_its_file_misses_it_alone(tmp_path: Path, l3: L3) -> Non
 def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:
     assert 'did you mean "fiveband"' in refused(2, "check", "fivebnd")
     assert "does not exist" in refused(3, "check", tmp_path / "none.toml")
-    assert "holds no recipes" in refused(3, "check", tmp_path)
+    assert "contains no recipes" in refused(3, "check", tmp_path)
     assert "Missing argument" in refused(2, "check")
 
 
