@@ -12,8 +12,8 @@ SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
 FAMILIES = {
     "words": "one pixel per byte, or one pixel in the lower bits of each 16-bit word",
     "mipi": (
-        "MIPI CSI-2: the upper bytes of a group of pixels, then one byte with the lower bits of all of them; each row has "
-        "whole groups"
+        "MIPI CSI-2: the upper bytes of a group of pixels, then one byte with the lower bits of all of them; the last "
+        "group of a row is always complete"
     ),
     "p": "PFNC: a stream of bits, lower bits first",
     "pmsb": "PFNC: a stream of bits, upper bits first",
