@@ -26,9 +26,11 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.rendering.renderer import NoiseRenderer
 from l3cli.rendering.temporal.chunks import filters
 from l3cli.simulation import sensor
+from l3cli.simulation.frame import exposed_again
 from l3cli.training.patches import expose_patches
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import CONFIGS
+from tests.helpers.training_sets import a_frame
 
 BAYER = CONFIGS / "cameras/bayer.toml"
 
@@ -308,3 +310,13 @@ def test_pixels_that_a_filter_has_cleaned_take_the_transforms_for_lower_gains(se
 def test_gains_are_rendered_within_three_percent(gain: float) -> None:
     assert nearest_step(gain) == pytest.approx(gain, rel=0.03)
     assert nearest_step(nearest_step(gain)) == nearest_step(gain)
+
+
+def test_a_frame_that_is_exposed_again_has_the_noise_of_its_seed() -> None:
+    camera = load_camera(BAYER)
+    frame = a_frame(camera, 1, smooth=True)
+    once, again, other = (
+        exposed_again(each, camera, 4.0).raw for each in (frame, frame, dataclasses.replace(frame, seed=(0, 2)))
+    )
+    assert (once == again).all()
+    assert (once != other).any()

@@ -135,6 +135,12 @@ def test_mean_and_variance_of_a_flat_frame_are_those_of_the_method(fiveband: Cam
     assert raw.var() == pytest.approx(fiveband.gain**2 * variance + 1 / 12, rel=0.02)
 
 
+def test_dark_frames_have_the_read_noise(fiveband: CameraModel) -> None:
+    dark = dataclasses.replace(fiveband, noise=dataclasses.replace(fiveband.noise, dark_current=0.0, dsnu=0.0, prnu=0.0))
+    raw = sensor.expose(dark, np.zeros((dark.rows, dark.cols)), 0.0, np.random.default_rng(2)).astype(float)
+    assert raw.var() == pytest.approx((dark.gain * dark.noise.read_noise) ** 2 + 1 / 12, rel=0.01)
+
+
 def test_saturated_pixels_stay_within_the_converter(bayer: CameraModel) -> None:
     for electrons in (1e6, 1e25):
         raw = sensor.expose(bayer, np.full((32, 32), electrons), 1.0, np.random.default_rng(0))
