@@ -1,6 +1,7 @@
-"""Files of curves: CSV spectra, tables of sweeps, and rawtoaces JSON (camera spectral sensitivities per energy).
+"""Read and write curves over wavelength: CSV, tables of sweeps, and rawtoaces JSON (sensitivities of cameras per energy).
 
-Also statistics of measured cameras' curves, included in l3 or from a folder (docs/method.md#charts-in-photographs).
+The module also reads the statistics of measured cameras' curves, either those that come with l3 or those of a folder
+(docs/method.md#charts-in-photographs).
 """
 
 import csv
@@ -43,19 +44,19 @@ def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """Read a sweep measured beside a photodiode.
+    """Read a wavelength sweep of a camera that was measured together with a calibrated photodiode.
 
     Parameters
     ----------
     path : Path
-        Table with wavelength, mean of each channel under light, mean of each channel in the dark, and light and dark
-        readings of the photodiode, in this order or by name.
+        Table with these columns, in this order or by name: wavelength, mean of each channel with light, mean of each
+        channel in the dark, reading of the photodiode with light, its reading in the dark.
     photodiode : Path
         Table with the photodiode's response per energy.
     channels : sequence of str
         Names of the channels.
     column : int or str
-        Column of the response, by name or by number from 1. 0 for the only column.
+        Name or number (from 1) of the column with the response; 0 if the table has only one.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     diodes = read_table(photodiode)
     if not column and len(diodes.values) > 1:
         raise InputFileError(
-            f"{photodiode}: holds {len(diodes.values)} curves; name one, photodiode = "
+            f"{photodiode} has {len(diodes.values)} curves; name one, photodiode = "
             f'{{file = "{photodiode.name}", column = 1}}'
         )
     grid, response = diodes.wavelength, diodes.column(column or 1).per_energy()
@@ -78,7 +79,7 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
             f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
             f"{wavelength[0]:g}…{wavelength[-1]:g} nm; give the response over the whole sweep"
         )
-    # Interpolated at points, because the response is smooth and each step is a narrow line.
+    # Point values suffice, because the response is smooth and each step of the sweep is a narrow line.
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(f"{path}: a sweep needs three wavelengths or more that the photodiode responds to")
@@ -109,7 +110,7 @@ def read_finished(
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Return the curves of a rawtoaces file, named by its index."""
+    """Return the curves of a rawtoaces file, with the names that its index states."""
     try:
         content = json.loads(read_bounded(path, "give curves as CSV or rawtoaces JSON"))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
@@ -117,10 +118,10 @@ def _read_json(path: Path) -> CurveTable:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputFileError(f"{path} is not a rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
     if table.ndim != 2 or table.shape[1] < 2:
-        raise InputFileError(f"{path} is not a rawtoaces JSON: it holds no curves")
+        raise InputFileError(f"{path} is not a rawtoaces JSON: it has no curves")
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= MAX_NUMBER).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must differ and every value be a number within ±{MAX_NUMBER:g}")
+        raise InputFileError(f"{path}: wavelengths must differ, and every value must be a number within ±{MAX_NUMBER:g}")
     if other := other_unit(float(table[0, 0]), float(table[-1, 0])):
         raise InputFileError(f"{path}: {other[0]}; give them in nm")
     values = table[:, 1:].T
@@ -132,8 +133,8 @@ def _read_json(path: Path) -> CurveTable:
 
 ROLES = ("r", "g", "b")  # channels of the included table and of cameras in a folder
 CURVE_FILES = (".csv", ".json")
-MIN_CAMERAS = 8  # cameras in a folder; fewer say too little about the variation of curves
-MAX_CAMERAS = 2000  # cameras in a folder
+MIN_CAMERAS = 8  # fewer cameras in a folder say too little about the variation of curves
+MAX_CAMERAS = 2000  # more cameras in a folder are refused
 
 
 class PriorRecipe(Recipe):
@@ -166,12 +167,11 @@ def prior_files(folder: Path) -> list[Path]:
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
     if not MIN_CAMERAS <= len(files) <= MAX_CAMERAS:
         raise InputFileError(
-            f"{folder} holds {len(files)} files of curves (CSV or rawtoaces JSON); "
-            f"a prior needs {MIN_CAMERAS} cameras or more"
+            f"{folder} has {len(files)} files of curves (CSV or rawtoaces JSON); a prior needs {MIN_CAMERAS} cameras or more"
         )
     return files
 
 
 def read_cameras(files: Sequence[Path]) -> tuple[FinishedCurves, ...]:
-    """Read the r, g and b curves of measured cameras, per energy. Raises InputFileError that names an unsuitable file."""
+    """Read the r, g and b curves of measured cameras, per energy. Raises InputFileError if a file is unsuitable."""
     return tuple(read_finished(path, ROLES, per_energy=True) for path in files)

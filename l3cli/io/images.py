@@ -57,14 +57,14 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Yield OpenImageIO's input and specification of a file that contains a single picture of acceptable size."""
+    """Open a file with OpenImageIO, and yield its input and specification. Refuse several pictures, and too large ones."""
     with contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         require_bearable(path, spec)
         require_whole_stack(path, spec, 1)
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
-            raise InputFileError(f"{path} holds more than one {what}; give a file of one picture, or render it alone")
+            raise InputFileError(f"{path} has more than one {what}; give a file with one picture, or render it alone")
         source.geterror()  # clears the error that there is no second picture
         source.seek_subimage(0, 0)
         yield source, spec
@@ -84,11 +84,11 @@ def require_bearable(path: Path, spec: Any) -> None:
     """Raise InputFileError unless a picture is flat and not too large."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
-        raise InputFileError(f"{path} holds a volume or deep samples; give a flat picture")
+        raise InputFileError(f"{path} is a volume or has deep samples; give a flat picture")
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if a picture's description counts more frames than there are pages.
+    """Raise InputFileError if a picture's description states more frames than the file has pages.
 
     ImageJ and tifffile may store a stack as a single page, with the other frames somewhere after it.
     """

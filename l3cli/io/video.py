@@ -1,9 +1,9 @@
-"""Write and read videos with PyAV (FFmpeg): videos and y4m streams of pictures, frame-by-frame decoding, and times of
-frames.
+"""Write and read videos with PyAV (FFmpeg).
 
-Callers that decode run isolated. Raw videos are read by raw/video.py. Pictures are sRGB, and every video is labelled
-accordingly: BT.709 primaries, sRGB transfer (BT.709 for ProRes, which cannot label sRGB), and the BT.709 matrix in limited
-range where colours are stored as luma and chroma.
+The module writes videos and y4m streams, decodes videos frame by frame, and reads and assigns the times of frames. Functions
+that decode are only called in an isolated process. Raw videos are read by raw/video.py. Pictures are sRGB, and every video
+is labelled accordingly: BT.709 primaries, sRGB transfer (BT.709 for ProRes, which cannot label sRGB), and the BT.709 matrix
+in limited range where colours are stored as luma and chroma.
 """
 
 import contextlib
@@ -57,7 +57,7 @@ def pyav() -> Any:
 
 @dataclass(frozen=True)
 class Encoding:
-    """How pictures are encoded as a video: FFmpeg's encoder, its pixel format per bit depth, and the file suffixes."""
+    """How to encode pictures as a video: FFmpeg's encoder, its pixel format for each bit depth, and the file suffixes."""
 
     encoder: str
     formats: dict[int, str]
@@ -67,7 +67,7 @@ class Encoding:
     tag: str | None = None
     transfer: str = "IEC61966_2_1"
     frames_at_once: int | None = None  # frames that the encoder processes in parallel; None leaves it to the encoder
-    reorders: int = 0  # frames after which x265 knows the decoding times of B-frames
+    reorders: int = 0  # frames that x265 needs before it knows the decoding times of B-frames
 
 
 # The output of x264 depends on how it divides the work. By default, it splits every frame into one slice per core, which
@@ -113,7 +113,7 @@ class VideoChoice:
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file with this name is a video."""
+    """Return whether the name of a file is that of a video."""
     return path.suffix.lower() in (*USUAL, Y4M)
 
 
@@ -126,7 +126,7 @@ def check_video(path: Path, choice: VideoChoice) -> None:
     else:
         encoding = _encoding(path, choice)
         if suffix not in encoding.suffixes:
-            raise RecipeError(f"{path}: {choice.codec} goes into {', '.join(encoding.suffixes)}; name such a file")
+            raise RecipeError(f"{path}: {choice.codec} needs a file that ends in {' or '.join(encoding.suffixes)}")
         if choice.bits not in encoding.formats:
             raise RecipeError(f"{path}: h264 has 8 bits per value; choose ‹codec› h265 or leave ‹bits› out")
         if choice.crf is not None and not encoding.presets:
@@ -142,7 +142,7 @@ class _Converter:
     """Converts pictures (row, col, 3) to FFmpeg frames of a pixel format."""
 
     def __init__(self, pixel_format: str) -> None:
-        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept, since making one is slower than using it
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making it is slower than using it
         self.pixel_format = pixel_format
         self._bytes = np.empty(0, np.uint8)
 
@@ -157,7 +157,7 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         room, source = self._room_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(room, format=source)
-        # One thread, because rendering keeps the other cores busy, and dividing the work costs a fifth of it.
+        # One thread, because rendering keeps the other cores busy, and dividing the work would take a fifth longer.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
@@ -373,11 +373,11 @@ class DecodedVideo:
         except (av.error.FFmpegError, OSError) as error:
             raise InputFileError(f"{path} is not a video that can be read ({error.strerror}); give {what}") from error
         if not self._container.streams.video:
-            raise InputFileError(f"{path} holds no video; give {what}")
+            raise InputFileError(f"{path} has no video stream; give {what}")
         stream = self._container.streams.video[0]
         context = stream.codec_context
         if context is None:
-            raise InputFileError(f"{path} holds a video of a codec that FFmpeg does not know; give {what}")
+            raise InputFileError(f"{path} was encoded with a codec that FFmpeg does not know; give {what}")
         require(path, context)
         require_picture(str(path), context.height, context.width)
         context.thread_count = 1  # see `following`
@@ -393,8 +393,9 @@ class DecodedVideo:
         self._container.close()
 
     def following(self) -> Any | None:
-        """Return FFmpeg's next frame, or None after the last. Raises InputFileError if it is damaged; later frames may be
-        intact.
+        """Return the next frame as FFmpeg's object, or None after the last.
+
+        Raises InputFileError if the frame is damaged; later frames may be intact.
         """
         av = pyav()
         self.position += 1
@@ -415,8 +416,9 @@ class DecodedVideo:
         return frame
 
     def times(self, most: int) -> list[int | None]:
-        """Return the times of the next frames, at most `most`, in ticks and in file order. None where the file states no
-        time.
+        """Return the times of the next frames, at most `most`, in ticks and in file order.
+
+        The time is None for a frame without a stated time.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
@@ -427,15 +429,16 @@ class DecodedVideo:
 
 
 class InTurn:
-    """Reads the frames of one video after the other, from 0."""
+    """Reads the frames of videos, one video after another, each from its first frame."""
 
     def __init__(self, opened: Callable[[Path], DecodedVideo]) -> None:
         self._opened = opened
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return FFmpeg's frame `number`, or None after the last. Raises InputFileError if it is damaged; later ones may
-        be intact.
+        """Return frame `number` of a video as FFmpeg's object, or None after the last frame. The first frame is 0.
+
+        Raises InputFileError if the frame is damaged; later frames may be intact.
         """
         return self.video(path, number).following()
 

@@ -1,4 +1,4 @@
-"""Comparison stage: evaluations of several cameras → metrics over luminance, and where the better camera changes."""
+"""The stage of `l3 compare`: metrics of several cameras over luminance, and where another camera becomes the best."""
 
 import itertools
 import json
@@ -21,9 +21,9 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
     Parameters
     ----------
     evaluations : tuple of Path
-        Files of what `l3 evaluate --json` prints.
+        Files with the output of `l3 evaluate --json`.
     page : Path or None
-        HTML page with the curves to write.
+        HTML page to write with the curves.
     options : CompareOptions
         Options of `l3 compare`.
 
@@ -37,7 +37,7 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
         If the page cannot be written.
     """
     if page is not None and page.suffix != ".html":
-        raise RecipeError(f"{page}: curves are drawn on a page; name a file that ends in .html")
+        raise RecipeError(f"{page}: the page must end in .html")
     figures, console = options.figures, options.console
     with OutputGuard(console) as guard:
         if page is not None:

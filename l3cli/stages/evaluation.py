@@ -1,4 +1,4 @@
-"""Evaluation stage: metrics of a table on frames with known targets, or of a rendered sequence over time."""
+"""The stage of `l3 evaluate`: metrics of a table on frames with known targets, or of a rendered sequence over time."""
 
 import contextlib
 import dataclasses
@@ -51,25 +51,25 @@ from l3cli.system.files import FilesUsed, files_to_read, sha256
 from l3cli.system.outputs import OutputGuard
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
-BRIGHT = 1e4  # cd/m² of a white in charts: exposures are so short that dark current is negligible
+BRIGHT = 1e4  # cd/m², white of the charts; exposures are then so short that dark current is negligible
 LUX = 1e-9, 1e9  # lux, range of plausible illuminances
-BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, of scenes: fine enough for diffraction
+BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, bands of the charts; enough to model diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
-    """Compute sharpness, signal over noise and colour uncertainty of pipelines on simulated charts (docs/measurement.md).
+    """Compute sharpness, signal-to-noise ratio and colour uncertainty of pipelines on simulated charts.
 
     Parameters
     ----------
     head : TrainingSet
-        Camera and outputs that the pipelines are for. The charts are simulated with this camera.
+        The training set whose camera photographs the charts, and whose outputs the pipelines compute.
     planes : callable
         Takes a frame and returns the outputs (output, row, col) of every pipeline, by name.
 
     Returns
     -------
     dict
-        The part "standards" of the document of `l3 evaluate`.
+        The part "standards" of what `l3 evaluate --json` prints; docs/measurement.md describes it.
     """
     camera, outputs = head.camera, head.outputs
     camera = dataclasses.replace(camera, rows=standards.SIDE, cols=standards.SIDE, flat_field=None, defects=None)
@@ -152,15 +152,15 @@ def _greys(
 
 
 FRAMES_PER_LIGHT = 2  # frames under each light that are evaluated at every gain
-MOST_KEPT = 8  # renderers in the cache: consecutive frames show one scene under several lights
+MOST_KEPT = 8  # renderers in the cache, because consecutive frames show one scene under several lights
 DECIDES = "mean_delta_e"  # metric by which a baseline counts as better
-OTHER_LIGHT = 0.005  # distance of two whites in CIE 1960 uv from which they count as two lights
-ONE_LIGHT = 0.001  # spread in CIE 1960 uv up to which the lights of a training count as one
-UNLIKE = 1.05  # ratio of brightness from which metrics of lightness would compare exposures
+OTHER_LIGHT = 0.005  # CIE 1960 uv; two whites at least this far apart count as different illuminants
+ONE_LIGHT = 0.001  # CIE 1960 uv; illuminants of a training set that differ by no more count as one
+UNLIKE = 1.05  # from this ratio of brightness on, differences of lightness mostly show a difference of exposure
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
-    """Evaluate a table on the frames of a training set, beside its baselines and its rivals.
+    """Evaluate a table on the frames of a training set, and its baselines and rivals on the same frames.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
     dict
         The document of `l3 evaluate --json`.
     FilesUsed
-        Table, frames and pictures of rivals, and the pictures that were written.
+        The table, the frames and the rivals' pictures that were read, and the pictures that were written.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
-                        f"{path} holds {len(files)} pictures, but {frames} holds {len(reader)} frames; give one per frame"
+                        f"{path} has {len(files)} pictures, but {frames} has {len(reader)} frames; give one per frame"
                     )
             if pictures is not None:
                 key = options.run_key(sha256(table), sha256(frames), files=picture_files)
@@ -236,7 +236,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the document of all evaluated frames, with the metrics of standards for their camera."""
+    """Return what `l3 evaluate --json` prints of all evaluated frames, with the metrics on simulated charts."""
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
@@ -247,18 +247,19 @@ def document_of(
 def warn_of_other_lights(
     table: TransformTable, document: dict[str, Any], whites: Mapping[str, NDArray[np.float64]], console: Console
 ) -> None:
-    """Warn if a baseline is better than a table under lights that the table was not trained under.
+    """Warn if a baseline is better than a table under illuminants that the table was not trained for.
 
-    A table that was trained under several lights, without transforms for each, does not tell which. Nothing is said of it.
+    A table that was trained under several illuminants, but has only one set of transforms, does not store their names, so it
+    is not checked.
 
     Parameters
     ----------
     table : TransformTable
-        The table. Only pictures are compared.
+        The table. Nothing is compared if its outputs are not colours.
     document : dict
-        The document of `l3 evaluate`. Of its figures the mean ΔE00 decides.
+        What `l3 evaluate --json` prints. Its mean ΔE00 decides which is better.
     whites : mapping
-        White (output) under each light of the frames, by the name of the light.
+        The white (output) under each illuminant of the frames, by name.
     console : Console
         Where the warning goes.
     """
@@ -274,8 +275,8 @@ def warn_of_other_lights(
             lost.append(f"{', '.join(better)} under {group['illuminant']}")
     if lost:
         console.warn(
-            f"better than the table: {listed(lost)}, which it was not trained for; name the lights as illuminants in "
-            "SCENES.toml and as learning.lights in CLASSES.toml"
+            f"better than the table: {listed(lost)}, which it was not trained for; add these illuminants to illuminants in "
+            "SCENES.toml and to learning.lights in CLASSES.toml"
         )
 
 
@@ -285,18 +286,31 @@ GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains at which a table is evaluated
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
-    """Return a table at the analog gain of the frames on which it is evaluated.
+    """Return a table for the analog gain of the frames on which it is evaluated, and a warning if their cameras differ.
 
-    Table and camera are given with the names of their files. If the frames are of another camera than the table, a warning
-    is printed and returned as the second result, which is "" otherwise.
+    Parameters
+    ----------
+    table : (object, TransformTable)
+        Name of the table's file, and the table.
+    frames : (object, CameraModel)
+        Name of the training set's file, and its camera.
+    console : Console
+        Where the warning goes.
+
+    Returns
+    -------
+    TransformTable
+        The table with the noise of that gain.
+    str
+        The warning, or "" if the table was trained for this camera.
     """
     (name, transforms), (other, camera) = table, frames
     made = at_gain(transforms, gain_of_frames(transforms, camera))
     if not (differences := unlike(made, camera)):
         return made, ""
     text = (
-        f"{name} was trained for another camera ({transforms.camera_name}) than that of the frames in {other} "
-        f"({camera.name}): they differ in {differences}; evaluate it on frames of its own camera"
+        f"{name} was trained for another camera ({transforms.camera_name}), not for that of the frames in {other} "
+        f"({camera.name}): they differ in {differences}; evaluate a table on frames of its own camera"
     )
     console.warn(text)
     return made, text
@@ -310,7 +324,9 @@ def figures_by_gain(
     viewing: float = VIEWING,
     border: int | None = None,
 ) -> list[dict[str, Any]]:
-    """Evaluate a few simulated frames under each light at each of GAINS at which the noise of the table's camera is known.
+    """Evaluate a few simulated frames per illuminant at several analog gains.
+
+    The gains are those of GAINS for which the noise of the table's camera is known.
 
     Returns
     -------
@@ -336,9 +352,10 @@ def figures_by_gain(
 
 
 class FrameRenderers:
-    """Renderers for the frames of a training set, the last of which are cached.
+    """Renderers for the frames of a training set; the most recent ones are cached.
 
-    A table with several lights is blended for the light of each frame (docs/method.md#several-lights).
+    A table with transforms for several illuminants is blended for the illuminant of each frame
+    (docs/method.md#several-lights).
     """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
@@ -367,14 +384,14 @@ def evaluate_frame(
     rivals: Mapping[str, Path] | None = None,
     counted: bool = True,
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
-    """Render a frame of a training set with every pipeline, and add it to the evaluation if it is `counted`.
+    """Render a frame of a training set with every pipeline, and add it to the evaluation if `counted` is True.
 
     Returns
     -------
     TrainingPair
         The frame, with the target that `Evaluation.wanted` gives it.
     dict
-        Planes of every pipeline and of the pictures in `rivals`, as `Evaluation.planes` returns them.
+        The outputs of every pipeline and the pictures of the rivals for this frame, as `Evaluation.planes` returns them.
     """
     frame = evaluation.wanted(reader.frame(index))
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
@@ -392,7 +409,7 @@ def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
     if picture.shape[:2] != frame.raw.shape:
         sizes = "×".join(map(str, picture.shape[:2])), "×".join(map(str, frame.raw.shape))
         raise InputFileError(
-            f"{path} has {sizes[0]} pixels, but its frame {frame.scene} has {sizes[1]}; give pictures of whole frames"
+            f"{path} has {sizes[0]} pixels, but the frame {frame.scene} has {sizes[1]}; give pictures of whole frames"
         )
     return planes_of(picture, frame)
 

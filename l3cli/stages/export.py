@@ -1,6 +1,6 @@
-"""Export stage: camera model or transform table → files for other software.
+"""The stage of `l3 export`, which writes a camera model or a transform table as files for other software.
 
-A camera becomes curves, colour matrices, tuning files and a data sheet. A table becomes C source or plain arrays.
+A camera is written as curves, colour matrices, tuning files and a data sheet, a table as C source or plain arrays.
 """
 
 from pathlib import Path
@@ -29,20 +29,20 @@ from l3cli.system.text import a
 LOW_NOISE_README = """
 ## Low-noise transforms
 
-This is the second set of transforms of a table. It is for pixels in which a temporal filter has left at most {limit:.3g} of
-the variance of the noise that differs between frames, and it was trained for {noise_left:.3g}. Render other pixels with the
-usual set, which is exported separately with its own test files.
+This is the second set of transforms of a table. Use it for pixels where a temporal filter has left at most {limit:.3g} of
+the variance of the temporal noise; it was trained for {noise_left:.3g}. Render all other pixels with the usual set, which is
+exported separately with its own test files.
 """
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file holds a transform table rather than a camera. Raise InputFileError if it holds neither."""
+    """Return whether a file is a transform table rather than a camera. Raise InputFileError if it is neither."""
     if path.suffix == ".toml":
         return False
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in (CameraModel.kind, TransformTable.kind):
-        raise InputFileError(f"{path} holds {a(kind)}; give a camera model or recipe, or a transform table")
+        raise InputFileError(f"{path} is {a(kind)}; give a camera model or recipe, or a transform table")
     return kind == TransformTable.kind
 
 
@@ -52,7 +52,7 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
     Returns
     -------
     dict
-        Colour errors of the matrices, for each light.
+        Colour errors of the matrices for each illuminant.
     FilesUsed
         Files of the camera, and those that were written.
 
@@ -104,14 +104,14 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
     if form != "c" and (words or prefix is not None):
         raise RecipeError(f"‹{'words' if words else 'prefix'}› is for C source; leave it out")
     if which and form == "folder":
-        raise RecipeError("a folder of arrays holds both sets; leave ‹set› out")
+        raise RecipeError("a folder of arrays contains both sets; leave ‹set› out")
     with OutputGuard(console) as guard:
         guard.protect(table)
         guard.hold_folder(output)
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
-            raise RecipeError(f"{table} has no transforms for single lights that ‹white› could blend; leave ‹white› out")
-        if white is not None or form != "folder":  # arrays hold all lights
+            raise RecipeError(f"{table} has no transforms for single illuminants to blend; leave ‹white› out")
+        if white is not None or form != "folder":  # a folder of arrays has the transforms for all illuminants
             transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)

@@ -1,4 +1,4 @@
-"""Stages of `l3 info` and `l3 bench`: contents of an artifact, its verification, versions, and frame times."""
+"""The stages of `l3 info` and `l3 bench`: content and verification of an artifact, versions, and frame times."""
 
 import itertools
 import platform
@@ -34,7 +34,7 @@ def content(file: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        Kind, version, history and data sets of an artifact, and under "insight" what a transform table has learned.
+        Kind, version, history and data sets of an artifact. For a transform table, "insight" says what it has learned.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def _read_whole(file: Path) -> None:
 
 
 def versions() -> dict[str, Any]:
-    """Return the versions for a bug report: l3, Python, libraries (None: an extra is missing) and OpenCL devices."""
+    """Return the versions for a bug report: l3, Python, OpenCL devices, and libraries (None if not installed)."""
     try:
         required = metadata.requires("l3cli") or []
     except metadata.PackageNotFoundError:  # sources on a path, not installed
@@ -120,12 +120,12 @@ def versions() -> dict[str, Any]:
 
 
 def _decoding() -> str:
-    """Describe how foreign files are decoded on this machine, with each measure that confines the process."""
-    from l3cli.io.decoder_process import SECCOMP, measures  # looks for libseccomp, which takes time
+    """Describe how files from elsewhere are decoded on this machine, and what confines the decoding process."""
+    from l3cli.io.decoder_process import SECCOMP, measures  # imported late: searches for libseccomp
 
     try:
         if trusted():
-            return "in l3's own process, without limits (L3_TRUST)"
+            return "in the process of l3 itself, without limits (L3_TRUST)"
         holds = measures(Path(sys.executable))
     except L3Error as error:
         return str(error)

@@ -1,4 +1,4 @@
-"""Virtual lab: camera → the measurements that a lab would make."""
+"""The stage of `l3 lab`, a virtual laboratory: simulates the measurements that a laboratory would make of a camera."""
 
 import functools
 import shlex
@@ -60,7 +60,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         refuse_unwritable(file)
         refuse_existing(file, options.force)
         guard.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
-        refuse_existing(file, options.force)  # now that no other run writes it
+        refuse_existing(file, options.force)  # checked now that no other run can write it
         guard.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
@@ -72,7 +72,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
             console.info(note)
         for unknown in camera_unknown(camera, model, chosen.lights):
             console.warn(unknown)
-        file.unlink(missing_ok=True)  # written last, so that it never names frames of two runs
+        file.unlink(missing_ok=True)  # it is written last, so that it never names frames of two runs
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
         with workers(options.jobs) as pool:
@@ -86,7 +86,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
 
 
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
-    """Simulate and write one frame, in any process."""
+    """Simulate and write one frame; this may run in a worker process."""
     capture, trial = job
     write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 

@@ -1,5 +1,8 @@
-"""Stage of `l3 init`: creates a folder with recipes and a pipeline, for a recipe that comes with l3 or for the cameras that
-took some raw files."""
+"""The stage of `l3 init`, which writes a folder with recipes and a pipeline.
+
+It starts from a recipe that comes with l3, a recipe or design of the user, the name of a known camera, or raw files, whose
+cameras it identifies.
+"""
 
 import itertools
 import os
@@ -52,11 +55,11 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
 from l3cli.system.outputs import OutputGuard
 
-COLOURS = set(LETTERS.lower())  # letters that a row of ‹pattern› may write without blanks
-NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # nona Bayer: common in telephones, but not a recipe of its own
-ANSWERS = ("black_level", "white_level", "opcodes")  # options for what raw files leave in doubt
+COLOURS = set(LETTERS.lower())  # letters that need no blanks between them in ‹pattern›
+NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # nona Bayer, common in telephones, which has no recipe in l3
+ANSWERS = ("black_level", "white_level", "opcodes")  # options that replace what raw files state
 OF_ONE = ("phase", "pattern", "black_level", "white_level")  # options that are valid for one camera only
-NEW_FOLDER = "mine"  # name of the folder in the documentation
+NEW_FOLDER = "mine"  # name of the folder in suggested commands and in the documentation
 SHOWN = "picture"  # name of a link to the photo, because make cannot handle every file name
 CHART_WHITE = "chart"  # ‹white› of l3 render if the illuminant of the chart is only estimated
 SEARCHED = 4  # photos per camera that are searched for a ColorChecker
@@ -138,7 +141,7 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Write the folder of the best array of a design.
+    """Write the folder of a camera with the best CFA of a design.
 
     Raises
     ------
@@ -152,11 +155,11 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
         guard.guard_folder(folder, options.force, *WRITTEN)
         design = load(Design, path)
         camera = design.camera(*design.winner)
-        texts = camera_texts(camera, f"The best array of the design {design.name}, by predicted error.")
+        texts = camera_texts(camera, f"The camera with the best CFA of the design {design.name}, by predicted error.")
         contents = common_files(camera.rows, camera.cols) | {name: text.encode() for name, text in texts.items()}
         used = _write_recipes(folder, contents, {"design": [path]})
         options.console.info(
-            f"{folder}: {camera.name}, the best of {design.tried} arrays; next: make -C {shlex.quote(str(folder))}"
+            f"{folder}: {camera.name}, the best of {design.tried} CFAs; next: make -C {shlex.quote(str(folder))}"
         )
         return used
 
@@ -176,7 +179,7 @@ def named_camera(name: str) -> PhotoCamera:
 
 
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write files into a folder, which is created. Each file appears only when it is complete. Scripts are executable."""
+    """Create a folder and write files into it. Each file appears only when it is complete. Scripts are executable."""
     for name, content in contents.items():
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(content)
@@ -208,7 +211,7 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
     Raises
     ------
     InputFileError
-        If a file is not a raw file that states its filter array and levels.
+        If a file is not a raw file, or if it does not state its CFA and levels.
     L3Error
         If the folder cannot be written.
     """
@@ -242,12 +245,12 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
-    """Refuse a raw file that was given in the place of a table.
+    """Raise an error because a raw file was given where `l3 render` expects a table.
 
     Raises
     ------
     RecipeError
-        With the commands that lead from the raw file to a picture.
+        The message shows the commands that lead from the raw file to a picture.
     InputFileError
         If the file does not exist.
     """
@@ -259,7 +262,7 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
     making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
     rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
     raise RecipeError(
-        f"{photo} is a raw file, and no table is given; make one for its camera, then the picture: {making}; {rendering}"
+        f"{photo} is a raw file, and no table is given; make a table for its camera, then render: {making}; {rendering}"
     )
 
 
@@ -296,7 +299,7 @@ def _shown(camera: PhotoCamera) -> str:
 
 
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
-    """Return one line about a folder: the camera, where its data come from, what is assumed, and the next command."""
+    """Return a message about a new folder: its camera, the origin of the data, the assumptions, and the next command."""
     body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
     white = f" ‹white› {camera.white}" if camera.white not in (None, CHART_WHITE) else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
@@ -321,12 +324,12 @@ def _raw_files(photo: Path) -> list[Path]:
         return [photo]
     files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
     if not files:
-        raise InputFileError(f"{photo} holds no raw files of cameras; give one with DNG, CR2, NEF, ARW… files")
+        raise InputFileError(f"{photo} contains no raw files; give a folder with DNG, CR2, NEF, ARW… files")
     return files
 
 
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
-    """Return the files by camera. Files of a folder that are not raw files are skipped, with a line for each."""
+    """Group the files by camera. Files of a folder that are not raw files are skipped, with a message for each."""
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
         try:
@@ -338,7 +341,9 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
             continue
         cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
-        raise InputFileError(f"{files[0].parent}: none of its files can be read; give raw files with the mosaic of a camera")
+        raise InputFileError(
+            f"{files[0].parent}: no file is a readable raw file; give raw files with the mosaic of a camera"
+        )
     return cameras
 
 
@@ -367,17 +372,17 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     Raises
     ------
     InputFileError
-        If the first file does not state its array and levels, if its pixels contradict the array, or if nothing determines
-        the curves.
+        If the first file does not state its CFA and levels, if its pixels contradict the CFA, or if the responsivities
+        cannot be determined.
     """
-    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains count from the lowest
+    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains are relative to the lowest ISO speed
     path, known = taken[0]
     gains = gains_of(known, [each for _, each in taken])
     measured = _measurements(path, options)
     frame = measured.photos[0].frames[0]
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
-    # The array of the recipe begins at the first pixel, so pictures need phase 0,0 if the file states another array.
+    # The CFA of the recipe starts at the first pixel, so rendering needs phase 0,0 if the file states another CFA.
     phase = "0,0" if any(options.phase or ()) or options.pattern is not None else None
     given = {"phase": phase} | {name: getattr(options, name) for name in ANSWERS}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
@@ -392,12 +397,12 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         if fit.guessed[0] and fit.likely is not None:
             light, white = f"a light that is {guessed_light(fit.likely.of(0))}", CHART_WHITE
             options.console.warn(
-                f"{other.name}: the light of its chart was estimated, and colours depend on it; give ‹light›"
+                f"{other.name}: the illuminant of the chart was estimated, and all colours depend on it; give ‹light›"
             )
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light}"
         if known.noise is None:
-            over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is in proportion to the ISO speed
-            noise = SensorNoise(found.gain / over, found.noise.read_noise, "as the patches of the chart show it")
+            over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is proportional to the ISO speed
+            noise = SensorNoise(found.gain / over, found.noise.read_noise, "as measured on the patches of the chart")
         curves = found.responsivity / found.responsivity.max()
         balance = white if len(found.channels) > 1 else None  # pictures of one channel are grey
         return PhotoCamera(
@@ -411,10 +416,10 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Return a raw file as a photo, with the array and black level of the options.
+    """Read a raw file, with the CFA and black level of the options if given.
 
-    A doubtful black level brings a warning. Raise InputFileError if the pixels contradict the stated array and no option
-    settles the doubt.
+    A doubtful black level leads to a warning. If the pixels contradict the stated CFA and no option settles the doubt,
+    InputFileError is raised.
     """
     try:
         answers = {name: value for name in ANSWERS if (value := getattr(options, name)) is not None}
@@ -427,7 +432,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
         least = "×".join(map(str, SMALLEST_SENSOR))
         raise InputFileError(
-            f"{path} has {body.rows}×{body.cols} pixels, but at least {least} are needed; give a frame of the whole sensor"
+            f"{path} has {body.rows}×{body.cols} pixels, but at least {least} are needed; give a file of the whole sensor"
         )
     if options.pattern is not None:
         channels, cfa = array_named(options.pattern)
@@ -446,8 +451,8 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     frame = replace(frame, black_level=black_level, white_level=white_level)
     if options.black_level is None and (share := share_below_black(frame)):
         raise InputFileError(
-            f"{path}: {share:.0%} of its pixels are below {BELOW * black_level:.0f} DN, but it states a black level of "
-            f"{black_level:g} DN; its values have another bit depth, or black has been subtracted: give ‹black_level› "
+            f"{path}: {share:.0%} of the pixels are below {BELOW * black_level:.0f} DN, but it states a black level of "
+            f"{black_level:g} DN; the values have another bit depth, or black has been subtracted: give ‹black_level› "
             "and ‹white_level›"
         )
     if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:
@@ -460,7 +465,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
 
 
 def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
-    """Return the channels and the array (row, col) that ‹pattern› names.
+    """Return the channels and the CFA (row, col) that ‹pattern› names.
 
     Parameters
     ----------
@@ -471,11 +476,11 @@ def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
     Raises
     ------
     RecipeError
-        If it is neither, or no array.
+        If the text is neither, or if its rows do not form a CFA.
     """
     known = known_arrays()
     if text not in known and "/" not in text:
-        raise RecipeError(f'‹pattern› "{text}" is no camera recipe and no rows such as rg/gb; {suggestion(text, known)}')
+        raise RecipeError(f'‹pattern› "{text}" is neither a camera recipe nor rows such as rg/gb; {suggestion(text, known)}')
     if text not in known:
         words = [row.lower().split() for row in text.split("/")]
         rows = [" ".join(" ".join(each) if set(each) <= COLOURS else each for each in row) for row in words]
@@ -484,34 +489,35 @@ def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
 
 
 def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the signals of a grey for `channels`, matched by name, or None if one is unknown."""
+    """Return the raw file's signals of a grey for `channels`, matched by name, or None if one is unknown."""
     known = dict(zip(body.channels, frame.neutral or (), strict=False))
     return tuple(known[name] for name in channels) if set(channels) <= set(known) else None
 
 
 def _another_array(body: Body, doubt: ArrayDoubt) -> str:
-    """Return the message that no phase explains the pixels, with the option that settles it."""
+    """Return the message that the pixels fit the stated CFA in no phase, and which option helps."""
     stated = "/".join(array_rows(body.channels, body.cfa, ""))
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
     return (
-        f"it states the array {stated}, but its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
+        f"it states the CFA {stated}, but its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
         f"‹pattern› {named} or its rows, or ‹pattern› {stated} if that is right"
     )
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
-    """Return the message that the array seems to begin at another site, with the option that settles it."""
+    """Return the message that the CFA seems to start at another site, and which option helps."""
     phases = [(0, 0), *doubt.phases]
     patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
     stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
     (best, pattern), others = shown[0], " or ".join(f"{phase} ({pattern})" for phase, pattern in shown[1:])
     if doubt.by_grey:
-        why = f"its mean is far from the grey that it states, and near to it as {pattern}, unless that white is wrong"
+        why = f"but its mean is far from the grey that it states, and close to it as {pattern}, unless that white is wrong"
     else:
-        why = f"its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, so by {doubt.least:.1%}"
-    other = f", {others} where that gives true colours" if others else ""
-    return f"it states {stated[1]}, {why}; give ‹phase› {best}{other}, or 0,0 if it is right"
+        least = f"as {pattern} only by {doubt.least:.1%}"
+        why = f"but its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, {least}"
+    other = f", {others} if that gives true colours" if others else ""
+    return f"it states {stated[1]}, {why}; give ‹phase› {best}{other}, or 0,0 if the file is right"
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
@@ -529,9 +535,9 @@ def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """Return the curves from the first available source, and the text that names the source.
+    """Return the responsivities from the first available source, and a text that names the source.
 
-    The sources are measured curves of this camera, the colour matrices of the file, and the mean of measured cameras.
+    The sources are the measured curves of this camera, the file's colour matrices, and the mean of measured cameras.
     """
     channels = measured.body.channels
     if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
@@ -556,7 +562,7 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # No sensor gives equal signals of a grey, so the values have been white-balanced already.
+        # No sensor responds to a grey with equal signals, so the values have been white-balanced already.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, as the file's values are for its white"
     if len(channels) == 1:
@@ -566,6 +572,6 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
             bare.wavelength, relative, np.zeros_like(relative)
         ), "assumed: silicon behind an infrared filter, because a camera without filters shows no colours to fit"
     raise InputFileError(
-        f"{path} shows no chart and states no colour matrix, so the curves of {', '.join(channels)} are unknown; "
+        f"{path} shows no chart and states no colour matrix, so the responsivities of {', '.join(channels)} are unknown; "
         'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'
     )

@@ -283,7 +283,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
     ("name", "old", "new", "code", "words"),
     [
         ("sweep.csv", "400,100", "400,text", 3, "not a row of numbers"),
-        ("sweep.csv", "500,100", "500,nan", 3, "every value be a number"),
+        ("sweep.csv", "500,100", "500,nan", 3, "every value must be a number"),
         ("sweep.csv", ",1\n600", "\n600", 3, "same number of values"),
         ("diode.csv", "390,", "450,", 3, "do not cover the sweep's 400…700 nm"),
         ("diode.csv", "0.5", "-0.5", 3, "photodiode responds to"),

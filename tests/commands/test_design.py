@@ -203,7 +203,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
 def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
     made, mine = load(Design, folder / "design.h5"), tmp_path / "mine"
     code, _, err = l3("init", "--from", folder / "design.h5", mine)
-    assert (code, f"{made.patterns[0]}, the best of {made.tried} arrays; next: make -C" in err) == (0, True)
+    assert (code, f"{made.patterns[0]}, the best of {made.tried} CFAs; next: make -C" in err) == (0, True)
     camera, pixel = load_camera(mine / "camera.toml"), load_camera(folder / "camera.toml")
     assert [[camera.channels[site] for site in row] for row in camera.cfa] == [
         row.split() for row in made.patterns[0].split(" / ")

@@ -79,7 +79,7 @@ def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused
     line = refused(2, "export", table, "-o", tmp_path / "o", "--set", "low-noise")
     assert "has one set of transforms; leave --set out" in line
     line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--set", "low-noise")
-    assert "a folder of arrays holds both sets; leave --set out" in line
+    assert "a folder of arrays contains both sets; leave --set out" in line
     assert not (tmp_path / "o").exists()
 
 

@@ -160,8 +160,8 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     write_dng(tmp_path / "a.dng", wall(camera, 1, 0), camera, IDENTITY, WALL, 0.01)
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     line = refused(3, *call)
-    assert "a.dng: it states rg/gb, its pixels show gb/rg: sites of one channel differ by " in line
-    assert line.endswith("give --phase 1,0, 0,1 (gr/bg) where that gives true colours, or 0,0 if it is right\n")
+    assert "a.dng: it states rg/gb, but its pixels show gb/rg: sites of one channel differ by " in line
+    assert line.endswith("give --phase 1,0, 0,1 (gr/bg) if that gives true colours, or 0,0 if the file is right\n")
     assert not (tmp_path / "mine").exists()
     code, _, err = l3(*call, "--phase", "1,0")
     assert code == 0, err
@@ -172,8 +172,8 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     assert [[made.channels[site] for site in row] for row in made.cfa] == [["g", "b"], ["r", "g"]]
     write_dng(tmp_path / "b.dng", wall(camera, 1, 1), camera, IDENTITY, WALL, 0.01)
     swapped = refused(3, "init", "--from", tmp_path / "b.dng", tmp_path / "other")
-    assert "it states rg/gb, its mean is far from the grey that it states, and near to it as bg/gr" in swapped
-    assert swapped.endswith("give --phase 1,1, or 0,0 if it is right\n")
+    assert "it states rg/gb, but its mean is far from the grey that it states, and close to it as bg/gr" in swapped
+    assert swapped.endswith("give --phase 1,1, or 0,0 if the file is right\n")
     assert l3(*call, "--phase", "0,0", "--force", "--quiet")[0] == 0
     assert load_camera(tmp_path / "mine/camera.toml").cfa.tolist() == [[0, 1], [1, 2]]
     assert "RENDER ?=\n" in (tmp_path / "mine/Makefile").read_text()
@@ -337,7 +337,7 @@ def test_noise_of_a_chart_at_another_speed_is_brought_to_that_of_the_recipe(tmp_
         dng_files.write_dng(tmp_path / f"taken/{iso}.dng", values, np.array([[0, 1], [1, 2]]), tags=tags)
     code, _, err = l3("init", "--from", tmp_path / "taken", "--light", "D65", tmp_path / "mine")
     assert code == 0, err
-    assert "in 400.dng, under D65; noise as the patches of the chart show it" in err
+    assert "in 400.dng, under D65; noise as measured on the patches of the chart" in err
     assert load_camera(tmp_path / "mine/camera.toml").gain == pytest.approx(photos.GAIN / 4, rel=0.1)
 
 
@@ -397,7 +397,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.txt").write_text("")
     assert "is not empty; add --force" in refused(1, "init", "--from", photo, tmp_path / "full")
-    assert "holds no raw files" in refused(3, "init", "--from", tmp_path / "full", tmp_path / "new")
+    assert "contains no raw files" in refused(3, "init", "--from", tmp_path / "full", tmp_path / "new")
     assert "does not exist" in refused(3, "init", "--from", tmp_path / "none.dng", tmp_path / "new")
     assert 'illuminant "D66"' in refused(2, "init", "--from", photo, tmp_path / "new", "--light", "D66")
     np.save(tmp_path / "raw.npy", scene(bayer))
@@ -406,7 +406,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     assert "broken.dng" in refused(3, "init", "--from", tmp_path / "broken.dng", tmp_path / "new")
     magenta = np.array([[3, 4], [5, 3]])
     dng_files.write_dng(tmp_path / "cmy.dng", scene(bayer), magenta, tags={50710: (1, [3, 4, 5])})
-    assert "so the curves of" in refused(3, "init", "--from", tmp_path / "cmy.dng", tmp_path / "new")
+    assert "so the responsivities of" in refused(3, "init", "--from", tmp_path / "cmy.dng", tmp_path / "new")
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def test_a_description_of_another_picture_is_not_believed(tmp_path: Path) -> Non
 def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, table: Path) -> None:
     (tmp_path / "in").mkdir()
     stack = write_pages(tmp_path / "in/a_1.tif", frames())
-    words = "holds more than one page"
+    words = "has more than one page"
     assert words in refused(3, "render", table, tmp_path / "in/a_%d.tif", "-o", tmp_path / "out", *FAST)
     for read in (read_image, lambda path: read_frame(path, (20, 28), 12)):
         with pytest.raises(InputFileError, match=words):
@@ -189,7 +189,7 @@ def test_a_picture_of_several_parts_is_refused(tmp_path: Path) -> None:
             assert sink.open(str(tmp_path / "a.exr"), spec, "AppendSubimage")
         assert sink.write_image(np.zeros((6, 8, 3), np.float16))
     sink.close()
-    with pytest.raises(InputFileError, match="holds more than one part"):
+    with pytest.raises(InputFileError, match="has more than one part"):
         read_image(tmp_path / "a.exr")
 
 

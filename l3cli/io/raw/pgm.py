@@ -35,7 +35,7 @@ def read(path: Path) -> RawContent:
     dtype = np.dtype(np.uint8 if top < 256 else ">u2")
     wanted, size = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
     if size != wanted:
-        held = "is truncated" if size < wanted else "holds more than one graymap"
+        held = "is truncated" if size < wanted else "has more than one graymap"
         raise InputFileError(
             f"{path} {held}: {size} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
         )
