@@ -13,8 +13,8 @@ GROUPS = {
     "Errors": ("L3Error",),
 }
 INTRO = (
-    "Every function and class of `l3cli`, with parameters, returned values and examples. "
-    "[Python API](../python.md) is the introduction."
+    "This page is for looking up functions. It lists every function and class of `l3cli`, with its parameters, returned "
+    "values and examples. The introduction is on the page [Python API](../python.md)."
 )
 
 

@@ -16,8 +16,8 @@ KINDS: tuple[type[Artifact], ...] = (
     CameraModel, TrainingSet, TransformTable, PartialSums, PartialLayerSums, SceneMoments, Design,
 )  # fmt: skip
 INTRO = (
-    "Every dataset that l3 writes, made of the declarations that saving, loading and `l3 info` follow. "
-    "[Artifacts](../artifacts.md) says what the files promise. Datasets in brackets may be absent."
+    "This page is for looking up the datasets of artifacts. It is generated from the declarations with which l3 saves and "
+    "loads files. [Artifacts](../artifacts.md) describes the files. Datasets in brackets are optional."
 )
 
 

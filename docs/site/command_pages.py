@@ -9,20 +9,23 @@ from l3cli.cli import COMMANDS, l3
 from l3cli.errors import DeviceError, InputFileError, L3Error, RecipeError
 
 CODES = {
-    "0": "Done.",
+    "0": "The command succeeded.",
     **{str(error.exit_code): inspect.getdoc(error) or "" for error in (L3Error, RecipeError, InputFileError, DeviceError)},
-    "130": "Interrupted (Ctrl-C).",
-    "143": "Terminated (SIGTERM).",
+    "130": "You interrupted the command (Ctrl-C).",
+    "143": "The command was terminated (SIGTERM).",
 }
 
 
 def command_pages() -> dict[str, str]:
     codes = table(["code", "meaning"], ([number, plain(meaning)] for number, meaning in CODES.items()))
-    intro = "What `--help` prints, of every command. [Commands](../commands.md) says what each reads and writes."
+    intro = (
+        "This page is for looking up options. It contains the `--help` text of every command. "
+        "[Commands and recipes](../commands.md) says which files each command reads and writes."
+    )
     return {"commands.md": page("# Command reference", intro, *map(section, COMMANDS), "## Exit codes", codes, EXIT)}
 
 
-EXIT = "[Exit codes and guarantees](../guarantees.md) says more."
+EXIT = "[Exit codes and guarantees](../guarantees.md) explains the exit codes."
 
 
 def section(name: str) -> str:

@@ -8,8 +8,9 @@ from packaging.requirements import Requirement
 
 EXTRAS = ("video", "fits", "cluster", "menon")
 INTRO = (
-    "What is installed along with l3cli, and what each package states of its licence; in brackets the extra that asks for "
-    "it. Versions are those that this page was built with. Nothing of it is part of l3cli."
+    "This page lists the packages that are installed together with l3cli, and the licence that each package states. If an "
+    "extra requires the package, the extra is in brackets. The versions are those with which this page was built. None of "
+    "these packages is part of l3cli."
 )
 
 

@@ -10,8 +10,8 @@ from l3cli.physics.spectra import illuminant_names
 from l3cli.stages.check import KINDS, schema
 
 INTRO = (
-    "The keys of every recipe, made of the types that recipes are checked with. [Recipes](../commands.md#recipes) says what "
-    "they mean together, `l3 schema` prints the same for editors."
+    "These pages are for looking up the keys of recipes. They are generated from the types with which l3 checks recipes. "
+    "[Recipes](../commands.md#recipes) explains each kind of recipe. `l3 schema` prints the same keys for editors."
 )
 
 
@@ -19,11 +19,11 @@ def recipe_pages() -> dict[str, str]:
     schemas = {kind: (f"{KINDS[kind].title.removeprefix('a ')}s", schema(kind)) for kind in KINDS}
     pages = {f"{kind}.md": recipe_page(*each) for kind, each in schemas.items()}
     tree = "\n".join(["```{toctree}", *schemas, "```"])
-    return pages | {"recipes.md": page("# Recipes by key", INTRO, tree, "## Lights", lights())}
+    return pages | {"recipes.md": page("# Recipes by key", INTRO, tree, "## Illuminants", lights())}
 
 
 def lights() -> str:
-    return f"By name: {', '.join(code(name) for name in illuminant_names())}."
+    return f"These illuminants have names: {', '.join(code(name) for name in illuminant_names())}."
 
 
 def recipe_page(kinds: str, whole: dict[str, Any]) -> str:

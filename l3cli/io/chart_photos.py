@@ -168,7 +168,7 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
     if stated is None or white is None or "black_level" not in content:
         raise InputFileError(
             f"{paths[0]} does not state its colour filter array and levels; write a measurement file with [[photo]] "
-            '(documentation, "A camera from one photo of a chart")'
+            '(documentation, "Measure your camera")'
         )
     cfa = array_of(stated)
     if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
