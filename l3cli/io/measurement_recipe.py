@@ -326,17 +326,16 @@ def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
 # -------------------------------------------------------------------------------------------- files that are named
 
 
-def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the key and name of every frame in a measurement file, in order."""
-    for section, number, capture in captures_of(recipe):
-        for position, name in enumerate(capture.frames):
-            yield (section, number, "frames", position), name
-    if isinstance(recipe, CorrectionRecipe):
-        return
-    for number, photo in enumerate(recipe.photos):
-        for key in ("frames", "dark", "white"):
-            for position, name in enumerate(getattr(photo, key)):
-                yield (*recipe.photo_key(number), key, position), name
+def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[KeyPath, str]]:
+    """Return the key and name of every frame in a measurement file, in order."""
+    lists: list[tuple[KeyPath, list[str]]] = [
+        ((section, number, "frames"), capture.frames) for section, number, capture in captures_of(recipe)
+    ]
+    if isinstance(recipe, MeasurementRecipe):
+        for number, photo in enumerate(recipe.photos):
+            key = recipe.photo_key(number)
+            lists += [((*key, "frames"), photo.frames), ((*key, "dark"), photo.dark), ((*key, "white"), photo.white)]
+    return [((*key, position), name) for key, names in lists for position, name in enumerate(names)]
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:

@@ -2,13 +2,17 @@
 
 import re
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from l3cli.errors import InputFileError
+from l3cli.io import measurements
 from l3cli.io.measurements import read_measurements
+from l3cli.spectra.file import read_table
+from l3cli.spectra.table import CurveTable
 from tests.helpers.calls import Refused
 
 NUMBER = re.compile(r"^monitor = .*\n", re.MULTILINE)
@@ -31,6 +35,19 @@ def with_monitor(lab: Path, stated: str) -> Path:
         (lab / "MEASUREMENTS.toml").read_text().replace("[[mono]]", f"[common]\nmonitor = {stated}\n\n[[mono]]", 1)
     )
     return path
+
+
+def test_each_table_is_read_once(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads = Counter[Path]()
+
+    def counted(path: Path) -> CurveTable:
+        reads[path] += 1
+        return read_table(path)
+
+    monkeypatch.setattr(measurements, "read_table", counted)
+    given = read_measurements(lab / "MEASUREMENTS.toml")
+    assert len(given.measurements.mono) > len(reads)  # which share a table
+    assert dict(reads) == dict.fromkeys(given.files["spectra"], 1)
 
 
 def test_a_table_of_readings_gives_the_ratio_at_each_step(lab: Path) -> None:
