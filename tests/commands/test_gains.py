@@ -18,7 +18,6 @@ from l3cli.io.raw.files import RawOverrides, frame_of
 from tests.helpers.calls import L3, Refused
 from tests.helpers.dng_files import SHORT, SRATIONAL, write_dng
 from tests.helpers.plain_scenes import SHAPE, cells, taken
-from tests.helpers.recipes import GAIN_CLASSES
 
 
 @pytest.fixture(scope="module")
@@ -178,10 +177,3 @@ def test_a_baseline_exposure_brightens_pictures_and_is_no_gain(gain_tables: Path
     ):  # fmt: skip
         np.testing.assert_allclose(shown(name, exposure), times * factor, rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(shown("bright", "auto"), shown("plain", "auto"))
-
-
-def test_a_recipe_of_before_names_gains(tmp_path: Path, l3: L3) -> None:
-    path = tmp_path / "classes.toml"
-    path.write_text(GAIN_CLASSES + "gains = [1, 4]\n")
-    code, found, _ = l3("check", path)
-    assert (code, "write nothing, as a table renders frames of any analog gain" in found) == (3, True)
