@@ -59,9 +59,9 @@ from l3cli.stages.simulation.preparation import fitting, input_files, prepare, s
 from l3cli.stages.simulation.simulate import simulate
 from l3cli.stages.simulation.units import is_of_run, key_of
 from l3cli.stages.training.train import train
-from l3cli.system.checkpoint import PartsFolder, parts_folder
+from l3cli.system.checkpoint import PartsFolder
 from l3cli.system.console import Console, Silent
-from l3cli.system.files import FilesUsed, dated, files_to_read, refuse_existing, sha256, write_whole
+from l3cli.system.files import FilesUsed, files_to_read, refuse_existing, sha256, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
@@ -91,14 +91,13 @@ class Parts(PartsFolder):
             Where progress is shown.
         """
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
-        done = [path.is_file() and self.checkpoint.items.get(path.name) == dated(path) for path in paths]
+        done = [path.is_file() for path in paths]
         fresh = pool(work, [item for item, stored in zip(items, done, strict=True) if not stored])
         for path, stored in console.progress(zip(paths, done, strict=True), len(paths), what):
             if not stored:
                 content = io.BytesIO()
                 np.savez(content, **next(fresh))  # type: ignore[arg-type]
                 write_whole(path, content.getvalue())
-                self.checkpoint.add(path.name, dated(path))
             with np.load(path, allow_pickle=False) as arrays:
                 yield {name: arrays[name] for name in arrays.files}
 
@@ -140,7 +139,7 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         digests = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
         text = f"{read_text(scenes)}\n{read_text(camera) if is_design(camera) else recipe_text(camera)}"
         stage = Stage("design moments", options.chosen(), text, digests)
-        parts = Parts(parts_folder(output), key_of(stage))
+        parts = Parts(output, key_of(stage))
         used = files_to_read({"scene recipe": [scenes], **inputs}).and_wrote(output)
         if _is_finished(output, parts, options):
             return load(SceneMoments, output), used
@@ -192,6 +191,7 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
     if not finished:
         refuse_existing(output, options.force)
     if finished:
+        parts.remove()  # of a run that was killed after the output had appeared
         options.console.info(f"{output} is finished already")
     return finished
 
@@ -383,7 +383,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
-        parts = Parts(parts_folder(output), key_of(stage))
+        parts = Parts(output, key_of(stage))
         used = files_to_read({"recipe": files, "moments": [options.moments]}).and_wrote(output)
         if _is_finished(output, parts, options):
             return load(Design, output), used

@@ -16,7 +16,7 @@ from typing import Any
 from l3cli.errors import L3Error, RecipeError
 from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
 
-RUN = "run"  # name of the checkpoint in a folder of parts
+RUN = "run"  # name of the file in a folder of parts that holds the key of the run
 
 
 class Checkpoint:
@@ -96,70 +96,78 @@ def _read(path: Path) -> tuple[str | None, bool, list[str]]:
 
 
 class PartsFolder:
-    """Folder in which a run keeps finished parts, with their checkpoint, until it ends."""
+    """Folder "NAME.parts" beside an output, in which a run keeps finished parts until the output is complete.
 
-    def __init__(self, folder: Path, key: str) -> None:
-        self.folder, self.key, self.checkpoint = folder, key, Checkpoint(folder / RUN, key)
+    The file `run` holds the key of the run. Each part is a file that appears only when it is complete, so a part that exists
+    is finished, whichever process wrote it.
+    """
 
-    def goes_on(self, resume: bool, force: bool) -> bool:
-        """Return whether the run continues with stored parts, which requires `resume` and parts of the same run.
+    def __init__(self, output: Path, key: str) -> None:
+        self.folder, self.key = output.with_name(f"{output.name}.parts"), key
+        self._run = self.folder / RUN
+
+    @contextlib.contextmanager
+    def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
+        """Keep the folder during the block, and remove it at the end.
+
+        If the block fails, the folder stays unless it is empty.
+
+        Parameters
+        ----------
+        resume : bool
+            Whether to continue with the parts of an earlier run. Otherwise they are removed.
+        force : bool
+            Whether to remove them if they belong to another run.
+        is_whole : callable
+            Whether a part is undamaged. Others are removed.
 
         Raises
         ------
         RecipeError
-            If the parts belong to another run and `force` is not set.
+            If `resume` is set, `force` is not, and the parts belong to another run.
         L3Error
             If the folder holds files that l3 did not make.
         """
-        if not self.folder.exists():
-            return False
-        for each in self.folder.iterdir():
-            refuse_protected(each)
-        is_checkpoint = self.checkpoint.path.is_file()
-        if not is_checkpoint and not all(is_ours(each.name) for each in self.folder.iterdir()):
-            raise L3Error(f"{self.folder} holds files that l3 did not make; move it elsewhere")
-        same = resume and self.checkpoint.take_over()
-        if resume and is_checkpoint and not same and not force:
-            raise RecipeError(
-                f"{self.folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
-            )
-        return same
-
-    @contextlib.contextmanager
-    def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
-        """Hold the folder during the block, with the listed and complete parts of an earlier run, and remove it at the end.
-
-        If the block fails or is interrupted, the folder stays. Errors are those of `goes_on`.
-        """
-        if self.goes_on(resume, force):
-            sweep(self.folder)
-            items = self.checkpoint.items.items()
-            self.checkpoint.items = {name: state for name, state in items if is_whole(self.folder / name)}
-        elif self.folder.exists():
-            remove_parts(self.folder)
-        self.checkpoint.begin()
+        if self.folder.exists():
+            self._take_over(resume, force, is_whole)
+        write_whole(self._run, self.key)
         try:
             yield
         except BaseException:
             sweep(self.folder)  # temporary files of worker processes that were killed
             if all(each.name == RUN for each in self.folder.iterdir()):
-                remove_parts(self.folder)
+                self.remove()
             raise
-        remove_parts(self.folder)
+        self.remove()
 
+    def _take_over(self, resume: bool, force: bool, is_whole: Callable[[Path], bool]) -> None:
+        files = list(self.folder.iterdir())
+        for each in files:
+            refuse_protected(each)
+        if not self._run.is_file() and not all(is_ours(each.name) for each in files):
+            raise L3Error(f"{self.folder} holds files that l3 did not make; move it elsewhere")
+        is_same = self._run.is_file() and self._run.read_bytes() == self.key.encode()
+        if resume and not is_same and self._run.is_file() and not force:
+            raise RecipeError(
+                f"{self.folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
+            )
+        if not (resume and is_same):
+            self.remove()
+            return
+        sweep(self.folder)
+        for each in self.folder.iterdir():
+            if each != self._run and not is_whole(each):
+                each.unlink()
 
-def parts_folder(output: Path) -> Path:
-    """Return the folder for the parts of an output."""
-    return output.with_name(f"{output.name}.parts")
-
-
-def remove_parts(folder: Path) -> None:
-    """Remove a folder of parts. The checkpoint goes last, because it shows that the folder is l3's."""
-    for each in folder.iterdir():
-        if each.name != RUN:
-            each.unlink(missing_ok=True)
-    (folder / RUN).unlink(missing_ok=True)
-    folder.rmdir()
+    def remove(self) -> None:
+        """Remove the folder, if it exists. The file `run` goes last, because it shows that the folder is l3's."""
+        if not self.folder.exists():
+            return
+        for each in self.folder.iterdir():
+            if each != self._run:
+                each.unlink(missing_ok=True)
+        self._run.unlink(missing_ok=True)
+        self.folder.rmdir()
 
 
 @contextlib.contextmanager

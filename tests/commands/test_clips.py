@@ -100,7 +100,7 @@ def test_the_exposure_that_is_reported_renders_as_bright_as_the_ideal(
 
 def test_the_frames_are_the_same_however_they_are_shared_out(clip: Path, bayer: CameraModel, tmp_path: Path) -> None:
     run, files = prepare(load_recipe(clip / "clip.toml", SceneRecipe), clip / "clip.toml", bayer, 0)
-    stored = StoredFrames(tmp_path / "clip.h5.parts", "key")
+    stored = StoredFrames(tmp_path / "clip.h5", "key")
     work = units_of(run, list(shots(run.recipe, files)), stored, workers=4)
     assert len(work) == 3
     with open_training_set(clip / "clip.h5") as reader, stored.held(resume=False, force=False):

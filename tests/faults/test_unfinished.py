@@ -129,7 +129,7 @@ def test_a_run_killed_when_all_is_there_leaves_nothing_to_the_next(folder: Path,
     assert l3(*SIMULATE.split()) == (0, "", "")
     whole = contents()
     shutil.rmtree("out")
-    left = kill(SIMULATE, "system.checkpoint", "remove_parts", 1)
+    left = kill(SIMULATE, "stages.simulation.simulate", "_assemble", 1)
     assert {name for name in left if "l3lock" not in name} > whole.keys()
     assert l3(*SIMULATE.split(), "--resume") == (0, "", "")
     assert contents() == whole

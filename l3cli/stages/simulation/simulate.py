@@ -30,8 +30,8 @@ from l3cli.stages.simulation.preparation import (
     prepare,
     unknown_of,
 )
-from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, remove_finished, simulate_unit, units_of
-from l3cli.system.checkpoint import incomplete_folder, parts_folder
+from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, simulate_unit, units_of
+from l3cli.system.checkpoint import incomplete_folder
 from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
@@ -73,7 +73,6 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     with OutputGuard(console) as guard:
         guard.protect(scenes, *camera_files(camera), *itertools.chain(*options.inputs().values()))
         guard.hold_file(output)
-        remove_finished(output)
         refuse_existing(output, force or resume)
         for folder in folders:
             guard.hold_folder(folder, *WRITTEN)
@@ -87,7 +86,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         guard.protect(*itertools.chain(*inputs.values()))
         head = head_of(run, model, (scenes, camera), inputs, options.chosen())
         key = key_of(head.history[-1])
-        stored = StoredFrames(parts_folder(output), key)
+        stored = StoredFrames(output, key)
         stands = resume and not force and is_of_run(output, key)
         if not stands:
             refuse_existing(output, force)
@@ -101,6 +100,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
             for folder in folders:
                 unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
+                stored.remove()  # of a run that was killed after the output had appeared
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
                     pictures = write_pictures(run, files, frames, options)
@@ -127,12 +127,11 @@ def _simulate_frames(
     with workers(options.jobs, options.cluster()) as pool:
         work = units_of(run, wanted, stored, pool.size)
         done = total - sum(len(unit.shots) for unit in work)
-        function = functools.partial(simulate_unit, StoredFrames(stored.folder, stored.key))
+        function = functools.partial(simulate_unit, stored)
         counts = received(pool, work, stored, digests) if options.scheduler else pool(function, work)
         finished = (index for count in itertools.chain([done], counts) for index in range(count))
         for _ in options.console.progress(finished, total, "frames"):
             pass
-    stored.close(total)
     return total
 
 

@@ -1,5 +1,5 @@
-"""Work of a simulation's processes: read or draw a scene, simulate its frames, store each in a file of a folder beside the
-output, with the checkpoint from which a stopped run goes on."""
+"""Work of a simulation's processes: read or draw a scene, simulate its frames, and store each frame as a file in a folder
+beside the output, so that an interrupted run can continue."""
 
 import dataclasses
 import hashlib
@@ -15,15 +15,15 @@ import numpy as np
 from l3cli.artifacts.inspection import history_of
 from l3cli.artifacts.schema import Stage
 from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, write_part
-from l3cli.errors import InputFileError, L3Error, raised_as
+from l3cli.errors import InputFileError, raised_as
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
 from l3cli.simulation import sources
 from l3cli.simulation.frame import SimulationRun
 from l3cli.simulation.recipe import Pair, Shot
 from l3cli.stages.simulation.preparation import files_of, scene_over_time
-from l3cli.system.checkpoint import RUN, PartsFolder, key_in, parts_folder, remove_parts
-from l3cli.system.files import dated, require_same, write_whole
+from l3cli.system.checkpoint import PartsFolder
+from l3cli.system.files import require_same, write_whole
 
 
 def key_of(stage: Stage) -> str:
@@ -32,55 +32,25 @@ def key_of(stage: Stage) -> str:
 
 
 class StoredFrames(PartsFolder):
-    """The frames of a run, each in a file, by their indices; all of them, once they are there, are read one by one."""
-
-    _total = 0
+    """The frames of a run, each in a file named after its index."""
 
     def path(self, index: int) -> Path:
+        """Return the file of a frame. The frame is finished if the file exists."""
         return self.folder / f"{index:06d}.h5"
 
-    def store(self, index: int, frame: TrainingPair, uncovered: float) -> None:
-        """Store a frame, from whatever process; `uncovered`: share of the light for which its scene holds no data."""
-        write_part(self.path(index), frame, uncovered)
-        self.list(index)
-
-    def list(self, index: int) -> None:
-        """List a frame that has got its name."""
-        self.checkpoint.add(self.path(index).name, dated(self.path(index)))
-
-    def __contains__(self, index: int) -> bool:
-        path = self.path(index)
-        return path.is_file() and self.checkpoint.items.get(path.name) == dated(path)
-
-    def close(self, total: int) -> None:
-        """Note that all frames, `total` of them, are stored, some by other processes."""
-        self._total = total
-        self.checkpoint.take_over()
-
     def __iter__(self) -> Iterator[TrainingPair]:
-        return map(read_part, self._paths())
+        return map(read_part, self._files())
 
     def append_to(self, writer: TrainingSetWriter) -> Iterator[SceneCoverage]:
-        """Append the frames to a training set; yield what each one's scene covers."""
-        return map(writer.append_part, self._paths())
+        """Append all frames to a training set. Yield what each frame's scene covers."""
+        return map(writer.append_part, self._files())
 
-    def _paths(self) -> Iterator[Path]:
-        """Yield the files of the frames; L3Error if another run has replaced one."""
-        for index in range(self._total):
-            if index not in self:
-                raise L3Error(f"{self.path(index)} was replaced by another run; run again with ‹resume›")
-            yield self.path(index)
-
-
-def remove_finished(output: Path) -> None:
-    """Remove the folder of a run that was killed after `output` had appeared, which holds all its frames."""
-    key = key_in(parts_folder(output) / RUN)
-    if key is not None and is_of_run(output, key):
-        remove_parts(parts_folder(output))
+    def _files(self) -> list[Path]:
+        return sorted(self.folder.glob("[0-9]*.h5"), key=lambda path: int(path.stem))
 
 
 def is_of_run(output: Path, key: str) -> bool:
-    """Return whether `output` is that of the run called `key`, finished."""
+    """Return whether `output` exists and was written by the run with this key."""
     history = history_of(output)
     return bool(history) and key_of(history[-1]) == key
 
@@ -118,7 +88,7 @@ def units_of(
     for what, shots in everything:
         size = -(-len(shots) // pieces)
         parts = (shots[start : start + size] for start in range(0, len(shots), size))
-        needed = ([shot for shot in part if shot.index not in stored] for part in parts)
+        needed = ([shot for shot in part if not stored.path(shot.index).exists()] for part in parts)
         units += [WorkUnit(run, what, part) for part in needed if part]
     return units
 
@@ -126,7 +96,7 @@ def units_of(
 def simulate_unit(stored: StoredFrames, unit: WorkUnit) -> int:
     """Simulate and store the frames of a unit; return their number."""
     for index, frame, uncovered in simulated(unit):
-        stored.store(index, frame, uncovered)
+        write_part(stored.path(index), frame, uncovered)
     return len(unit.shots)
 
 
@@ -162,7 +132,6 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
     for sent in pool(_sent, needed):
         for index, content in sent:
             write_whole(stored.path(index), content)
-            stored.list(index)
         yield len(sent)
 
 
