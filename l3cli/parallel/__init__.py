@@ -30,7 +30,10 @@ def one_blas_thread() -> None:
 
 
 def without_plots() -> None:
-    """Prevent colour-science from importing matplotlib and pandas, which l3 does not use, to halve the import time."""
+    """Keep colour-science from importing matplotlib and pandas if they are installed, because l3 does not use them.
+
+    The import then takes 2.4 instead of 4.8 s of processor time (on a slow core), in each process that simulates or trains.
+    """
     for name in ("matplotlib", "pandas"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes imports fail
 

@@ -38,9 +38,10 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # If a process ends while it sends a result, half of the result remains in the pipe. The pool's thread waits for
-            # the rest until all writing ends are closed, so this process closes its own. The thread that sends items waits
-            # for readers in the same way, which later versions of Python handle (python/cpython#94777).
+            # Without this, Ctrl-C would hang if it comes while a worker sends a large result, such as the sums of a
+            # training: half of the result is in the pipe, and the thread of the pool waits for the rest until every writing
+            # end is closed. This process closes its own. Before Python 3.11.5, the thread that sends items waits for
+            # readers in the same way (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]

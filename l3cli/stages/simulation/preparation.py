@@ -1,4 +1,4 @@
-"""Scenes of a simulation, read or synthetic, as they lie on the sensor; and checks before any frame is simulated."""
+"""Preparation of a simulation: checks before any frame is simulated, and the scenes as they are imaged on the sensor."""
 
 import dataclasses
 from collections.abc import Callable
@@ -44,18 +44,29 @@ if TYPE_CHECKING:
 
 
 def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
-    """Return the files of a source of a recipe; InputFileError if it is to have some and there are none."""
+    """Return the files of a source of a recipe. Raise InputFileError if it names files and there are none."""
     return find_scenes(source.file, recipe.parent, is_folder(name_of(source))) if isinstance(source, FileSource) else []
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
-    """Return the files of a scene of that name: bands of a folder, an ENVI header and its data, else the file itself."""
+    """Return the files of one scene: the bands in a folder, an ENVI header with its data, or otherwise the file itself."""
     return format_of(sources.name_of(source), path).files(path)
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
-    """Return the scene, read or synthetic, as it lies on the sensor in each frame of its clip; one that stands still is the
-    same in all. InputFileError if it does not fit there."""
+    """Read or draw a scene.
+
+    Returns
+    -------
+    callable
+        For the number of a frame in a clip, the scene as it is imaged on the sensor in this frame. Without motion, it is the
+        same in all frames.
+
+    Raises
+    ------
+    InputFileError
+        If the scene is smaller than the sensor, or is not known at the wavelengths of the camera.
+    """
     from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation import procedural
     from l3cli.simulation.clip import clip_of
@@ -82,7 +93,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
-    """Return the scene of a file: read as such, or made of a picture or a cube."""
+    """Return the scene of a file. Pictures and spectral cubes are converted to scenes."""
     from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
@@ -107,8 +118,10 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
-    """Return the keys of the recipe that the reader of a file takes; a light by its wavelengths in nm and photons, None
-    without one."""
+    """Return the keys of the recipe that the reader of a file takes, as keyword arguments.
+
+    A light is passed as its wavelengths (nm) and its photons per wavelength.
+    """
     keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
     if keys.get("light"):
         light = run.recorded[keys["light"]]
@@ -120,8 +133,18 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
-    """Return, of the files of each source, those that cannot be read or do not fit on the sensor, and why, from their
-    headers. RecipeError if a synthetic scene does not fit."""
+    """Find the files that cannot be read or are too small for the sensor, from their headers.
+
+    Returns
+    -------
+    list of dict
+        For each source, the error of each file that cannot be used.
+
+    Raises
+    ------
+    RecipeError
+        If a synthetic scene is too small.
+    """
     bad: list[dict[Path, InputFileError]] = []
     for source, paths in zip(run.recipe.scene, files, strict=True):
         bad.append({})
@@ -136,7 +159,9 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """Return (rows, cols) of a scene as it lies on the sensor, of a file by its header; errors as of `refusals`."""
+    """Return (rows, cols) of a scene as it is imaged on the sensor. Files are read up to their header. Errors are those of
+    `refusals`.
+    """
     from l3cli.simulation.sources import framed_size
 
     source = wanted.source
@@ -154,7 +179,20 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Return everything checked and resolved before any work: the run, and the files of each source."""
+    """Check a scene recipe for a camera, and read its curves and lights.
+
+    Returns
+    -------
+    SimulationRun
+        The run, with everything that the recipe names.
+    list of list of Path
+        The files of each source.
+
+    Raises
+    ------
+    RecipeError, InputFileError
+        If the recipe has errors, or if curves or files cannot be used.
+    """
     with raised_as(RecipeError, path, RecipeError):
         refuse_first(asked.scene_faults(recipe, camera))
         named = asked.curve_files(recipe)
@@ -172,7 +210,7 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 
 
 def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
-    """Return what is not known at wavelengths at which channels collect electrons.
+    """Return warnings about spectra that are unknown at wavelengths at which channels collect electrons.
 
     Parameters
     ----------
@@ -210,8 +248,15 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
 def fitting(
     run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
 ) -> tuple[list[list[Path]], int]:
-    """Return the files of each source that can be read and fit on the sensor, and how many do not: with `skip_bad` each is
-    said and left out, else InputFileError names them all."""
+    """Return the files of each source that can be used, and the number of the others.
+
+    With `skip_bad`, each file that cannot be used is reported and left out.
+
+    Raises
+    ------
+    InputFileError
+        If files cannot be used and `skip_bad` is not set, or if no scene is left.
+    """
     refused = refusals(run, files)
     bad = [error for errors in refused for error in errors.values()]
     if not bad:
@@ -234,7 +279,7 @@ def fitting(
 
 
 def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Console) -> None:
-    """Say which fields of scene files may change values and are not known to l3."""
+    """Report fields of scene files that l3 does not know and that may change the values."""
     found: dict[str, Path] = {}  # field: the first file that states it
     for source, paths in zip(run.recipe.scene, files, strict=True):
         for path in paths:
@@ -249,7 +294,7 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
-    """Return all files of a run by their role; `files` are those of each source."""
+    """Return all input files of a run by their role. `files` are the files of each source."""
     return {
         "scene": [
             file
@@ -269,7 +314,7 @@ def head_of(
     inputs: dict[str, list[Path]],
     chosen: dict[str, Any],
 ) -> TrainingSet:
-    """Return the training set's head, with this stage as the last of the camera's history."""
+    """Return the head of the training set. Its history is the camera's, followed by this stage."""
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)

@@ -1,4 +1,4 @@
-"""The simulation stage: camera × scenes × lights → training set, with pictures and DNGs of its frames if asked for."""
+"""The simulation stage: camera × scenes × lights → training set, and optionally pictures and DNG files of its frames."""
 
 import contextlib
 import functools
@@ -36,7 +36,7 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
 
-NEGLIGIBLE = 1e-3  # share of a channel's light that may go unseen without a word
+NEGLIGIBLE_LIGHT = 1e-3  # fraction of a channel's light that scenes may lack without a warning
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     L3Error
         If an output cannot be written.
     """
-    # One long sequence: in this order a refusal comes before any work, and no output takes the place of what is read.
+    # In this order, errors are raised before any work, and no output replaces an input.
     console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
     folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
     with OutputGuard(console) as guard:
@@ -117,7 +117,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
 def _simulate_frames(
     run: SimulationRun, files: list[list[Path]], head: TrainingSet, stored: StoredFrames, options: SimulateOptions
 ) -> int:
-    """Simulate and store those frames of a run that are not stored yet; how many it has."""
+    """Simulate and store the frames of a run that are not stored yet. Return the number of all frames."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
         path: digest for role, paths in inputs.items() for path, digest in zip(paths, sums.get(role, ()), strict=True)
@@ -136,10 +136,12 @@ def _simulate_frames(
 
 
 def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
-    """Write the training set from its stored frames; what the scene that covers least of the light lacks is said."""
+    """Write the training set from its stored frames. Warn if a scene lacks data for more than a negligible part of the
+    light.
+    """
     with write_training_set(output, head) as writer:
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
-    if worst.uncovered > NEGLIGIBLE:
+    if worst.uncovered > NEGLIGIBLE_LIGHT:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
         console.warn(f"{worst.scene} holds no data for {share}; give scenes of more wavelengths")
 
@@ -194,8 +196,7 @@ def _write_pictures(
     Returns
     -------
     dict
-        For each frame whose picture is sRGB, by its number, the factor of a table's Y that shows a picture as bright as
-        the ideal.
+        For each frame whose ideal picture is sRGB, by its number, the exposure with which `l3 render` shows it as bright.
     """
     import numpy as np
 

@@ -27,7 +27,7 @@ from l3cli.system.files import require_same, write_whole
 
 
 def key_of(stage: Stage) -> str:
-    """Return the key that distinguishes a run from others: all that its frames depend on."""
+    """Return the key of a run: the digest of everything on which its frames depend."""
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
@@ -55,17 +55,17 @@ def is_of_run(output: Path, key: str) -> bool:
     return bool(history) and key_of(history[-1]) == key
 
 
-SENT = 64 << 20  # bytes of frames that a worker of another machine sends at a time, if it is more than one frame
+MAX_SENT_BYTES = 64 << 20  # of frames that a worker on another machine sends at a time, unless one frame is larger
 
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """Work of one process in a go: some frames of one scene, or one real pair."""
+    """Work that a process does at a time: some frames of one scene, or one real pair."""
 
     run: SimulationRun
     what: sources.WantedScene | Pair
     shots: list[Shot]
-    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, to be checked where they are read
+    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, which workers elsewhere compare
 
     @property
     def files(self) -> list[Path]:
@@ -78,8 +78,10 @@ class WorkUnit:
 def units_of(
     run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
 ) -> list[WorkUnit]:
-    """Return one unit a scene, of its frames that are not stored, so that each is read once; a scene is shared out where
-    there are fewer scenes than workers need."""
+    """Return the work that is left, with the frames of a scene in one unit, so that the scene is read once.
+
+    If there are fewer scenes than workers need, the frames of a scene are divided into several units.
+    """
     first = sum(len(shots) for _, shots in work)
     pairs = ((pair, [Shot(first + number, "", 0.0, 0.0)]) for number, pair in enumerate(run.recipe.pair))
     pieces = -(-2 * workers // max(1, len(work))) if workers > 1 else 1
@@ -94,14 +96,14 @@ def units_of(
 
 
 def simulate_unit(stored: StoredFrames, unit: WorkUnit) -> int:
-    """Simulate and store the frames of a unit; return their number."""
+    """Simulate and store the frames of a unit. Return their number."""
     for index, frame, uncovered in simulated(unit):
         write_part(stored.path(index), frame, uncovered)
     return len(unit.shots)
 
 
 def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
-    """Yield each frame of a unit with its index, and the share of the light for which its scene holds no data."""
+    """Yield the index of each frame, the frame, and the fraction of the light that the data of its scene do not cover."""
     run = unit.run
     if isinstance(unit.what, Pair):
         yield unit.shots[0].index, _pair(unit.what, run), 0.0
@@ -121,11 +123,13 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
 
 
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
-    """Yield numbers of frames done, as workers of other machines, which see the same inputs, simulate units whose frames are
-    stored here."""
+    """Have workers on other machines simulate the units, and store the frames that they send.
+
+    Workers must see the same input files. Yields the number of frames after each answer.
+    """
     needed = []
     for unit in work:
-        most = max(1, SENT // unit.run.frame_bytes)
+        most = max(1, MAX_SENT_BYTES // unit.run.frame_bytes)
         hashes = {path: digests[path] for path in unit.files}
         parts = (unit.shots[start : start + most] for start in range(0, len(unit.shots), most))
         needed += [replace(unit, shots=part, digests=hashes) for part in parts]
@@ -136,7 +140,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
-    """Return, on another machine, the unit's frames, each with the content of its file."""
+    """Simulate a unit on another machine. Return the index of each frame and the content of its file."""
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:

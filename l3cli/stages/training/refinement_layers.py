@@ -21,13 +21,13 @@ from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
-UNITS = 8  # a process: more tell progress better, but every one hands on its own sums
+UNITS = 8  # per process; with more, progress is finer, but each unit sends its own sums
 
 
 def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
-    """Return the table with the layers that the recipe wants after the first; `like`: whose classes these have."""
+    """Return the table with the refinement layers of the recipe. If `like` is given, they have the classes of its layers."""
     if not run.has_refinement_layers:
         if like is None:
             warn_of_left_out_layers(run, execution.console)
@@ -43,23 +43,23 @@ def learn_refinement_layers(
 
 
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
-    """Warn that layers the recipe asks for are not learned, if that is so."""
+    """Report if the recipe asks for layers that are not learned."""
     if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
-            f"one layer is learned for the outputs {outputs}; later ones read three, the second of them luminance, or one, "
-            "without coarse chroma or leaves, components of a spectrum"
+            f"[[layer]] is left out: the outputs {outputs} take no such layer; three outputs with the luminance second take "
+            "any number, and spectra take one layer without coarse chroma or leaves"
         )
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Return training mosaics (frame) of refinement layer `number`, the first of them being 0."""
+    """Return the number of training mosaics (frame) of refinement layer `number`, counted from 0."""
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """A work unit of a layer's pass: some frames, and what has been learned before of how they are classified."""
+    """A work unit of a layer's pass: some frames, and how they are classified as far as it is known."""
 
     training: tuple[TrainingSource, ...]
     remote: bool  # as of WorkUnit
@@ -69,8 +69,10 @@ class LayerUnit:
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Return the layer's class rule, estimated from a pilot of all frames. With `like`, reuse that rule, but for other noise
-    than the camera's its gradient scale."""
+    """Return the layer's class rule, estimated from a pilot of all frames.
+
+    With `like`, that rule is reused. For other noise than the camera's, its gradient scale is estimated anew.
+    """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
     units = _units(run, layer, None, layer.blocks, execution)

@@ -1,4 +1,4 @@
-"""Training stage: a table in one run, or in shards whose partial sums are merged, as on several machines."""
+"""The training stage: training sets → transform table, in one run, or in shards whose partial sums are merged."""
 
 import contextlib
 import itertools
@@ -102,21 +102,21 @@ def execution_of(
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
-    """Return all passes of all layers, for all conditions."""
+    """Return the table after all passes of all layers, for all lights and noise conditions."""
     table = learn_first(run, first_pass(run, execution), execution)
     table = learn_refinement_layers(run, table, execution)
     return learn_conditions(run, table, execution)
 
 
 def report_table(table: TransformTable, output: Path, console: Console) -> None:
-    """Report what has been learned, in a line."""
+    """Report the number of classes of each layer, one line per layer."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
         console.info(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")
 
 
 def filling(table: TransformTable) -> list[tuple[int, int]]:
-    """Return the number of classes of each layer, and of those without patches of their own."""
+    """Return for each layer the number of classes, and how many of them had no patches."""
     return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]
 
 
@@ -124,9 +124,32 @@ NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # o
 
 
 def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
-    """Write the partial sums of one shard, (number from 1, of how many): of the first pass or, with the first table that
-    the shards of a pass make, of the next one. Return the files that were read and written. Errors are those of `train`;
-    InputFileError if that table is of another run."""
+    """Write the partial sums of one shard.
+
+    Parameters
+    ----------
+    training : tuple of Path
+        Training sets.
+    shard : tuple of int
+        Number of the shard from 1, and number of shards.
+    output : Path
+        Partial sums to write.
+    options : ShardOptions
+        Options of `l3 train`. Without `first`, the sums are for the first pass. Otherwise `first` is the table of a pass,
+        and the sums are for the next pass.
+
+    Returns
+    -------
+    FilesUsed
+        Training sets, recipe, table of the previous pass, and partial sums.
+
+    Raises
+    ------
+    InputFileError
+        If the table of the previous pass belongs to another run, or as `train`.
+    RecipeError, L3Error
+        As `train`.
+    """
     first = options.first
     with execution_of(training, output, options) as (run, execution, used):
         require_one_go(run.recipe.learning)
@@ -172,7 +195,7 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums of a shard's blocks, for each canonical site in order."""
+    """Yield the sums over a shard's blocks of frames, for each canonical site in order."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
@@ -182,13 +205,13 @@ def _sums(
 
 
 def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
-    """Return whether a table is what a pass of the run has made."""
+    """Return whether a table was made by a pass of this run."""
     noises = tuple(each.noise for each in table.conditions)
     return table.history == run.history(pass_) and noises == run.recipe.learning.noises
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
-    """Return the pass after the one that made the table; InputFileError if that is of another run."""
+    """Return the pass after the one that made the table. Raise InputFileError if the table belongs to another run."""
     if not _is_of(run, table, FIRST_PASS):
         layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_refinement_layers else ""
         raise InputFileError(
@@ -250,7 +273,7 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: i
 
 
 def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
-    """Return the recipe and seed of the run that partial sums are of."""
+    """Return the recipe and the seed of the run to which partial sums belong."""
     head = reader.head
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
@@ -280,7 +303,7 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
 def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
-    """Write what a shard (number from 1, of how many) sums up for the layer on `table`."""
+    """Write the partial sums of a shard (number from 1, number of shards) for the layer after those of `table`."""
     layer = _layer(table, run)
     rule = layer_rule(run, layer, execution)
     index, count = shard
@@ -311,8 +334,13 @@ def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
-    """Return the table with the layer that all shards of its pass give; InputFileError, which names `path`, if they do not
-    fit their recipe."""
+    """Return the table with a further layer, learned from the partial sums of all shards.
+
+    Raises
+    ------
+    InputFileError
+        If the sums do not fit their recipe. The message names `path`.
+    """
     head: PartialLayerSums = readers[0].head
     rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
     tables = enumerate(zip(by_noise(head.table), rules, strict=True))
