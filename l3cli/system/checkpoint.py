@@ -1,8 +1,10 @@
-"""Checkpoints: a file beside the outputs of a run that lets an interrupted run continue, even after SIGKILL.
+"""What lets an interrupted run continue, even after SIGKILL: the key of the run, and the names of its finished units.
 
-The first line is the key of the run. Each further line is a finished item as JSON, with facts that identify it. The line is
-on disk before the item gets its final name (in a folder of the run's own, right after). So a file that is not listed does
-not belong to the run, and a listed item that is missing is made again.
+The key is a digest of everything on which the bytes of the outputs depend. There are two places for finished units:
+
+* `PartsFolder`: files in a folder of the run's own, such as the frames of a training set, until the output is complete.
+* `Checkpoint`: a list beside outputs in a folder of the user's, such as pictures. A file that is not listed does not belong
+  to the run.
 """
 
 import contextlib
@@ -20,34 +22,34 @@ RUN = "run"  # name of the file in a folder of parts that holds the key of the r
 
 
 class Checkpoint:
-    """Checkpoint of a run, with the facts of each finished item by name.
+    """List of a run's finished units, with facts that identify each of them.
+
+    The first line of the file is the key of the run. Each further line is a unit as JSON. It is on disk before the unit's
+    file gets its final name, and a listed unit whose file is missing is made again.
 
     Parameters
     ----------
     path : Path
-        File of the checkpoint.
+        File of the list.
     key : str
         Key of the run.
-    force : bool
-        Whether the run may replace existing outputs, also when it continues.
     """
 
-    def __init__(self, path: Path, key: str, force: bool = False) -> None:
-        self.path, self.key, self.force = path, key, force
-        self.items: dict[str, Any] = {}
+    def __init__(self, path: Path, key: str) -> None:
+        self.path, self.key = path, key
+        self.items: dict[str, Any] = {}  # facts of each unit by name
 
-    def take_over(self, path: Path | None = None) -> bool:
-        """Read the items of an earlier run from the checkpoint, or from the file `path`.
+    def take_over(self, path: Path) -> bool:
+        """Read the units that an earlier run has finished from its list.
 
         Returns
         -------
         bool
-            Whether the file belongs to the same run. If not, nothing is read.
+            Whether the list belongs to the same run. If not, nothing is read.
         """
-        key, force, lines = _read(path or self.path)
+        key, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
         if key != self.key:
             return False
-        self.force = self.force or force
         for line in lines:
             with contextlib.suppress(ValueError, TypeError):  # the last line may be incomplete
                 name, facts = json.loads(line)
@@ -55,15 +57,11 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Write the checkpoint. New items are appended from now on."""
-        self._write(self.path, self.force)
-
-    def _write(self, path: Path, force: bool) -> None:
-        lines = [f"{self.key} force" if force else self.key, *(json.dumps(item) for item in self.items.items())]
-        write_whole(path, "\n".join(lines))
+        """Write the list. New units are appended from now on."""
+        write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:
-        """Append an item, from any process. The line is on disk when this returns."""
+        """Append a unit, from any process. The line is on disk when this returns."""
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
         file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
@@ -74,25 +72,9 @@ class Checkpoint:
         finally:
             os.close(file)
 
-    def end(self, finished: Path | None = None) -> None:
-        """Remove the checkpoint. Its content goes into the file `finished`, if one is given."""
-        if finished is not None:
-            self._write(finished, force=False)
+    def end(self) -> None:
+        """Remove the list."""
         self.path.unlink(missing_ok=True)
-
-
-def key_in(path: Path) -> str | None:
-    """Return the key of the run that a checkpoint belongs to, or None if there is no checkpoint."""
-    return _read(path)[0]
-
-
-def _read(path: Path) -> tuple[str | None, bool, list[str]]:
-    """Return the key, whether the run may replace existing outputs, and the lines of items."""
-    if not path.is_file():
-        return None, False, []
-    first, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
-    key, _, force = first.partition(" ")
-    return key, bool(force), lines
 
 
 class PartsFolder:
@@ -172,7 +154,9 @@ class PartsFolder:
 
 @contextlib.contextmanager
 def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
-    """Mark `folder` as incomplete until the block ends without an error, so that the same run can continue in it.
+    """Mark `folder` as incomplete until the block ends without an error, so that the same run can write into it again.
+
+    The marker is a file with the key of the run.
 
     Raises
     ------
@@ -180,18 +164,20 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
         If the folder holds something else and `force` is not set.
     """
     refuse_other_run(folder, key, force)
-    checkpoint = Checkpoint(folder / UNFINISHED, key)
-    checkpoint.begin()
+    marker = folder / UNFINISHED
+    write_whole(marker, key)
     try:
         yield
     except BaseException:
         sweep(folder)
         if all(is_ours(each.name) for each in folder.iterdir()):
-            checkpoint.end()
+            marker.unlink()
         raise
-    checkpoint.end()
+    marker.unlink()
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
     """Raise L3Error if `folder` holds anything except what an interrupted run with this key left, unless `force` is set."""
-    refuse_filled_folder(folder, force or key_in(folder / UNFINISHED) == key)
+    marker = folder / UNFINISHED
+    is_same = marker.is_file() and marker.read_bytes() == key.encode()
+    refuse_filled_folder(folder, force or is_same)
