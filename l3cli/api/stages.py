@@ -238,8 +238,7 @@ class by_keyword(Generic[P, O]):
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
             for name in named.keys() - declared.keys() - {"console"}:
-                renamed = next((f'it is "{now}" now' for now, each in declared.items() if each.was == name), None)
-                raise TypeError(f'{function.__name__} has no option "{name}"; {renamed or suggestion(name, declared)}')
+                raise TypeError(f'{function.__name__} has no option "{name}"; {suggestion(name, declared)}')
             options = self._options(**named)
             with threadpool_limits(1, user_api="blas"):
                 return function(*given, options)

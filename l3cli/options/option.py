@@ -122,7 +122,6 @@ class Declaration:
     several: bool = False  # whether the option may be repeated
     bytes: bool = True  # whether the bytes of outputs depend on the option
     shared: bool = False  # whether other commands have it, too: help lists it after the command's own options
-    was: str | None = None  # earlier name in Python
 
     def held(self, given: Any) -> Any:
         """Return the value to store for a given one. None stands for the default."""

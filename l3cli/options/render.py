@@ -122,7 +122,6 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         "png",
         "Folders only: suffix of the pictures. With a video suffix, each INPUT becomes one video.",
         metavar="SUFFIX",
-        was="suffix",
     )
     frames: Given[range | str | None, range | None] = option(
         None, "Sequences only: numbers of the frames to render [default: all].", FrameRange(), metavar="FROM-TO[xSTEP]"
@@ -135,7 +134,6 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: the input's, otherwise 30].",
         Rate(),
         metavar="RATE",
-        was="rate",
     )
     codec: Literal["h264", "h265", "ffv1", "prores"] | None = option(
         None, "Videos only: codec [default: h264 for .mp4, prores for .mov, ffv1 for .mkv]."

@@ -200,8 +200,6 @@ def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) 
 def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
     """mypy, which reads this file, too, knows the types; help() shows the texts of the command line."""
     refused: Callable[..., int] = l3.render
-    with pytest.raises(TypeError, match=r'render has no option "rate"; it is "fps" now'):
-        refused("t.h5", "a", "b", rate=25)
     with pytest.raises(TypeError, match=r'did you mean "white"'):
         refused("t.h5", "a", "b", wihte="D65")
     with pytest.raises(RecipeError, match="‹crf›: 99 is not within 0…51; the nearest is 51"):
