@@ -191,7 +191,7 @@ $(CURVE)/curve.html: $(CURVE)/bayer.json $(CURVE)/rgbw.json
 	$(L3) compare $^ --figure mean_delta_e --figure scielab --figure psnr -o $@ --force
 
 lint: ## ruff format and check, mypy
-	$(call needs,test lint docs)
+	$(call needs,test lint)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

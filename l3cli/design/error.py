@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS, LightMoments
@@ -93,8 +94,6 @@ def gather(
     rng : numpy.random.Generator
         Source of the positions.
     """
-    from scipy.ndimage import gaussian_filter
-
     half, window = np.arange(-(SIDE // 2), SIDE // 2 + 1), np.arange(-WINDOW, WINDOW + 1)
     soft = np.stack([gaussian_filter(plane, SOFTNESS, mode="reflect") for plane in target])
     row, col = (rng.integers(SIDE // 2, length - SIDE // 2, patches) for length in planes.shape[1:])

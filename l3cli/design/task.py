@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.design import GROUPS, Design, LightMoments, SceneMoments, overall, shown, sites
@@ -224,8 +225,6 @@ class Task:
         dict
             "score" is the logarithm of the smallest error. "parameters" (optimised filter, 3) are centres, sigmas and peaks.
         """
-        from scipy import optimize
-
         asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
         assert asked is not None
         start = np.array([[one.centre_nm, one.sigma_nm, one.peak] for one in tuned], np.float64)

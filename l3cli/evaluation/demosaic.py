@@ -15,6 +15,7 @@ from importlib.metadata import EntryPoint
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d, gaussian_filter
 
 from l3cli.errors import L3Error
 from l3cli.evaluation.quality import cropped
@@ -40,8 +41,6 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
     The result (channel, row, col) is a Gaussian-weighted mean of the channel's samples around each pixel (normalised
     convolution, Knutsson and Westin 1993). It is exact in uniform areas. Borders are mirrored.
     """
-    from scipy.ndimage import gaussian_filter
-
     channel = tiled(cfa, mosaic.shape)
     planes = []
     for index in range(int(cfa.max()) + 1):
@@ -216,8 +215,6 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
     It is the mean over a period. It is sharpened with the differences between samples and mean, taken from pixels of the
     same band one period away.
     """
-    from scipy.ndimage import correlate1d
-
     smooth = values
     for axis, length in enumerate(period):
         kernel = np.ones(length) if length % 2 else np.convolve(np.ones(length), (0.5, 0.5))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d, find_objects, gaussian_filter, label, maximum_filter1d, minimum_filter1d
 
 from l3cli.errors import RecipeError
 from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
@@ -38,8 +39,6 @@ class PlainPatches:
     """
 
     def __init__(self, target: Array, counted: NDArray[np.bool_] | None = None) -> None:
-        from scipy.ndimage import find_objects, label, maximum_filter1d, minimum_filter1d
-
         def extreme(of: Any) -> Array:
             window = 2 * CUT + 1
             return np.asarray(of(of(target, window, axis=0, mode="nearest"), window, axis=1, mode="nearest"))
@@ -68,8 +67,6 @@ class PlainPatches:
         The picture `shown` is displayed CIELAB (row, col, 3). The target is subtracted before the blur, so that its own
         variation does not count. Variances are about the mean of each patch.
         """
-        from scipy.ndimage import gaussian_filter
-
         found = []
         for place, inside in self._patches:
             error = (shown[place] - self._target[place])[..., 1:] * inside[..., None]
@@ -387,7 +384,6 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
     The window is a Gaussian of 11 × 11 pixels with σ = 1.5 (Wang et al. 2004). Only complete windows are used, unless the
     picture is smaller than a window. `counted` (row, col) is the mask of pixels to evaluate.
     """
-    from scipy.ndimage import gaussian_filter
 
     def mean(values: Array) -> Array:
         return gaussian_filter(values, WINDOW_SIGMA, radius=WINDOW_REACH)
@@ -458,8 +454,6 @@ def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
 
 def blurred(xyz: Array, viewing: float) -> Array:
     """Blur XYZ (row, col, 3) with the eye's three opponent filters. Each filter is one degree wide."""
-    from scipy.ndimage import correlate1d
-
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
     reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
     total = np.zeros_like(opponent)

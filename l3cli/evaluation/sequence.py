@@ -11,6 +11,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, median_filter, spline_filter, uniform_filter
 
 from l3cli.errors import InputFileError
 from l3cli.evaluation.quality import cropped, psnr
@@ -55,8 +56,6 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
     """Find the best displacement of each pixel within `reach` pixels of a displacement field (2, row, col)."""
-    from scipy.ndimage import median_filter
-
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
     best, least = vector, np.full(frame.shape, np.inf)
     for offset in offsets[np.argsort(np.hypot(*offsets.T), kind="stable")]:
@@ -73,8 +72,6 @@ def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
 
     `vector` (2, row, col) is the displacement between the two windows.
     """
-    from scipy.ndimage import uniform_filter
-
     place = [
         np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(frame.shape), vector, frame.shape, strict=True)
     ]
@@ -86,8 +83,6 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
     The method is least squares over windows (Lucas and Kanade, "An iterative image registration technique", 1981).
     """
-    from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
-
     place, spline = np.indices(frame.shape), spline_filter(before)
     for _ in range(SUBPIXEL_ITERATIONS):
         warped = map_coordinates(spline, place - motion, order=3, mode="mirror", prefilter=False)
@@ -104,8 +99,6 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 def _without_outliers(plane: Array) -> Array:
     """Return the median (row, col) of a plane over a window, computed at every BLOCK-th pixel and interpolated between."""
-    from scipy.ndimage import median_filter, uniform_filter
-
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
         median_filter(plane[::GRID_PIXELS, ::GRID_PIXELS], side, mode="nearest")
@@ -117,8 +110,6 @@ def _without_outliers(plane: Array) -> Array:
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
     """Return a mask (row, col) that is true where the previous frame, displaced by the motion, looks the same."""
-    from scipy.ndimage import map_coordinates, uniform_filter
-
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
         [
@@ -318,8 +309,6 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
     Warping is linear, so the errors can be warped instead of the pictures. Interpolation artefacts at edges occur in both
     pictures and cancel.
     """
-    from scipy.ndimage import map_coordinates
-
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0
     if not seen.any():

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.store import load, open_artifact
+from l3cli.artifacts.table import TransformTable
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.frame import RawFrame
 from l3cli.frames.shading import CLIPPED, Shading, shading_of
@@ -388,9 +390,6 @@ def correction_again(file: CameraFile) -> Correction:
 
 def _camera_of(file: CameraFile) -> CameraModel:
     """Return the camera model in a file, which may be a table."""
-    from l3cli.artifacts.store import load, open_artifact
-    from l3cli.artifacts.table import TransformTable
-
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import jinja2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
@@ -294,8 +295,6 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
     str
         The HTML document.
     """
-    import jinja2
-
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("l3cli.report", ""),
         autoescape=True,

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.sparse import csr_array
 
 from l3cli.frames.scene import ChannelPicture, Scene
 from l3cli.simulation import fields, leaves, sources
@@ -139,8 +141,6 @@ def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     linearly between them and is constant beyond the outermost samples. The integral is exact, so a small object keeps its
     total brightness when it moves by a fraction of a pixel.
     """
-    from scipy.sparse import csr_array
-
     start = first + step * np.arange(pixels)[:, None]
     knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
     centre = knots + 0.5
@@ -224,8 +224,6 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return a mask (row, col) that is true where all pixels of the neighbourhood show the same object."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     side = 2 * EDGE_MARGIN + 1
     return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))
 

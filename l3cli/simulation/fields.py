@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from l3cli.physics.spectra import with_saturation
 
@@ -106,8 +107,6 @@ def _amplitudes(shape: tuple[int, int], exponent: float, direction: Direction, l
 
 def _drawn(rng: np.random.Generator, amplitude: Field, cols: int, variance: float) -> Field:
     """Draw a field of `cols` columns with a given variance, by drawing the coefficients of its Fourier transform."""
-    from scipy import fft
-
     spectrum = _normals()[rng.integers(LENGTHS * PHASES, size=amplitude.shape, dtype=np.uint16)]
     spectrum *= amplitude
     alone = [0] if cols % 2 else [0, cols // 2]  # columns whose coefficients are complex conjugates of each other
@@ -146,8 +145,6 @@ def _log_frequencies(shape: tuple[int, int], direction: Direction, longest: floa
     Frequency components along the direction of elongation are multiplied by the elongation. Frequencies below 1 / `longest`
     are raised to 1 / `longest`.
     """
-    from scipy import fft
-
     down = fft.fftfreq(shape[0])[:, None].astype(np.float32)
     return _logarithm(down, fft.rfftfreq(shape[1])[None].astype(np.float32), direction, longest)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from l3cli.frames.scene import NO_ILLUMINANT, SHOWN, Scene
 from l3cli.physics import spectra
@@ -269,8 +270,6 @@ def primaries() -> Array:
     They are non-negative and sum to 1 at every wavelength (after Mallett and Yuksel, "Spectral primary decomposition",
     2019).
     """
-    from scipy.optimize import lsq_linear
-
     count = DRAWN.size
     rough = np.diff(np.eye(count), axis=0)
     light = make_light("D65", {}, DRAWN)

@@ -19,8 +19,11 @@ from l3cli.artifacts.schema import Artifact
 from l3cli.artifacts.store import load, open_artifact
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingPair, TrainingSet, TrainingSetReader, open_training_set
+from l3cli.calibration.figures import figures, shortfall
+from l3cli.classes.names import class_name
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.evaluation.evaluation import Evaluation, raw_of
+from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, holds_chart, patch_colours
 from l3cli.evaluation.sequence import read_sequence_figures
 from l3cli.io.pictures.openimageio import jpeg
@@ -47,6 +50,7 @@ from l3cli.system.console import Console, Silent
 from l3cli.system.files import FilesUsed, files_to_read, sha256, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
+from l3cli.training.summary import insight
 
 # Bytes of the page for the pictures of all evaluated frames, for the pixel viewers, for the examples of other classes in
 # these viewers, and for the thumbnails of all training sets. Together they keep the page below parts.MAX_PAGE_BYTES.
@@ -196,9 +200,6 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
     limit : int
         Bytes for the pictures of each training set.
     """
-    from l3cli.classes.names import class_name
-    from l3cli.training.summary import insight
-
     sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for number, (name, camera) in enumerate(cameras):
         if called.count(camera.name) > 1:
@@ -215,8 +216,6 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
     """Return the figures of `l3 calibrate --json` for a camera, as far as it was measured, and any doubt about its fit."""
-    from l3cli.calibration.figures import figures, shortfall
-
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 
@@ -232,8 +231,6 @@ def _warn_of_arrays(given: Given, console: Console) -> None:
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
     """Warn about every camera that differs from that of the first table or, without tables, of the first artifact."""
-    from l3cli.evaluation.likeness import unlike
-
     tables, cameras = given.of(TransformTable), given.of(CameraModel)
     held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
     known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]

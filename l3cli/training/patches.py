@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.training_set import TrainingFrame, TrainingPair, TrainingSet, white_signal
@@ -260,8 +261,6 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
     rows, cols = frame.raw.shape[0] - side + 1, frame.raw.shape[1] - side + 1
     if frame.ignored is None:
         return (even_places(count, 2, rng) * (rows, cols)).astype(np.int64).T + side // 2
-    from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
-
     free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
@@ -118,8 +119,6 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
 
 def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
     """Solve a symmetric positive system by Cholesky; also estimate its condition number (1-norm)."""
-    from scipy.linalg import lapack
-
     factor, failed = lapack.dpotrf(system.T, lower=False)
     if failed:  # rounding has made a nearly singular system indefinite
         return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))

@@ -22,6 +22,7 @@ from l3cli.io.video import VideoChoice, new_video, new_y4m
 from l3cli.stages.rendering import pictures as rendered_pictures
 from tests.helpers.calls import L3, Refused
 from tests.helpers.sequences import COUNT, FAST, RGGB, RUN, frames, pictures, write_raw_video
+from tests.helpers.videos import decoded, frame_times
 
 OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709), matrix, range (1: limited)
     ("a.mp4",): ("h264", "yuv420p", 13, 1, 1),
@@ -38,18 +39,6 @@ OUTPUTS = {  # arguments: encoder, pixel format, transfer (13: sRGB, 1: BT.709),
 def stack(tmp_path: Path) -> Path:
     np.save(tmp_path / "stack.npy", frames())
     return tmp_path / "stack.npy"
-
-
-def decoded(path: Path, pixels: str = "rgb24") -> np.ndarray:
-    """Frames (frame, row, col, …) of a video."""
-    with av.open(str(path)) as video:
-        return np.stack([frame.to_ndarray(format=pixels) for frame in video.decode(video=0)])
-
-
-def frame_times(path: Path) -> list[float]:
-    """Seconds of each frame of a video."""
-    with av.open(str(path)) as video:
-        return [frame.time for frame in video.decode(video=0)]
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs

@@ -125,7 +125,9 @@ def test_no_test_module_imports_another() -> None:
     """What several of them use lies in tests/helpers, which imports none of them."""
     wrong = re.compile(r"^ *(from|import) (tests(?!\.helpers\b)|(\S+\.)?(test_|conftest)).*", re.MULTILINE)
     for path in (ROOT / "tests").rglob("*.py"):
-        assert not (found := wrong.search(path.read_text())), f"{path}: {found}"
+        found = wrong.search(path.read_text())
+        line = found[0].strip() if found else ""
+        assert not found, f'{path} has "{line}"; test modules import nothing from each other: move it to tests/helpers'
 
 
 def test_class_indices_are_split_in_one_place() -> None:

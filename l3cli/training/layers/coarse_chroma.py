@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from l3cli.artifacts.layers import COMPARED, PLANE_STEP, CoarseChroma
 from l3cli.classes.coarse_chroma import SPACINGS, blocks_of, edge_avoiding, scales_of
@@ -68,8 +69,6 @@ def rising_terms(luminance: Array, variances: Array) -> Array:
     ndarray, (plane, power)
         Coefficients of the powers of luminance.
     """
-    from scipy.optimize import least_squares
-
     powers = np.maximum(luminance, 0.0)[:, None] ** np.arange(COMPARED[2])
     start, terms = 1 / np.maximum(powers.max(axis=0), PLANE_STEP), np.empty((variances.shape[1], COMPARED[2]))
     for plane, known in enumerate(np.log(np.maximum(variances.T, 1.0))):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.class_rule import ClassRule
@@ -140,8 +141,6 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
     """
     if frame.ignored is None:
         return None
-    from scipy.ndimage import maximum_filter  # only sets with ignored pixels need it
-
     return np.asarray(maximum_filter(frame.ignored.mask, 2 * margin + 1, mode="nearest") == 0)[None]
 
 
