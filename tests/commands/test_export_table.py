@@ -20,6 +20,7 @@ from l3cli.io.raw.files import read_raw
 from l3cli.rendering.display import Display, encode
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
+from tests.helpers.paths import contents
 from tests.helpers.tables import random_table, with_low_noise, with_refinement
 
 C_FILES = ["CMakeLists.txt", "Makefile", "README.md", "l3.c", "l3.h", "l3_picture.c", "l3_picture.h", "l3_table.c",
@@ -33,10 +34,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("table") / "table.h5"
     save(with_refinement(random_table([[0, 1], [1, 2]], contrasts=()), 3), path)
     return path
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 def test_c_is_what_a_table_becomes_unless_it_is_reported_otherwise(table: Path, tmp_path: Path, l3: L3) -> None:

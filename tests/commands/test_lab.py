@@ -16,7 +16,7 @@ from l3cli.simulation.sensor import DefectRecipe, defects_of
 from l3cli.spectra.file import read_table
 from tests.helpers import stages
 from tests.helpers.calls import L3, Refused
-from tests.helpers.paths import CONFIGS
+from tests.helpers.paths import CONFIGS, contents
 
 QUICK = f"lamp_drift = 0.0\nmonitor_error = 0.0\nwavelength_error_nm = 0.0\nfalloff = 0.0\n{stages.QUICK}"
 
@@ -33,10 +33,6 @@ def folder(bayer_recipe: Path, quick: Path, tmp_path_factory: pytest.TempPathFac
     path = tmp_path_factory.mktemp("lab") / "new/lab"
     assert run(["lab", str(bayer_recipe), "-o", str(path), "--recipe", str(quick), "--quiet"]) == 0
     return path
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_every_named_file_is_there_and_no_other(folder: Path, bayer: CameraModel) -> None:

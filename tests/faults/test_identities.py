@@ -16,6 +16,7 @@ from l3cli.recipes import builtin
 from l3cli.system.files import atomic_output, protecting, refuse_protected
 from tests.helpers.calls import L3, Refused
 from tests.helpers.hostile_inputs import CURVE_CAMERA
+from tests.helpers.paths import contents
 from tests.helpers.sequences import FAST, RGGB, RUN, frames
 
 CURVES = "\n".join(f"{nm},{nm / 700},{1 - nm / 900},{nm / 900}" for nm in range(390, 721, 10))
@@ -32,10 +33,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save(RGGB, tmp_path / "table.h5")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture
