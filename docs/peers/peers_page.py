@@ -10,7 +10,7 @@ Part = dict[str, Any]  # rows, frames (their scenes), digest (of them), missing 
 DIGITS = {"psnr": 2, "delta_e": 2, "ssim": 4, "angle": 2}
 LOWER = ("delta_e", "angle")
 METHOD = "method.md"  # beside the page
-HEAD = """# Beside other methods
+HEAD = """# Other methods
 
 This page is for readers who want to know how l3 compares with other demosaicing methods. All methods get the same
 mosaics. The methods come from packages on PyPI, from LibRaw and from RawTherapee. They include a neural network and the

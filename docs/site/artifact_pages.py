@@ -17,7 +17,7 @@ KINDS: tuple[type[Artifact], ...] = (
 )  # fmt: skip
 INTRO = (
     "This page is for looking up the datasets of artifacts. It is generated from the declarations with which l3 saves and "
-    "loads files. [Artifacts](../artifacts.md) describes the files. Datasets in brackets are optional."
+    "loads files. [File formats](../artifacts.md) describes the files. Datasets in brackets are optional."
 )
 
 
