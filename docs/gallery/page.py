@@ -10,9 +10,9 @@ This page is for readers who want to see results before they try l3. It shows on
 for which `l3 init` has a recipe.
 
 For each array, l3 trains a table with the scene recipe `{scenes}` and with the class recipe that `l3 init` selects. It
-then simulates a frame of a scene that is not in the training set, and renders the frame. The scene is illuminated
-by D65, and a perfect white reaches 0.9 of full scale. The errors are the differences between the rendered picture and the *ideal* picture,
-as a display shows them. `make gallery` makes this page and its pictures.
+then simulates a frame of a scene that is not in the training set, and renders the frame. The scene is
+illuminated by D65, and a perfect white reaches 0.9 of full scale. The errors are the differences between the rendered
+picture and the *ideal* picture, as a display shows them. `make gallery` makes this page and its pictures.
 
 The pictures are compared with methods that do not learn:
 
