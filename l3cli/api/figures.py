@@ -153,7 +153,7 @@ def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
     """Return both pictures scaled to 0…1, and refuse grey ones."""
     pictures = _pictures(one, other)
     if pictures[0].ndim != 3:
-        raise InputFileError(f"{_described(one)} is not a picture of colours; give sRGB (row, col, 3)")
+        raise InputFileError(f"{_described(one)} is not a colour picture; give sRGB (row, col, 3)")
     return pictures
 
 
@@ -161,7 +161,7 @@ def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
     """Return both pictures scaled to 0…1, and refuse pictures of different shapes."""
     pictures = _picture(one), _picture(other)
     if pictures[0].shape != pictures[1].shape:
-        raise InputFileError(f"{_described(one)} and {_described(other)} differ in shape; give two pictures of one size")
+        raise InputFileError(f"{_described(one)} and {_described(other)} differ in shape; give pictures of the same size")
     return pictures
 
 
@@ -172,9 +172,9 @@ def _picture(given: ArrayLike) -> Array:
     if array.dtype in WHITE_CODES:
         return array / WHITE_CODES[array.dtype]
     if array.dtype.kind != "f":
-        raise InputFileError(f"{_described(given)} is not a picture; give uint8, uint16 or floats of 0…1")
+        raise InputFileError(f"{_described(given)} is not a picture; give uint8, uint16 or floats from 0 to 1")
     if not (array.min() >= 0 and array.max() <= 1):
-        raise InputFileError(f"{_described(given)} holds values outside of 0…1; clip it, or give codes as uint8 or uint16")
+        raise InputFileError(f"{_described(given)} has values outside 0…1; clip it, or give codes as uint8 or uint16")
     return array.astype(np.float64)
 
 

@@ -218,7 +218,7 @@ class Renderer:
     Raises
     ------
     InputFileError
-        If the file does not hold a table.
+        If the file is not a transform table.
     DeviceError
         If the OpenCL device does not work.
 
@@ -246,7 +246,7 @@ class Renderer:
         self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # by mixture of the table's lights
+        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # by mixture of the table's illuminants
         self._alone = ThreadLock()
 
     def picture(
@@ -260,14 +260,14 @@ class Renderer:
         frame : RawFrame or ndarray, (row, col)
             Raw frame.
         exposure : float, optional
-            Factor by which Y is multiplied; the result 1 is display white. Default: automatic, so that the 99th percentile
-            of Y is shown white.
+            Factor by which Y is multiplied; a result of 1 is display white. Default: automatic, so that the 99th percentile
+            of Y is shown as white.
         white : str, optional
-            White of the scene, which the picture shows neutral:
+            White of the scene, which becomes neutral in the picture:
 
             * an illuminant ("D50", "3200K") or a chromaticity "x,y";
             * one multiplier for each channel ("2.1,1,1.4");
-            * "camera" (stated by the file) or "table" (of training);
+            * "camera" (the white that the file states) or "table" (the white of the training);
             * "auto" (estimated from the frame) or "chart" (from a ColorChecker in the frame);
             * "ROW,COL" or "ROW,COL,SIZE" of a grey area in the picture.
 
@@ -295,9 +295,9 @@ class Renderer:
         self, frames: Iterable[RawFrame | NDArray[np.uint16]], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
-        """Render frames one after the other, lazily, each with its own automatic exposure.
+        """Render frames lazily, one after the other, each with its own automatic exposure.
 
-        If the table holds transforms for several illuminants, all frames use the transforms nearest to the white of the
+        If the table has transforms for several illuminants, all frames use those transforms that fit the white of the
         first frame. Parameters and errors are those of `picture`.
 
         Parameters
@@ -345,7 +345,7 @@ class Renderer:
         Raises
         ------
         RecipeError
-            If `temporal` is set and the table does not hold the noise of its camera.
+            If `temporal` is set and the table does not contain the noise of its camera.
         """
         how = (exposure, white, space, bits)
         shown, starting = shown_as(self._pictured, *how), ThreadLock()
@@ -402,7 +402,7 @@ class Renderer:
         Raises
         ------
         RecipeError
-            If the table does not hold its camera, or if the frame is too small.
+            If the table does not contain its camera, or if the frame is too small.
         """
         given = self._frame(frame)
         with self._alone:
@@ -425,7 +425,7 @@ class Renderer:
             return self._renderer.labels(self._frame(frame))
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer with the transforms nearest to the given white, or to the white measured in the frame."""
+        """Return the renderer with the transforms for the given white, or for the white measured in the frame."""
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
         with self._alone:
@@ -500,7 +500,7 @@ class Mosaics:
         Raises
         ------
         RecipeError
-            If the table does not hold the noise of its camera.
+            If the table does not contain the noise of its camera.
         """
         return AnyOrder(self._filters(), read, cache)
 

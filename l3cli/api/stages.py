@@ -48,7 +48,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     Raises
     ------
     InputFileError
-        If the file does not hold an artifact, or if its bytes have changed since it was written.
+        If the file is not an artifact, or if its bytes have changed since it was written.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
-        f"{path} holds {a(kind)}, which only l3 train --merge reads; give a camera model, training set or table"
+        f"{path} is {a(kind)}, which only l3 train --merge reads; give a camera model, training set or table"
     )
 
 
@@ -82,7 +82,7 @@ def load_camera(camera: Name) -> CameraModel:
     Raises
     ------
     InputFileError
-        If the file does not hold a camera model, or if its bytes have changed since it was written.
+        If the file is not a camera model, or if its bytes have changed since it was written.
     RecipeError
         If the recipe has errors, or if no recipe has this name.
 
@@ -115,7 +115,7 @@ def load_table(path: Name) -> TransformTable:
     Raises
     ------
     InputFileError
-        If the file does not hold a transform table, or if its bytes have changed since it was written.
+        If the file is not a transform table, or if its bytes have changed since it was written.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def load_training_set(path: Name) -> TrainingSet:
     Raises
     ------
     InputFileError
-        If the file does not hold a training set, or if its bytes have changed since it was written.
+        If the file is not a training set, or if its bytes have changed since it was written.
 
     Examples
     --------
@@ -213,10 +213,10 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator that gives a function of (paths…, options) one keyword parameter for each declared option.
+    """Decorator that replaces the parameter `options` of a function by a keyword parameter for each declared option.
 
-    Signature and docstring list the options with the types and help texts of the command line. The function runs with one
-    BLAS thread, as the command does, because results are rounded differently with other numbers of threads.
+    Signature and docstring list these parameters with the types and help texts of the command line. The function runs with
+    one BLAS thread, as the command does, because results are rounded differently with other numbers of threads.
     """
 
     def __init__(self, options: Callable[P, O]) -> None:
@@ -244,7 +244,7 @@ class by_keyword(Generic[P, O]):
                 return function(*given, options)
 
         called.__signature__ = self._signature(paths, function)  # type: ignore[attr-defined]
-        # numpydoc has the section "Other Parameters" between Returns and Raises.
+        # In numpydoc, the section "Other Parameters" stands between Returns and Raises.
         before, raises, after = (inspect.getdoc(function) or "").partition("Raises\n------")
         listed = "\n".join(self._described(name, each) for name, each in declared.items())
         called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n\n{raises}{after}"
@@ -450,7 +450,7 @@ def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOption
     -------
     dict
         The document that `l3 evaluate --json` prints, except its "run". Among its keys are "frames" (metrics of each frame),
-        "mean" (their means), "by_level", "by_illuminant" and "standards". In each of them "ours" holds the metrics of the
+        "mean" (their means), "by_level", "by_illuminant" and "standards". In each of them "ours" has the metrics of the
         table, and each baseline in "pipelines" has a key of its own.
 
     Raises

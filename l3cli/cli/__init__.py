@@ -31,7 +31,7 @@ COMMANDS = {
     "design": "filters × scenes × lights → arrays ranked by predicted error",
     "info": "contents and history of an artifact",
     "export": "camera or table → C source, or files for other software",
-    "bench": "frame times on this machine, stage by stage",
+    "bench": "frame times on this machine for each stage",
     "check": "errors in recipes, and what recipes mean",
     "schema": "JSON schema of recipes, for editors",
     "lab": "virtual lab: camera → simulated measurements",
@@ -48,7 +48,10 @@ NO_THREAD = "can't start new thread"  # Python's message of a RuntimeError
 
 
 class Pipeline(click.Group):
-    """The commands, in the order of the pipeline, each in a module of its own."""
+    """The group of all commands, listed in the order of the pipeline.
+
+    Each command is a module that is imported when called.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -90,7 +93,7 @@ def l3(context: click.Context) -> None:
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    if context.invoked_subcommand is None:  # an error: in a script, a variable may be empty
+    if context.invoked_subcommand is None:  # an error, because in a script it means that a variable was empty
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)

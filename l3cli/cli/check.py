@@ -14,7 +14,10 @@ from l3cli.system.files import files_to_read
 
 
 class AnyRecipe(declared.RecipeFile):
-    """A recipe of any kind or a folder of recipes. The stage finds it, since recipes of several kinds may share a name."""
+    """A recipe of any kind, or a folder of recipes.
+
+    The stage looks up names, because recipes of several kinds may have the same name.
+    """
 
     def __init__(self) -> None:
         super().__init__("")

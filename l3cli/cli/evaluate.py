@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) -> Result:
     """Render the raw frames of a training set that TABLE was not trained on, and compare the pictures with their targets.
 
-    Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown white. The
-    baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for Bayer arrays if
-    colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
+    Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown as white.
+    The baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for Bayer arrays
+    if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
     If the outputs are the camera's bands, they are compared as spectra (angle), as linear values, and as 8-bit codes with
     white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral differences (sd)
     and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per period.
 
     Reflectances and radiances are also compared as spectra, and reflectances also as colours (mean ΔE00) under A, D65 and
-    F11. Their baselines are two linear estimates of each pixel from its demosaicked bands (wiener, pinv), which learn from
-    drawn scenes under the light of the frame.
+    F11. Their baselines are two linear estimates of each pixel from its demosaicked bands (wiener, pinv), computed from
+    synthetic scenes under the illuminant of the frame.
 
-    With --rival, pictures of another pipeline are evaluated, too, under the name of their folder. Their brightness does not
+    With --rival, pictures of another pipeline are also evaluated, under the name of their folder. Their brightness does not
     matter, because one factor per picture is fitted.
 
-    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches that stand still, and
+    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches without motion, and
     the largest jump of a frame's mean. With --ideal also PSNR, ΔE00 and how the error changes along the known motion.
 
     \b
@@ -68,7 +68,7 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
     return Result(figures.document(), lambda: print_sequence(figures), files=files)
 
 
-WIDE = 110  # characters: narrower tables leave out the metrics LESS_NEEDED, which the JSON holds
+WIDE = 110  # characters; on narrower terminals, tables leave out the metrics LESS_NEEDED, which are in the JSON
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
 NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # only in JSON and report
 

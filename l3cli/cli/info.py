@@ -107,7 +107,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a number with six digits, or text unchanged. The JSON holds all digits."""
+    """Return a number with six digits, or text unchanged. All digits are in the JSON."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)
@@ -122,5 +122,5 @@ def _version_lines(versions: dict[str, Any]) -> list[str]:
         *libraries,
         "OpenCL devices:",
         *devices,
-        f"Decoder of foreign files: {versions['decoding']}",
+        f"Decoder of raw, image and video files: {versions['decoding']}",
     ]

@@ -64,7 +64,7 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     if of_photos:
         raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; give them with --from")
     if more:
-        raise click.UsageError(f'"{more[0]}" is one argument too many after recipe and folder; give raw files with --from')
+        raise click.UsageError(f'"{more[0]}" is one argument too many; give raw files with --from')
     if options.named:
         words = " ".join(str(each) for each in (recipe, folder) if each is not None)
         cameras = {name: ", ".join(names) for name, names in cameras_by_name(words).items()}

@@ -147,7 +147,7 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # results.begin has read it already
+_JSON = click.option(  # results.begin has already read it
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip

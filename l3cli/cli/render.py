@@ -31,11 +31,11 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5, FITS, MATLAB), a headerless file of
     many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless frames on stdin).
 
-    If several INPUTs are given and one is a sequence, each is a clip. If an INPUT folder holds videos, stacks or folders,
+    If several INPUTs are given and one is a sequence, each is a clip. If an INPUT folder contains videos, stacks or folders,
     each of them is a clip. Every clip becomes a folder or file of its name in the folder -o. If a clip fails, the others are
     still rendered (exit code 1). With --resume, the same command renders what was added or changed since.
 
-    With --exposure auto, the 99th percentile of Y is shown white. In a sequence, the exposure changes smoothly over time.
+    With --exposure auto, the 99th percentile of Y is shown as white. In a sequence, the exposure changes smoothly over time.
 
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
@@ -52,7 +52,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if not inputs:
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
-        start()  # takes a third of a second, as long as the imports that follow
+        start()  # building takes a third of a second, about as long as the imports that follow
     from l3cli.stages.rendering.clips import Summary, are_clips, clips_of, render_clips, render_one
 
     clips = clips_of(inputs, table, options, output)

@@ -17,8 +17,8 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
     """Show camera models, training sets and transform tables on one HTML page that needs no network.
 
     Every table is evaluated on every training set of the same colour filter array that it was not trained on. Several
-    evaluations stand side by side. If no camera model is given, the page shows those stored in the training sets. JSON files
-    from "l3 evaluate --sequence" are plotted over time, all in one plot.
+    evaluations are shown side by side. If no camera model is given, the page shows those stored in the training sets. JSON
+    files from "l3 evaluate --sequence" are plotted over time in a common plot.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

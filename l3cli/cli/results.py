@@ -15,7 +15,7 @@ from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 T = TypeVar("T")
 RUN_FORMAT = 1  # version of the keys of "run"
 ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # by exit code
-MOST_MESSAGES = 1000  # kept, and as many warnings: a run over many frames can produce any number
+MOST_MESSAGES = 1000  # messages kept, and as many warnings, because a run over many frames can produce any number
 JSON = "--json"
 
 
@@ -24,7 +24,7 @@ class Result:
     """Result of a command."""
 
     document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
-    text: Callable[[], object] | None = None  # prints the document for people; None: messages have said it already
+    text: Callable[[], object] | None = None  # prints the document for people; None if messages already did
     fault: BaseException | None = None  # error that the result reports, or that ended the command early
     code: int = 0  # exit code without a fault
     files: FilesUsed = field(default_factory=FilesUsed)
@@ -39,7 +39,7 @@ class Record:
 
     command: str = ""
     as_json: bool = False
-    log: Logged | None = None  # which also receives the final error
+    log: Logged | None = None  # also receives the final error
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     left_out: int = 0  # warnings and messages beyond MOST_MESSAGES
@@ -62,8 +62,7 @@ class Record:
         self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
-        """Print the document as JSON, with the course of the command under "run". Digests are left out after an
-        interruption."""
+        """Print the document as JSON, with the record of the command under "run"; without digests after an interruption."""
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
         files = result.files if result is not None and is_whole else FilesUsed()  # digests would delay Ctrl-C
@@ -89,7 +88,10 @@ class Record:
 
 
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
-    """Return path, size and SHA-256 of a file. Size and digest are None if it is no file, or has changed since `at`."""
+    """Return path, size and SHA-256 of a file.
+
+    Size and digest are None if the path is not a regular file, or if the file has changed since `at`.
+    """
     size, digest = None, None
     try:
         require_regular(path)
@@ -98,7 +100,7 @@ def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
         else:
             size, digest = at[0] if at else None, sha256(path)
     except InputFileError:
-        pass  # a folder, a stream, or gone
+        pass  # a folder, a stream, or a file that has been removed
     return {"path": str(path), "bytes": size, "sha256": digest}
 
 

@@ -16,8 +16,8 @@ KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements")
 def schema(kind: str, options: Options) -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements.
 
-    Editors (taplo, Even Better TOML) check a recipe against the schema if its first line is
-    "#:schema camera.schema.json", the name of the file with the schema.
+    Editors (taplo, Even Better TOML) check a recipe against the schema if the first line of the recipe names the file with
+    the schema, such as "#:schema camera.schema.json".
 
     \b
     Example: l3 schema camera

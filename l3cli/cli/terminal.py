@@ -1,5 +1,8 @@
-"""The only module that prints. It escapes control characters, because names and texts may come from untrusted files, which
-must not move the cursor, hide text or add lines."""
+"""Everything that l3 prints.
+
+Control characters are escaped, because names and texts may come from untrusted files, and these must not move the cursor,
+hide text or add lines.
+"""
 
 import contextlib
 import json
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of COLUMNS and LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # parameter in a message from below the command line
+PARAMETER = re.compile("‹([a-z_]+)›")  # a parameter in a message of the other packages, which do not know the options
 
 
 def show(*lines: str) -> None:
@@ -35,12 +38,12 @@ def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Seq
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON on stdout, in ASCII, which every encoding and every file name survives."""
+    """Print a document as JSON on stdout, in ASCII, so that it can be printed in every encoding, with any file name."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """Replace NaN and infinity by null, since JSON has neither, and name the replaced values in a warning."""
+    """Replace NaN and infinity by null, because JSON has neither, and name the replaced values in a warning."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
@@ -106,7 +109,7 @@ def width() -> int | None:
 
 
 def folded(line: str, deeper: int) -> list[str]:
-    """Wrap a line to the terminal; continuation lines are indented by `deeper` characters."""
+    """Wrap a line to the width of the terminal, and indent the continuation lines by `deeper` more characters."""
     import textwrap
 
     wide = width()
@@ -120,7 +123,7 @@ class Terminal:
     """Console of a command: all messages go to stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show a bar on a terminal. Elsewhere, print a line at every tenth, with elapsed time, rate and time left."""
+        """Show a bar on a terminal. Elsewhere, print a line after each tenth, with elapsed time, rate and time left."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 

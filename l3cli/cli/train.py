@@ -22,9 +22,9 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     Patches are spread evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in these proportions,
     however many frames they have.
 
-    To train on several machines, give every shard the same training sets, shares, recipe and seed. Training takes two
-    passes, because the errors of the first pass determine the weights in the second. That makes four steps, and the final
-    table has the same bytes as without shards:
+    To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed. Training
+    takes two passes, because the errors of the first pass determine the weights in the second. That makes four steps, and
+    the final table has the same bytes as without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -41,7 +41,7 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
 
     chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
     if options.merge and chosen:
-        raise click.UsageError("--merge takes only shards, which hold classes, shares and seed; leave these options out")
+        raise click.UsageError("--merge takes only shards, which store classes, shares and seed; leave these options out")
     if options.first and not options.shard:
         raise click.UsageError("--first is for shards; give --shard, too")
     if options.shard:

@@ -68,7 +68,7 @@ class DraftOptions(CalibrateOptions):
     )
     camera: OnePath = option(
         None,
-        "Drafts only: camera whose sensor, filter array and optics the measurement file takes over.",
+        "Drafts only: camera whose sensor, filter array and optics are copied into the measurement file.",
         Recipe("cameras"),
         metavar="CAMERA",
     )
@@ -128,13 +128,13 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
     )
     shares: Given[Sequence[float | Fraction] | str | None, tuple[Fraction, ...] | None] = option(
         None,
-        "Several training sets only: proportion of patches from each set [default: in proportion to its frames].",
+        "Several training sets only: proportions of the patches from each set [default: in proportion to its frames].",
         Shares(),
         metavar="A,B…",
     )
     draft: bool = option(
         False,
-        "Train in seconds, to try out arrays: one layer and a ninth of the samples. 0.7 to 1.4 ΔE00 worse than default.",
+        "Train in seconds, to try out a CFA: one layer and a ninth of the samples. 0.7 to 1.4 ΔE00 worse than default.",
     )
 
 
@@ -258,7 +258,7 @@ class ExportOptions(ForceOptions):
     )
     white: str | None = option(
         None,
-        "C source only: scene white that pictures show neutral, for which the transforms of several illuminants are blended "
+        "C source only: scene white that becomes neutral, for which the transforms of several illuminants are blended "
         "[default: the table's].",
         metavar="LIGHT|X,Y|R,G,B",
     )

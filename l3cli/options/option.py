@@ -190,7 +190,7 @@ class Options:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
     def chosen(self) -> dict[str, Any]:
-        """Return the options, by name and ready for JSON, that outputs depend on, except those that are None or off.
+        """Return the options on which outputs depend, by name and ready for JSON, except those that are None or off.
 
         Input files are not included, because a run is identified by their bytes instead.
         """
@@ -208,8 +208,15 @@ class Options:
         return {name: held if isinstance(held, tuple) else (held,) for name, held in read.items() if held}
 
     def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
-        """Return what tells a run from others: a digest of all that the bytes of its outputs depend on, the options with
-        the `files` that they name, None: those of frames, and `facts` about its inputs."""
+        """Return a digest that identifies a run: it depends on everything that the bytes of its outputs depend on.
+
+        Parameters
+        ----------
+        *facts
+            Facts about the inputs, ready for JSON.
+        files : callable, optional
+            Returns the files that a path among the options stands for. [default: the files of a sequence of frames]
+        """
         from l3cli.io.sequences import frame_files
 
         named = self.inputs(all=False).items()

@@ -149,7 +149,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
-        "VALUE multiplies Y, and 1 is display white. auto: show the 99th percentile of Y white. +1EV: twice "
+        "VALUE multiplies Y, and 1 is display white. auto: show the 99th percentile of Y as white. +1EV: twice "
         "as bright as auto. "
         "camera: the exposure that the file states.",
         ExposureReader(),
@@ -167,7 +167,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     white: str | None = option(
         None,
-        "Scene white, shown neutral: an illuminant, a chromaticity, one multiplier per channel, the table's, the file's "
+        "Scene white, to become neutral: an illuminant, a chromaticity, one multiplier per channel, the table's, the file's "
         "(camera), estimated (auto), from a ColorChecker (chart), or a grey area of the picture [default: the file's if it "
         "is a camera's raw file and states one, otherwise the table's].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
@@ -187,8 +187,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     exposure_time: float | None = option(
         None,
-        "Exposure time of the inputs, by which dark current is subtracted [default: the file's, otherwise "
-        "that of training].",
+        "Exposure time of the inputs, for subtracting dark current [default: the file's, otherwise that of training].",
         Number(0, 1e5, "s"),
         metavar="SECONDS",
     )
@@ -212,7 +211,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     camera: OnePath = option(
         None,
-        "Camera model, or table that holds one, whose defective pixels and flat field are corrected.",
+        "Camera model, or table that contains one: its defective pixels and flat field are corrected.",
         metavar="CAMERA.h5",
     )
     hot: Literal["auto", "off"] = option(
@@ -283,4 +282,4 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gain is not None and self.gains is not None:
-            raise RecipeError("‹gain› is for all frames and ‹gains› for each one; leave one out")
+            raise RecipeError("‹gain› is one gain for all frames, ‹gains› one for each; leave one of them out")

@@ -291,11 +291,11 @@ def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
     ("one", "other", "words"),
     [
         (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* differ in shape"),
-        (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is not a picture of colours"),
+        (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is not a colour picture"),
         (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is not a picture; give sRGB"),
         (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is not a picture; give uint8"),
-        (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
-        (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 holds values outside of 0…1"),
+        (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 has values outside 0…1"),
+        (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 has values outside 0…1"),
     ],
 )
 def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.ndarray, words: str) -> None:
