@@ -127,7 +127,8 @@ def test_headers_and_byte_orders_of_files_and_stacks(tmp_path: Path) -> None:
     np.testing.assert_array_equal([frame.values for frame in frames if frame], values)
     for cut in (177, 179):
         with pytest.raises(InputFileError, match=r"bytes|within frame"):
-            find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames.read(0)
+            shifted = find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames
+            [shifted.read(reference.number) for reference in shifted]
     with pytest.raises(RecipeError, match="Mono10p has none"):
         make_layout((4, 4), "Mono10p", byte_order="little")
 
