@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.frame import RawFrame
 from l3cli.frames.packings import PACKINGS
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.io.frames import read_frame
@@ -118,17 +119,20 @@ def test_a_bayer_name_says_where_the_array_begins(tmp_path: Path, order: str, ph
         read_raw(tmp_path / "a.raw", five, RawOverrides(size=(10, 12), packing=f"Bayer{order}12p", skip=6))
 
 
+def all_frames(path: Path, known: RawOverrides) -> list[RawFrame | None]:
+    sequence = find_frames((path,), RGGB, known).frames
+    return [sequence.read(reference.number) for reference in sequence]
+
+
 def test_headers_and_byte_orders_of_files_and_stacks(tmp_path: Path) -> None:
     values = random_frame("Mono16", (3, 32, 40), 4)
     (tmp_path / "a.bin").write_bytes(bytes(178) + values.astype(">u2").tobytes())
     known = RawOverrides(skip=178, byte_order="big")
-    sequence = find_frames((tmp_path / "a.bin",), RGGB, known).frames
-    frames = [sequence.read(reference.number) for reference in sequence]
+    frames = all_frames(tmp_path / "a.bin", known)
     np.testing.assert_array_equal([frame.values for frame in frames if frame], values)
     for cut in (177, 179):
         with pytest.raises(InputFileError, match=r"bytes|within frame"):
-            shifted = find_frames((tmp_path / "a.bin",), RGGB, RawOverrides(skip=cut)).frames
-            [shifted.read(reference.number) for reference in shifted]
+            all_frames(tmp_path / "a.bin", RawOverrides(skip=cut))
     with pytest.raises(RecipeError, match="Mono10p has none"):
         make_layout((4, 4), "Mono10p", byte_order="little")
 
