@@ -18,11 +18,11 @@ from l3cli.system.limits import most_pixels
 DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; for the last two the whole line is defective
 MAX_SHADING = 16.0  # gain of a pixel that receives a sixteenth of the light in the middle
 MAX_COLOUR_SHADING = 0.5  # relative difference between a channel's gain and the mean of all channels
-MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # of a channel, relative to the camera's exposure time and gain
+MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # limits for a channel, relative to the camera's exposure time and gain
 MAX_CHANNELS = 16  # a saturation code is 16 bits wide
 MAX_CFA = 8
 MAX_BITS = 16
-ROUNDING = 1e-6  # by which a quantum efficiency may exceed 1
+ROUNDING = 1e-6  # a quantum efficiency may exceed 1 by this much
 MAX_WAVELENGTHS = 10_000  # number of samples of a spectrum
 QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
 
@@ -37,10 +37,12 @@ def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
 
 @dataclass(frozen=True)
 class DefectMap:
-    """Pixels whose values do not depend on the light."""
+    """Defective pixels, whose values do not depend on the light."""
 
-    position: NDArray[np.int64] = data("int64", "bad_pixel", "coordinate", unit="pixel", doc="row, col, each pixel once")
-    pixel_kind: tuple[str, ...] = data("str", "bad_pixel", doc="hot, dead, or of a line that is: row, column")
+    position: NDArray[np.int64] = data(
+        "int64", "bad_pixel", "coordinate", unit="pixel", doc="row and column of each defective pixel, without repetition"
+    )
+    pixel_kind: tuple[str, ...] = data("str", "bad_pixel", doc="hot or dead; row or column if the whole line is defective")
 
     def __post_init__(self) -> None:
         if self.position.ndim != 2 or self.position.shape[1] != 2 or self.position.min(initial=0) < 0:
@@ -59,10 +61,12 @@ class FlatField:
     interpolated linearly between grid lines.
     """
 
-    grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="row of each line", coordinate=True)
-    grid_col: NDArray[np.float64] = data("float64", "grid_col", unit="pixel", doc="column of each line", coordinate=True)
+    grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="rows of the grid lines", coordinate=True)
+    grid_col: NDArray[np.float64] = data(
+        "float64", "grid_col", unit="pixel", doc="columns of the grid lines", coordinate=True
+    )
     shading_gain: NDArray[np.float64] = data(
-        "float64", "channel", "grid_row", "grid_col", doc="gain over that in the middle of the frame"
+        "float64", "channel", "grid_row", "grid_col", doc="gain, relative to the middle of the frame"
     )
 
     def __post_init__(self) -> None:
@@ -88,9 +92,9 @@ class Readout:
     """Exposure and gain of each channel. Channels behind the same filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
-        "float64", "channel", doc="exposure time over that of the frame, the longest"
+        "float64", "channel", doc="exposure time, relative to that of the frame, which is the longest"
     )
-    channel_gain: NDArray[np.float64] = data("float64", "channel", doc="conversion gain over that of the camera")
+    channel_gain: NDArray[np.float64] = data("float64", "channel", doc="conversion gain, relative to the camera's")
     channel_read_noise: NDArray[np.float64] = data(
         "float64", "channel", unit="e-", doc="standard deviation of one reading in the dark, at the channel's gain"
     )
@@ -120,12 +124,10 @@ class Noise:
 
     read_noise: float = data("float64", unit="e-", doc="standard deviation of one reading in the dark")
     dark_current: float = data("float64", unit="e-/s", doc="mean dark current")
-    dsnu: float = data("float64", unit="e-", doc="dark signal nonuniformity, standard deviation over pixels")
-    prnu: float = data("float64", unit="1", doc="photo response nonuniformity, relative standard deviation over pixels")
+    dsnu: float = data("float64", unit="e-", doc="dark signal nonuniformity: standard deviation over pixels")
+    prnu: float = data("float64", unit="1", doc="photo response nonuniformity: relative standard deviation over pixels")
     well_capacity: float = data("float64", unit="e-", doc="electrons at which a pixel saturates")
-    column_noise: float = data(
-        "float64", unit="e-", doc="fixed offset of each column, standard deviation over columns", default=0.0
-    )
+    column_noise: float = data("float64", unit="e-", doc="standard deviation of the fixed offsets of columns", default=0.0)
 
     def __post_init__(self) -> None:
         if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
@@ -133,12 +135,12 @@ class Noise:
 
     @property
     def temporal(self) -> float:
-        """Variance in e-² of the noise in the dark that differs between frames: read noise."""
+        """Variance in e-² of the dark noise that differs between frames, which is the read noise."""
         return self.read_noise**2
 
     @property
     def fixed(self) -> float:
-        """Variance in e-² of the pattern in the dark that all frames share: DSNU and column offsets."""
+        """Variance in e-² of the dark pattern that all frames have in common: DSNU and column offsets."""
         return self.dsnu**2 + self.column_noise**2
 
 
@@ -146,8 +148,8 @@ class Noise:
 class NoiseScale:
     """Temporal noise relative to the camera's: changed by another analog gain, or reduced by a temporal filter."""
 
-    gain: float = data("float64", doc="analog gain over the camera's", default=1.0)
-    noise_left: float = data("float64", doc="share of the noise variance over time that a filter has left", default=1.0)
+    gain: float = data("float64", doc="analog gain, relative to the camera's", default=1.0)
+    noise_left: float = data("float64", doc="fraction of the temporal noise variance that a filter has left", default=1.0)
 
     def __post_init__(self) -> None:
         if not self.gain > 0:
@@ -162,7 +164,7 @@ class NoiseScale:
 
     def __str__(self) -> str:
         at = [f"gain {self.gain:g}"] if self.gain != 1 else []
-        left = [f"{self.noise_left:.3g} of the noise over time"] if self.noise_left != 1 else []
+        left = [f"{self.noise_left:.3g} of the temporal noise"] if self.noise_left != 1 else []
         return ", ".join(at + left) or "the camera's noise"
 
 
@@ -171,9 +173,9 @@ class AnalogGains:
     """Further analog gains of a camera, and its read noise at each of them (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
-        "float64", "analog_gain", doc="DN an electron over those at the camera's gain", coordinate=True
+        "float64", "analog_gain", doc="analog gain, relative to the camera's", coordinate=True
     )
-    gain_read_noise: NDArray[np.float64] = data("float64", "analog_gain", unit="e-", doc="read noise at each")
+    gain_read_noise: NDArray[np.float64] = data("float64", "analog_gain", unit="e-", doc="read noise at each analog gain")
     iso: float = data("float64", unit="1", doc="ISO speed of the camera's gain; 0: not known", default=0.0)
 
     def __post_init__(self) -> None:
@@ -211,7 +213,7 @@ class Optics:
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """Raise ValueError if no sensor can have this size, bit depth (`bits`) and these levels in DN."""
+    """Raise ValueError if size, bit depth (`bits`) or levels (DN) of a sensor are impossible."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         limits = f"above zero, and at most {most_pixels()} pixels and {MAX_BITS} bits"
         raise ValueError(f"rows {rows}, cols {cols} and bits {bits} must be {limits}")
@@ -220,7 +222,7 @@ def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_leve
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
-    """Raise ValueError if the super-pixel is empty, too large, or refers to a channel that does not exist."""
+    """Raise ValueError if the super-pixel is empty or too large, or if it refers to a channel that does not exist."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
         raise ValueError(f"cfa must be at most {MAX_CFA}×{MAX_CFA} of at most {MAX_CHANNELS} channels")
     if cfa.max() >= len(channels):
@@ -228,7 +230,7 @@ def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """Raise ValueError unless wavelengths, in nm, increase and are those of light."""
+    """Raise ValueError unless wavelengths (nm) increase and are plausible for light."""
     if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
         raise ValueError(f"wavelength must be 2 to {MAX_WAVELENGTHS} increasing values")
     if not (wavelength[0] > 0 and wavelength[-1] <= spectra.LONGEST_NM):
@@ -286,20 +288,20 @@ class CameraModel(Artifact):
     kind: ClassVar[str] = "camera model"
     made_by: ClassVar[str] = '"l3 calibrate"'
 
-    name: str = data("str", doc="what the camera is called")
-    rows: int = data("int64", unit="pixel", doc="height of the sensor")
-    cols: int = data("int64", unit="pixel", doc="width of the sensor")
+    name: str = data("str", doc="name of the camera")
+    rows: int = data("int64", unit="pixel", doc="rows of the sensor")
+    cols: int = data("int64", unit="pixel", doc="columns of the sensor")
     pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
     bits: int = data("int64", unit="bit", doc="depth of the analog-digital converter")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
-    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of the responsivities")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the responsivities")
     responsivity: NDArray[np.float64] = data(
         "float64",
         "channel",
         "wavelength",
         unit="e-/photon",
-        doc="quantum efficiency with lens, filters and fill factor folded in; relative (peak 1) unless absolute",
+        doc="quantum efficiency, including lens, filters and fill factor; relative (peak 1) unless absolute",
     )
     responsivity_band: NDArray[np.float64] = data(
         "float64", "channel", "wavelength", unit="e-/photon", doc="half width of the 95 % band; 0: not measured"
@@ -307,7 +309,9 @@ class CameraModel(Artifact):
     absolute: bool = data("bool", doc="whether responsivity is a quantum efficiency or only relative")
     gain: float = data("float64", unit="DN/e-", doc="conversion gain K")
     black_level: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
-    white_level: float = data("float64", unit="DN", doc="value at which a pixel saturates: well or converter")
+    white_level: float = data(
+        "float64", unit="DN", doc="value at which a pixel saturates, because of the well or the converter"
+    )
     fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
     noise: Noise = group()
     optics: Optics = group()
@@ -379,7 +383,7 @@ class CameraModel(Artifact):
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return the camera whose frames have the noise that `noise` describes."""
+        """Return a copy of the camera with the noise that `noise` describes."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:

@@ -75,7 +75,7 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
 
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
-    """Yield the faults of a mapping from channels to columns, which the recipe holds at `key`."""
+    """Yield the faults of a mapping from channels to columns, which is at `key` in the recipe."""
     if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
@@ -109,7 +109,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     Raises
     ------
     InputFileError
-        If the file does not hold the curves of a camera.
+        If the file does not contain the curves of a camera.
     """
     if declared.gaussians is not None:
         wavelength = _grid(declared)
@@ -153,13 +153,13 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
         raise InputFileError(f"{table.path} has a gap{where}; give curves at least every {WIDEST_GAP:g} nm")
     if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
         raise InputFileError(
-            f"{table.path} holds {grid[0]:g}…{grid[-1]:g} nm, responsivity.wavelength_nm asks for "
-            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; correct one"
+            f"{table.path} has {grid[0]:g}…{grid[-1]:g} nm, but responsivity.wavelength_nm asks for "
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; correct one of them"
         )
     for name, curve in zip(channels, curves, strict=True):
         if curve.min() < 0 or curve.max() <= 0:
             what = "negative values" if curve.min() < 0 else "no light at all"
-            raise InputFileError(f"{table.path}: channel {name} has {what}; give what it responds at each wavelength")
+            raise InputFileError(f"{table.path}: channel {name} has {what}; give its response at each wavelength")
         for end, cut in ((0, grid[0] > VISIBLE[0]), (-1, grid[-1] < VISIBLE[1])):
             if cut and curve[end] > CUT_OFF * curve.max():
                 raise InputFileError(

@@ -33,7 +33,7 @@ from l3cli.recipes.load import load_recipe, parse_recipe
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Seed, parse_toml, read_text
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # of a key, by the unit of its value
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # unit of a value → suffix of its key
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
 PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values beyond are probably in another unit
@@ -55,7 +55,7 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [channel.NAME]: channels that do not exist or cannot be read like this."""
+    """Yield the faults of [channel.NAME]: unknown channels, and settings that contradict each other."""
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
@@ -75,7 +75,7 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the channel whose responsivity it has."""
+    """Return, for each channel, the name of the channel that states its responsivity."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
@@ -287,12 +287,12 @@ def columns_left_out(path: Path) -> str | None:
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the channels that have their own responsivity."""
+    """Return the channels that state a responsivity of their own."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Return a camera recipe, and the file that holds its numbers: `path` itself, or the base that it names."""
+    """Return a camera recipe, and the file with its numbers: `path` itself, or the base that it names."""
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
         return parse_recipe(text, CameraRecipe, name), path
@@ -369,7 +369,7 @@ def camera_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
-    """Yield the faults of sensor data that are possible one by one, but not together."""
+    """Yield the faults of sensor data that contradict each other."""
     sensor = recipe.sensor
     black, white = sensor.black_level_dn, white_level(recipe)
     try:
@@ -416,7 +416,7 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield a fault for each length whose size suggests another unit, and for an object within the focal length."""
+    """Yield a fault for each length that seems to be in another unit, and for an object closer than the focal length."""
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(

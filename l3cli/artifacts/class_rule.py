@@ -16,7 +16,7 @@ from l3cli.artifacts.schema import check, data, group
 MAX_COMBINATIONS = 4096  # combinations of values of the features
 MAX_WINDOW_TAPS = 4096  # in all windows of the features; sums of 12-bit values are then exact in float32
 CLASS_BITS = 12  # classes are decided by the upper 12 bits of a value, so that 32-bit sums are exact
-CHROMA_SCALE = 1 << 10  # of the chroma weights, so that sums over 16 channels stay within 32 bits
+CHROMA_SCALE = 1 << 10  # scale of the chroma weights; sums over 16 channels then stay within 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
 
@@ -35,10 +35,10 @@ class Window(NamedTuple):
 class Feature(NamedTuple):
     """A feature that a recipe adds to the basic ones, such as the direction, as the class rule holds it."""
 
-    name: str  # of the recipe's key and of its module
-    size: int  # number of values that it takes
-    windows: tuple[Window, ...]  # that make up its sums, which are numbered from 0
-    constants: NDArray[np.int32]  # that its formula reads besides the sums and the level
+    name: str  # key in the recipe, and name of its module
+    size: int  # number of values that the feature can have
+    windows: tuple[Window, ...]  # windows that its sums consist of; sums are numbered from 0
+    constants: NDArray[np.int32]  # what its formula reads besides the sums and the level
 
     @property
     def sums(self) -> int:
@@ -50,18 +50,18 @@ class Feature(NamedTuple):
 class StoredFeatures:
     """The features that a recipe adds to level, contrast, saturation and chroma, as they are stored, in order."""
 
-    names: tuple[str, ...] = data("str", "feature", doc="as in the recipe; what each decides stands in its module")
-    sizes: NDArray[np.int64] = data("int64", "feature", doc="values that each takes")
-    window_counts: NDArray[np.int64] = data("int64", "feature", doc="windows of each")
+    names: tuple[str, ...] = data("str", "feature", doc="names of the features, as in the recipe")
+    sizes: NDArray[np.int64] = data("int64", "feature", doc="number of values of each feature")
+    window_counts: NDArray[np.int64] = data("int64", "feature", doc="number of windows of each feature")
     windows: NDArray[np.int64] = data(
         "int64",
         "window",
         "window_field",
         unit="pixel",
-        doc="sum that a rectangle of the patch counts in, its top, left, rows, columns and sign",
+        doc="rectangles of the patch: index of the sum, top, left, rows, columns and sign",
     )
-    constant_counts: NDArray[np.int64] = data("int64", "feature", doc="constants of each")
-    constants: NDArray[np.int32] = data("int32", "constant", doc="what the formula of each reads")
+    constant_counts: NDArray[np.int64] = data("int64", "feature", doc="number of constants of each feature")
+    constants: NDArray[np.int32] = data("int32", "constant", doc="constants in the formulas of the features")
 
     @classmethod
     def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
@@ -140,7 +140,7 @@ class ClassRule:
         "uint32",
         "level_edge",
         unit="DN >> shift, times 256 times channels",
-        doc="sum over channels of the channel means at which the next level begins",
+        doc="sum over channels of the channel means from which the next level begins",
     )
     contrast_edges: NDArray[np.uint32] = data(
         "uint32",
@@ -150,24 +150,28 @@ class ClassRule:
         doc="sum over channels of the channel variances above which the next contrast begins",
     )
     saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
-    saturation_radius: int = data("int64", unit="pixel", doc="pixels this near the centre decide the saturation case")
+    saturation_radius: int = data(
+        "int64", unit="pixel", doc="pixels within this distance of the centre decide the saturation case"
+    )
     case_of_code: NDArray[np.uint16] = data(
         "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
     )
     chroma_black_level: int = data(
         "int64",
         unit="(DN >> shift) times 16",
-        doc="black level, taken off channel means for the chroma",
+        doc="black level that is subtracted from channel means to find the chroma",
     )
     chroma_weights: NDArray[np.int32] = data(
-        "int32", "chroma", "channel", doc="weights of the channel means; the chroma of the lowest score wins"
+        "int32", "chroma", "channel", doc="weights of the channel means; the chroma with the lowest score wins"
     )
     chroma_dither: int = data(
-        "int64", default=0, doc="1: about as near to a second chroma as to the nearest, sites take one or the other in turn"
+        "int64", default=0, doc="1: pixels between two colour classes take either of them, alternating between sites"
     )
     features: StoredFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
     spared_cases: int = data(
-        "int64", default=0, doc="saturation cases, the first after case 0, in which every filter has a channel that is not"
+        "int64",
+        default=0,
+        doc="number of saturation cases, directly after case 0, in which every filter still has an unsaturated channel",
     )
 
     def __post_init__(self) -> None:
@@ -326,5 +330,5 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return indices, within a site, of coarser classes that distinguish saturation cases but not chromas."""
+        """Return indices within a site of coarser classes, which distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

@@ -19,10 +19,12 @@ from l3cli.artifacts.training_set import LightSpectrum
 
 @dataclass(frozen=True)
 class SceneLight:
-    """A light that a table has transforms for."""
+    """An illuminant for which a table has transforms."""
 
-    name: str = data("str", doc="the light")
-    white_point: NDArray[np.float64] = data("float64", "output", doc="output of a perfect white under it, Y = 1")
+    name: str = data("str", doc="name of the illuminant")
+    white_point: NDArray[np.float64] = data(
+        "float64", "output", doc="output of a perfect white under this illuminant, Y = 1"
+    )
     spectrum: LightSpectrum | None = group(default=None)
 
     def __post_init__(self) -> None:
@@ -35,7 +37,7 @@ class NoiseEdges:
     """The parts of the class rules that depend on the noise: edges of classes, and the noise in coarse chroma."""
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
-    constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; none without features")
+    constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; empty without features")
     gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
     coarse_chroma: CoarseChroma | None = group(default=None)  # of the last layer; None: as in the table
 
@@ -53,7 +55,9 @@ class MosaicTransforms:
 
     weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
+    samples: NDArray[np.float64] = data(
+        "float64", "class", doc="number of training patches; 0 if filled from a neighbouring class"
+    )
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,9 @@ class PlaneTransforms:
 
     weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    samples: NDArray[np.float64] = data(
+        "float64", "plane_class", doc="number of training patches; 0 if filled from a neighbouring class"
+    )
     clipping: Clipping | None = group(default=None)  # as in later/
 
 
@@ -92,7 +98,7 @@ class Condition:
         first : MosaicLayer
         later : sequence of PlaneLayer
         light : SceneLight or None
-            None for all lights of the training set.
+            None for all illuminants of the training set.
         noise : NoiseScale or None
             None for the camera's noise. Otherwise the condition also holds the edges of the layers' rules.
         """
@@ -107,7 +113,7 @@ class Condition:
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
         """Raise ValueError, naming `place`, unless the condition fits a table's refinement layers and number of levels."""
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
-            raise ValueError(f"{place} holds {1 + len(self.later)} layers, the table {1 + len(later)}")
+            raise ValueError(f"{place} has {1 + len(self.later)} layers, the table {1 + len(later)}")
         for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
             if ours.weights.shape != layer.weights.shape:
                 raise ValueError(f"{place}/later/{number} has transforms of other shapes than later/{number}")

@@ -1,7 +1,7 @@
-"""HDF5 files in which a changed byte is detected, and which cannot make HDF5 read outside of them.
+"""HDF5 files with a checksum, which cannot make HDF5 read other files.
 
-The first 512 bytes, HDF5's user block, hold the SHA-256 of all bytes that follow. l3 compares a file with its digest before
-HDF5 opens it, because the library may crash on damaged metadata and its checksums cover only the values of datasets.
+The first 512 bytes, HDF5's user block, contain the SHA-256 of all bytes that follow. l3 compares a file with its digest
+before HDF5 opens it, because the library may crash on damaged metadata and its checksums cover only the values of datasets.
 
 Links, external storage, virtual datasets and unknown filters let a file refer to other files or to plug-ins, so all are
 refused. So is a dataset that claims to be larger than its stored bytes can be.
@@ -129,7 +129,7 @@ def check(path: Path, made_by: str) -> None:
                 return
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; give the file written by {made_by}") from error
-    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but no l3 artifact, or damaged"
+    what = "is truncated or damaged (checksum)" if has_title else "is not an l3 artifact, or damaged"
     raise InputFileError(f"{path} {what}; copy it again, or make it again with {made_by}")
 
 
@@ -207,7 +207,7 @@ def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
     """
     where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
-        raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that holds it itself")
+        raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that contains it")
     stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
     claimed = prod(stored.shape) * stored.dtype.itemsize
     if claimed > SMALL_BYTES + MAX_COMPRESSION * stored.size and stored.filters <= KNOWN_FILTERS:

@@ -30,19 +30,29 @@ class LightMoments:
     coefficients of the scene in front of the lens.
     """
 
-    illuminant: str = data("str", doc="name of the light")
-    basis: NDArray[np.float64] = data("float64", "wavelength", "term", unit="photons/s", doc="of a pixel, white 1 cd/m^2")
-    white_photons: NDArray[np.float64] = data("float64", "wavelength", unit="photons/s", doc="of a perfect white, 1 cd/m^2")
-    patches: NDArray[np.float64] = data("float64", "group", doc="patches by contrast, level and hue of their middle")
-    weight: NDArray[np.float64] = data("float64", "weighting", "group", doc="squared weights: (Y + 0.02)^(-4/3); linear 1")
+    illuminant: str = data("str", doc="name of the illuminant")
+    basis: NDArray[np.float64] = data(
+        "float64", "wavelength", "term", unit="photons/s", doc="basis of the spectra at a pixel, for white of 1 cd/m^2"
+    )
+    white_photons: NDArray[np.float64] = data(
+        "float64", "wavelength", unit="photons/s", doc="photons per pixel from a perfect white of 1 cd/m^2"
+    )
+    patches: NDArray[np.float64] = data(
+        "float64", "group", doc="number of patches in each group, by contrast, level and hue of the centre"
+    )
+    weight: NDArray[np.float64] = data(
+        "float64", "weighting", "group", doc="sum of squared weights, (Y + 0.02)^(-4/3), or 1 for linear"
+    )
     mean: NDArray[np.float64] = data("float64", "weighting", "group", "coefficient", doc="weighted sum of coefficients")
-    moment: NDArray[np.float64] = data("float64", "weighting", "group", "entry", "entry", doc="of coefficients and targets")
+    moment: NDArray[np.float64] = data(
+        "float64", "weighting", "group", "entry", "entry", doc="weighted second moments of coefficients and targets"
+    )
 
     def __post_init__(self) -> None:
         check(self)
         entries = self.mean.shape[-1] + SOFT.stop + self.terms
         if self.moment.shape[-2:] != (entries, entries) or not self.patches.sum() > 0:
-            raise ValueError("moments do not hold taps, targets and terms of patches")
+            raise ValueError("the shape of the moments does not fit their taps, targets and terms")
 
     @property
     def terms(self) -> int:
@@ -57,8 +67,8 @@ class SceneMoments(Artifact):
     made_by: ClassVar[str] = '"l3 design moments"'
 
     pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
-    f_number: float = data("float64", doc="of the lens")
-    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
+    f_number: float = data("float64", doc="f-number of the lens")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the filter curves")
     light: tuple[LightMoments, ...] = group()
 
     def __post_init__(self) -> None:
@@ -72,15 +82,19 @@ class SceneMoments(Artifact):
 class Tuned:
     """One array whose filters were tuned, with the errors before and after."""
 
-    pattern: str = data("str", doc="the array, rows of names")
+    pattern: str = data("str", doc="the array, as rows of filter names")
     parameters: NDArray[np.float64] = data(
         "float64", "tuned_filter", "parameter", unit="nm, nm, 1", doc="centre, sigma and peak of each filter"
     )
-    tuned_filters: tuple[str, ...] = data("str", "tuned_filter", doc="their names")
-    tuned_efficiency: NDArray[np.float64] = data("float64", "filter", "wavelength", unit="e-/photon", doc="of all filters")
+    tuned_filters: tuple[str, ...] = data("str", "tuned_filter", doc="names of the tuned filters")
+    tuned_efficiency: NDArray[np.float64] = data(
+        "float64", "filter", "wavelength", unit="e-/photon", doc="quantum efficiency of all filters after tuning"
+    )
     before: NDArray[np.float64] = data("float64", "level", doc="predicted error with the given filters")
-    after: NDArray[np.float64] = data("float64", "level", doc="with the tuned ones")
-    bayer: NDArray[np.float64] = data("float64", "level", doc="of the best Bayer array of the tuned filters")
+    after: NDArray[np.float64] = data("float64", "level", doc="predicted error with the tuned filters")
+    bayer: NDArray[np.float64] = data(
+        "float64", "level", doc="predicted error of the best Bayer array with the tuned filters"
+    )
 
     def words(self, levels: Sequence[str]) -> list[str]:
         """Return one sentence on the tuned filters, and one per level on how much they reduce the error."""
@@ -97,14 +111,16 @@ class Tuned:
 class Truth:
     """Arrays that were trained, rendered and evaluated on the same unseen scenes."""
 
-    trained: tuple[str, ...] = data("str", "trained", doc="arrays; (tuned): with tuned filters")
-    expected: NDArray[np.float64] = data("float64", "trained", "level", doc="their predicted errors")
+    trained: tuple[str, ...] = data("str", "trained", doc="arrays that were trained; (tuned) marks tuned filters")
+    expected: NDArray[np.float64] = data("float64", "trained", "level", doc="predicted error of each of these arrays")
     figures: tuple[str, ...] = data("str", "figure", doc="mean_delta_e (CIEDE2000), scielab, output_psnr (dB)")
-    measured: NDArray[np.float64] = data("float64", "trained", "level", "figure", doc="means over the scenes")
-    crops: NDArray[np.uint8] = data(
-        "uint8", "trained", "level", "crop_row", "crop_col", "rgb", doc="the middle of the first scene, sRGB codes"
+    measured: NDArray[np.float64] = data(
+        "float64", "trained", "level", "figure", doc="measured metrics, means over the scenes"
     )
-    ideals: NDArray[np.uint8] = data("uint8", "level", "crop_row", "crop_col", "rgb", doc="the same without any error")
+    crops: NDArray[np.uint8] = data(
+        "uint8", "trained", "level", "crop_row", "crop_col", "rgb", doc="crop from the middle of the first scene, sRGB codes"
+    )
+    ideals: NDArray[np.uint8] = data("uint8", "level", "crop_row", "crop_col", "rgb", doc="the same crop without error")
     digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
@@ -164,23 +180,36 @@ class Design(Artifact):
     kind: ClassVar[str] = "design"
     made_by: ClassVar[str] = '"l3 design"'
 
-    name: str = data("str", doc="what the design is called")
-    unit: str = data("str", doc="of errors")
-    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="grid of filters")
+    name: str = data("str", doc="name of the design")
+    unit: str = data("str", doc="unit of the errors")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the filter curves")
     filters: tuple[str, ...] = data("str", "filter", doc="names of the library's filters")
-    efficiency: NDArray[np.float64] = data("float64", "filter", "wavelength", unit="e-/photon", doc="lens included")
-    levels: tuple[str, ...] = data("str", "level", doc="lights and exposures that arrays are judged at")
-    groups: tuple[str, ...] = data("str", "group", doc="kinds of patches")
-    share: NDArray[np.float64] = data("float64", "level", "group", doc="share of the patches")
-    tried: int = data("int64", doc="arrays that were judged")
-    patterns: tuple[str, ...] = data("str", "candidate", doc="arrays, best first: rows of names, divided by /")
-    error: NDArray[np.float64] = data("float64", "candidate", "level", "group", doc="predicted error, mean over sites")
-    dyes: NDArray[np.float64] = data("float64", "candidate", "level", doc="of the best Bayer array of its filters; 0: none")
-    bayer: int = data("int64", doc="place among the candidates of the best Bayer array of the library; -1: there is none")
-    sensitivity: NDArray[np.float64] = data("float64", "filter", doc="relative change of the best array's, 5 nm off")
-    dose: NDArray[np.float64] = data("float64", "dose", unit="cd s/m^2", doc="luminance of white x time", coordinate=True)
-    mapped: tuple[str, ...] = data("str", "mapped", doc="arrays: the best, Bayer, the best of each level")
-    map_error: NDArray[np.float64] = data("float64", "mapped", "dose", doc="predicted error under the first level's light")
+    efficiency: NDArray[np.float64] = data(
+        "float64", "filter", "wavelength", unit="e-/photon", doc="quantum efficiency of each filter with pixel and lens"
+    )
+    levels: tuple[str, ...] = data("str", "level", doc="illuminants and exposures for which errors are predicted")
+    groups: tuple[str, ...] = data("str", "group", doc="names of the groups of patches")
+    share: NDArray[np.float64] = data("float64", "level", "group", doc="fraction of the patches in each group")
+    tried: int = data("int64", doc="number of arrays whose error was predicted")
+    patterns: tuple[str, ...] = data("str", "candidate", doc="arrays, best first, as rows of filter names separated by /")
+    error: NDArray[np.float64] = data("float64", "candidate", "level", "group", doc="predicted error, as a mean over sites")
+    dyes: NDArray[np.float64] = data(
+        "float64",
+        "candidate",
+        "level",
+        doc="predicted error of the best Bayer array with the same filters; 0 if there is none",
+    )
+    bayer: int = data("int64", doc="index of the best Bayer array among the candidates; -1 if there is none")
+    sensitivity: NDArray[np.float64] = data(
+        "float64", "filter", doc="relative change of the best array's error if the filter is shifted by 5 nm"
+    )
+    dose: NDArray[np.float64] = data(
+        "float64", "dose", unit="cd s/m^2", doc="luminance of white × exposure time", coordinate=True
+    )
+    mapped: tuple[str, ...] = data("str", "mapped", doc="the best array, the Bayer array and the best array at each level")
+    map_error: NDArray[np.float64] = data(
+        "float64", "mapped", "dose", doc="predicted error under the illuminant of the first level"
+    )
     pixel: CameraModel = group()  # sensor, noise and lens; its own array is not used
     tuned: Tuned | None = group(default=None)
     truth: Truth | None = group(default=None)
@@ -188,7 +217,7 @@ class Design(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.patterns and -1 <= self.bayer < len(self.patterns) and self.error.min(initial=0) >= 0):
-            raise ValueError("a design holds arrays and errors from 0")
+            raise ValueError("a design needs arrays, and errors that are not negative")
 
     @property
     def summary(self) -> str:
@@ -238,9 +267,7 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """One sentence per level: what beats the Bayer array, by how much, and how much of the gain is due to the filters
-        alone.
-        """
+        """One sentence per level: which array beats the Bayer array, by how much, and which part is due to its filters."""
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
             best, rival = int(errors.argmin()), self.patterns[self.bayer]
@@ -269,7 +296,7 @@ class Design(Artifact):
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return the design's pixel as a camera with an array, given as rows of names, of filters (filter, wavelength)."""
+        """Return the camera with the design's pixel, an array given as text, and filters (filter, wavelength)."""
         cfa = sites(pattern, self.filters)
         used = np.unique(cfa)
         return replace(

@@ -8,16 +8,17 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4  # a guess names lights until their sum reaches the probability, at most so many
+# a guess names at most MAX_GUESSES illuminants, until their probabilities add up to GUESSED_PROBABILITY
+GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Results from dark and white frames in the terms of EMVA 1288, per channel."""
+    """Results of dark and white frames per channel, as EMVA 1288 defines them."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
-        "float64", "channel", unit="DN/e-", doc="standard deviation of K as the photon-transfer line gives it"
+        "float64", "channel", unit="DN/e-", doc="standard deviation of K, from the fit of the photon-transfer line"
     )
     read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
     dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current")
@@ -28,17 +29,23 @@ class NoiseFit:
         "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
     )
     white_level_reached: bool = data(
-        "bool", doc="whether a white frame saturates; if not, white_level is the converter's top"
+        "bool", doc="whether a white frame saturates; if not, white_level is the top of the converter"
     )
     defects: NDArray[np.int64] = data(
-        "int64", "defect", "coordinate", unit="pixel", doc="row, col of hot and dead pixels, left out of every figure"
+        "int64",
+        "defect",
+        "coordinate",
+        unit="pixel",
+        doc="row and column of hot and dead pixels, which are left out of all results",
     )
-    exposure: NDArray[np.float64] = data("float64", "white_exposure", unit="s", doc="of each white capture", coordinate=True)
+    exposure: NDArray[np.float64] = data(
+        "float64", "white_exposure", unit="s", doc="exposure time of each white capture", coordinate=True
+    )
     photon_transfer_mean: NDArray[np.float64] = data(
         "float64", "white_exposure", "channel", unit="DN", doc="mean signal above black of each white exposure"
     )
     photon_transfer_variance: NDArray[np.float64] = data(
-        "float64", "white_exposure", "channel", unit="DN^2", doc="temporal variance at that signal"
+        "float64", "white_exposure", "channel", unit="DN^2", doc="temporal variance of each white exposure"
     )
 
 
@@ -46,40 +53,48 @@ class NoiseFit:
 class SweepFit:
     """Fit of the monochromatic captures by Eq. 1."""
 
-    residual: NDArray[np.float64] = data("float64", "channel", doc="RMS residual of Eq. 1 / largest value of the channel")
-    left_out: tuple[str, ...] = data("str", "left_out", doc="captures that saturate, and in which channels")
-    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta tried", coordinate=True)
+    residual: NDArray[np.float64] = data(
+        "float64", "channel", doc="RMS residual of Eq. 1, relative to the largest value of the channel"
+    )
+    left_out: tuple[str, ...] = data("str", "left_out", doc="saturated captures, and their saturated channels")
+    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta that were tried", coordinate=True)
     smoothing_error: NDArray[np.float64] = data(
         "float64", "trial", doc="cross-validated relative RMSE of chart values for each delta"
     )
-    chosen_smoothing: float = data("float64", doc="delta used")
-    odd: tuple[str, ...] = data("str", "odd", doc="captures that disagree with their neighbours, by how much", default=())
+    chosen_smoothing: float = data("float64", doc="value of delta that was chosen")
+    odd: tuple[str, ...] = data(
+        "str", "odd", doc="captures that disagree with their neighbours, and by how much", default=()
+    )
 
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures by Eq. 2, with the measured and predicted value of every patch under every light."""
+    """Fit of the chart captures by Eq. 2, with the measured and predicted value of every patch under every illuminant."""
 
     alpha: NDArray[np.float64] = data(
-        "float64", "channel", unit="DN/photon", doc="Eq. 2 slope: response at the peak of the channel's responsivity"
+        "float64", "channel", unit="DN/photon", doc="slope of Eq. 2: response at the peak of the channel's responsivity"
     )
     alpha_error: NDArray[np.float64] = data(
         "float64", "channel", unit="DN/photon", doc="standard deviation of alpha, from its spread over the charts"
     )
-    beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="Eq. 2 offset: black plus glare")
-    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured values")
-    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of values / their mean signal")
-    illuminants: tuple[str, ...] = data("str", "chart", doc="name of the light of each chart capture")
+    beta: NDArray[np.float64] = data("float64", "channel", unit="DN", doc="offset of Eq. 2: black level plus glare")
+    r_squared: NDArray[np.float64] = data("float64", "channel", doc="R² of predicted against measured values")
+    relative_rmse: NDArray[np.float64] = data(
+        "float64", "channel", doc="RMSE of predicted values, relative to the mean signal"
+    )
+    illuminants: tuple[str, ...] = data("str", "chart", doc="illuminant of each chart capture")
     measured: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch")
-    predicted: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="the model's value")
+    predicted: NDArray[np.float64] = data(
+        "float64", "chart", "patch", "channel", unit="DN", doc="value that the model predicts"
+    )
 
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps, which the charts reveal although the measurement file does not declare it."""
+    """Drift of the lamps that the charts show and the measurement file does not declare."""
 
-    deviation: float = data("float64", doc="relative standard deviation of lamps about their measured spectra, estimated")
-    declared: float = data("float64", doc="the same as the measurement file declares it")
+    deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
+    declared: float = data("float64", doc="the relative standard deviation that the measurement file declares")
 
 
 @dataclass(frozen=True)
@@ -88,9 +103,9 @@ class SeriesFit:
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")
     light: NDArray[np.int64] = data("int64", "capture", doc="band of each capture")
-    exposure: NDArray[np.float64] = data("float64", "capture", unit="s", doc="of each capture")
+    exposure: NDArray[np.float64] = data("float64", "capture", unit="s", doc="exposure time of each capture")
     response: NDArray[np.float64] = data(
-        "float64", "band", "channel", doc="response per photon to each band, peak of all 1; mean over patches"
+        "float64", "band", "channel", doc="mean response per photon of the patches to each band, scaled to a peak of 1"
     )
     spread: NDArray[np.float64] = data(
         "float64", "band", "channel", doc="relative standard deviation of the response over patches"
@@ -98,35 +113,41 @@ class SeriesFit:
     linearity_error: NDArray[np.float64] = data(
         "float64", "channel", doc="mean relative deviation of the signal from proportionality over 5-95 % of saturation"
     )
-    r_squared: NDArray[np.float64] = data("float64", "channel", doc="of predicted against measured values")
-    relative_rmse: NDArray[np.float64] = data("float64", "channel", doc="RMSE of values / their mean signal")
+    r_squared: NDArray[np.float64] = data("float64", "channel", doc="R² of predicted against measured values")
+    relative_rmse: NDArray[np.float64] = data(
+        "float64", "channel", doc="RMSE of predicted values, relative to the mean signal"
+    )
     left_out: tuple[str, ...] = data("str", "left_out", doc="captures with saturated patches, and how many")
     used: NDArray[np.bool_] = data(
-        "bool", "capture", "patch", "channel", doc="whether measured and predicted could be compared: unsaturated"
+        "bool",
+        "capture",
+        "patch",
+        "channel",
+        doc="whether the patch was unsaturated, so that measured and predicted values can be compared",
     )
     measured: NDArray[np.float64] = data(
-        "float64", "capture", "patch", "channel", unit="DN", doc="mean value of each patch, dark value taken out"
+        "float64", "capture", "patch", "channel", unit="DN", doc="mean value of each patch, with the dark value subtracted"
     )
     predicted: NDArray[np.float64] = data(
-        "float64", "capture", "patch", "channel", unit="DN", doc="value from the other exposures; 0 where not used"
+        "float64", "capture", "patch", "channel", unit="DN", doc="value predicted from the other exposures; 0 if not used"
     )
 
 
 @dataclass(frozen=True)
 class LightGuess:
-    """Probability of each usual light of being the light of a photo, given that it is one of them."""
+    """The probability that a photo was taken under each of the usual illuminants, if it was taken under one of them."""
 
-    names: tuple[str, ...] = data("str", "usual_light", doc="name of each usual light")
-    probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual light")
+    names: tuple[str, ...] = data("str", "usual_light", doc="names of the usual illuminants")
+    probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual illuminant")
 
     def of(self, photo: int) -> dict[str, float]:
-        """Return the probability of each usual light for a photo, the most probable first."""
+        """Return the probabilities of the usual illuminants for a photo, the most probable first."""
         found = zip(self.names, map(float, self.probability[photo]), strict=True)
         return dict(sorted(found, key=lambda each: each[1], reverse=True))
 
 
 def guessed_light(probable: Mapping[str, float]) -> str:
-    """Return a guess in words: the most probable lights with their probabilities."""
+    """Return the most probable illuminants and their probabilities in words."""
     shown, total = [], 0.0
     for name, probability in probable.items():
         shown.append(f"{name} {100 * probability:.0f} %")
@@ -140,7 +161,9 @@ def guessed_light(probable: Mapping[str, float]) -> str:
 class PhotoWindow:
     """Part of the sensor that photos show, if they do not show the whole sensor from its first pixel."""
 
-    first_site: NDArray[np.int64] = data("int64", "photo", "coordinate", doc="row, col of the CFA site of the first pixel")
+    first_site: NDArray[np.int64] = data(
+        "int64", "photo", "coordinate", doc="row and column of the CFA site of the first pixel"
+    )
     size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
 
     def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -154,38 +177,50 @@ class PhotoFit:
     """Fit of the charts in photos, whose reflectances are known."""
 
     names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
-    lights: tuple[str, ...] = data("str", "photo", doc="light of each photo, as named or guessed")
-    guessed: NDArray[np.bool_] = data("bool", "photo", doc="whether the light was guessed")
-    nearest: tuple[str, ...] = data("str", "photo", doc="candidate light under which the values are most probable")
+    lights: tuple[str, ...] = data("str", "photo", doc="illuminant of each photo, as stated or guessed")
+    guessed: NDArray[np.bool_] = data("bool", "photo", doc="whether the illuminant was guessed")
+    nearest: tuple[str, ...] = data("str", "photo", doc="usual illuminant under which the values are most probable")
     deficit: NDArray[np.float64] = data(
-        "float64", "photo", doc="natural logarithm: how much less probable the values are under the light that was named"
+        "float64",
+        "photo",
+        doc="natural logarithm of how much less probable the values are under the stated illuminant than under the nearest",
     )
     charts: tuple[str, ...] = data("str", "photo", doc="chart of each photo")
     corners: NDArray[np.float64] = data(
-        "float64", "photo", "corner", "coordinate", unit="pixel", doc="col, row of the chart's outer corners, clockwise"
+        "float64",
+        "photo",
+        "corner",
+        "coordinate",
+        unit="pixel",
+        doc="column and row of the chart's outer corners, clockwise",
     )
-    prior: str = data("str", doc="what curves were taken to be before: like or unlike those of measured cameras, or smooth")
-    error: float = data("float64", doc="relative error of a patch that reflectances and model leave, as the misfit shows")
+    prior: str = data("str", doc="prior for the curves: like measured cameras, unlike them, or smooth")
+    error: float = data("float64", doc="relative error of a patch due to reflectances and model, estimated from the misfit")
     illumination: NDArray[np.float64] = data(
-        "float64", "photo", "term", doc="light over the chart: 1, x, y, x², xy, y² over −1…1, x² and y² without their means"
+        "float64",
+        "photo",
+        "term",
+        doc="coefficients of illumination over the chart: 1, x, y, x², xy, y² for −1…1, with x² and y² minus their means",
     )
-    glare: NDArray[np.float64] = data("float64", "photo", "channel", unit="DN", doc="offset that glare adds")
-    noise_from_patches: bool = data("bool", doc="whether gain and dark noise are those of the patches' photon transfer")
+    glare: NDArray[np.float64] = data("float64", "photo", "channel", unit="DN", doc="offset that glare adds to every patch")
+    noise_from_patches: bool = data("bool", doc="whether gain and dark noise come from the photon transfer of the patches")
     response_band: NDArray[np.float64] = data(
         "float64",
         "channel",
-        doc="half width of the 95 % band of responses to surfaces under other lights / the largest; RMS",
+        doc="RMS half width of the 95 % band of responses to surfaces under other illuminants, relative to the largest",
     )
-    next_light: str = data("str", doc="light under which one more photo would help most")
-    next_share: float = data("float64", doc="share of the error of responses that would remain after it")
+    next_light: str = data("str", doc="illuminant under which one more photo would help most")
+    next_share: float = data("float64", doc="fraction of the error of the responses that would remain after that photo")
     left_out: tuple[str, ...] = data(
-        "str", "left_out", doc="patches that are clipped, dusty or far off, and in which channel"
+        "str", "left_out", doc="patches left out because they are clipped, dusty or outliers, and in which channel"
     )
     used: NDArray[np.bool_] = data("bool", "photo", "photo_patch", "channel", doc="whether a patch was used")
     measured: NDArray[np.float64] = data(
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black of each patch"
     )
-    predicted: NDArray[np.float64] = data("float64", "photo", "photo_patch", "channel", unit="DN", doc="the model's value")
+    predicted: NDArray[np.float64] = data(
+        "float64", "photo", "photo_patch", "channel", unit="DN", doc="value that the model predicts"
+    )
     likely: LightGuess | None = group(default=None)
     window: PhotoWindow | None = group(default=None)  # None: every photo shows the whole sensor
 

@@ -13,7 +13,7 @@ from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
-PLANES = 3  # that a refinement layer reads: X − aY, Y, Z − bY
+PLANES = 3  # number of planes that a refinement layer reads: X − aY, Y and Z − bY
 PLANE_STEP = 2.0**-18  # quantum of the planes' integers in output units, far below the noise of any sensor
 PLANE_TOP = 2**22 - 1  # 16 times full scale; a difference of planes times a 7-bit factor stays within 32 bits
 RATIO_TAPS = (0, 2, 4)  # extra taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
@@ -33,8 +33,12 @@ class MosaicLayer:
         "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black level) / full scale"
     )
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "class", doc="training patches; 0: filled from a neighbour")
-    condition: NDArray[np.float32] = data("float32", "class", doc="condition number of the class's equations; 0: none")
+    samples: NDArray[np.float64] = data(
+        "float64", "class", doc="number of training patches; 0 if filled from a neighbouring class"
+    )
+    condition: NDArray[np.float32] = data(
+        "float32", "class", doc="condition number of the equations; 0 if the class was not trained"
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -55,7 +59,7 @@ class CoarseChroma:
         "step",
         "plane",
         "power",
-        doc="noise variance at luminance Y, Σ variance · Y^power, in squared output units: of the blocks each step reads",
+        doc="noise variance Σ variance · Y^power of the blocks that each step reads at luminance Y, in squared output units",
     )
 
     def __post_init__(self) -> None:
@@ -79,10 +83,10 @@ class Clipping:
         "clipped",
         "signal",
         "output",
-        doc="by the mean of each channel, a share of full scale, and by 1 behind them: of all areas, then what each channel "
-        "adds that clips",
+        doc="response to the mean of each channel (fraction of full scale) and to a constant 1: of all areas, then the "
+        "addition of each clipped channel",
     )
-    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training light")
+    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training illuminant")
 
     def __post_init__(self) -> None:
         check(self)
@@ -107,10 +111,12 @@ class PlaneLayer:
         "plane_class",
         "output",
         "plane_tap",
-        doc="taps plane by plane, each row by row, behind them colour ratios, bilateral chroma, if any; per output unit",
+        doc="taps plane by plane, each row by row, then any colour ratios and bilateral chroma; per output unit",
     )
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
-    samples: NDArray[np.float64] = data("float64", "plane_class", doc="training patches; 0: filled from a neighbour")
+    samples: NDArray[np.float64] = data(
+        "float64", "plane_class", doc="number of training patches; 0 if filled from a neighbouring class"
+    )
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
     coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma comes from the windows only
@@ -151,7 +157,7 @@ class PlaneLayer:
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return a refinement layer's rule under the name of the field that holds it."""
+    """Return a refinement layer's rule as the keyword argument of its field in PlaneLayer."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 

@@ -32,10 +32,10 @@ class ClassSums:
     """Sums of one canonical site over its patches, weighted. The columns are the taps, the intercept and the outputs."""
 
     moments: NDArray[np.float64] = data(
-        "float64", "class", "pair", doc="products of columns: upper triangle of the moment matrix, row by row"
+        "float64", "class", "pair", doc="products of the columns: upper triangle of the moment matrix, row by row"
     )
     noise: NDArray[np.float64] = data("float64", "class", "tap", doc="noise variance of the taps")
-    count: NDArray[np.float64] = data("float64", "class", doc="training patches")
+    count: NDArray[np.float64] = data("float64", "class", doc="number of training patches")
 
     def __post_init__(self) -> None:
         check(self)
@@ -54,17 +54,19 @@ class PartialSums(Artifact):
     kind: ClassVar[str] = "partial sums"
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
-    shard: int = data("int64", doc="which part of the run this is, from 1 …")
-    shards: int = data("int64", doc="… to this many")
-    pass_number: int = data("int64", doc="1: first pass, whose errors weigh the rows of the second; 2: last pass")
-    patches: NDArray[np.int64] = data("int64", "frame", doc="patches a site of every training frame, in all shards")
+    shard: int = data("int64", doc="number of this shard, from 1")
+    shards: int = data("int64", doc="number of shards")
+    pass_number: int = data("int64", doc="1: first pass, whose errors set the weights of the second; 2: last pass")
+    patches: NDArray[np.int64] = data(
+        "int64", "frame", doc="number of patches per site of each training frame, in all shards together"
+    )
     training: TrainingSet = group()
     rule: ClassRule = group()
     white_point: NDArray[np.float64] = data(
-        "float64", "output", doc="output of a perfect white under the training light, Y = 1"
+        "float64", "output", doc="output of a perfect white under the training illuminant, Y = 1"
     )
     sites: NDArray[np.int64] = data(
-        "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
+        "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
     light: LightSpectrum | None = group(default=None)  # mean light on the training scenes
@@ -92,15 +94,18 @@ class LayerSums:
     """
 
     moments: NDArray[np.float64] = data(
-        "float64", "plane_class", "plane_pair", doc="products of columns without noise: upper triangle, row by row"
+        "float64",
+        "plane_class",
+        "plane_pair",
+        doc="products of the columns, without noise: upper triangle of the moment matrix, row by row",
     )
     noise: NDArray[np.float64] = data(
         "float64",
         "plane_class",
         "plane_tap_pair",
-        doc="products of what noise adds to taps, and to outputs that are corrected: upper triangle, row by row",
+        doc="covariance of the noise of the taps and of the corrected outputs: upper triangle, row by row",
     )
-    count: NDArray[np.float64] = data("float64", "plane_class", doc="training rows")
+    count: NDArray[np.float64] = data("float64", "plane_class", doc="number of training samples")
 
     def __post_init__(self) -> None:
         check(self)
@@ -116,17 +121,19 @@ class PartialLayerSums(Artifact):
     kind: ClassVar[str] = "partial sums of a layer"
     made_by: ClassVar[str] = '"l3 train --shard I/N"'
 
-    shard: int = data("int64", doc="which part of the run this is, from 1 …")
-    shards: int = data("int64", doc="… to this many")
-    mosaics: NDArray[np.int64] = data("int64", "frame", doc="mosaics of every training frame, in all shards")
+    shard: int = data("int64", doc="number of this shard, from 1")
+    shards: int = data("int64", doc="number of shards")
+    mosaics: NDArray[np.int64] = data(
+        "int64", "frame", doc="number of mosaics of each training frame, in all shards together"
+    )
     side: int = data("int64", unit="pixel", doc="side of the windows")
     table: TransformTable = group()  # the layers before, whose outputs this layer reads
     sites: NDArray[np.int64] = data(
-        "int64", "canonical_site", doc="CFA sites that are trained, row · cfa columns + column", coordinate=True
+        "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
-    ratio_taps: int = data("int64", doc="taps behind those of the windows", default=0)
+    ratio_taps: int = data("int64", doc="number of taps after those of the windows", default=0)
     gradients: tuple[GradientScale, ...] = group(default=())  # of the rule, per other noise
 
     @property
@@ -138,7 +145,7 @@ class PartialLayerSums(Artifact):
         if not 1 <= self.shard <= self.shards:
             raise ValueError(f"there is no shard {self.shard} of {self.shards}")
         if self.table.camera is None:
-            raise ValueError("table must hold its camera")
+            raise ValueError("the table must contain its camera")
         if self.ratio_taps not in RATIO_TAPS:
             raise ValueError(f"ratio_taps is {self.ratio_taps}, none of {RATIO_TAPS}")
         if self.side < 1 or self.side % 2 == 0:
@@ -168,7 +175,7 @@ class PartialSumsReader:
     ----------
     head : PartialSums or PartialLayerSums
     conditions : int
-        Number of other noises that the file holds sums for.
+        Number of other noise levels for which the file has sums.
     """
 
     def __init__(self, root: h5py.File, path: Path) -> None:
@@ -203,7 +210,7 @@ def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
     Raises
     ------
     InputFileError
-        If the file is damaged or does not hold partial sums.
+        If the file is damaged or has no partial sums.
     """
     with store.open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)

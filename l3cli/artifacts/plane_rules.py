@@ -28,9 +28,9 @@ class GradientScale:
     """Scale of gradients at each level of the first layer: factor / 2^shift."""
 
     gradient_factor: NDArray[np.uint8] = data(
-        "uint8", "mosaic_level", doc="what differences of planes are multiplied by, at each level of the first layer …"
+        "uint8", "mosaic_level", doc="factor for differences of planes at each level of the first layer"
     )
-    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="… and then shifted right by")
+    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="right shift after the multiplication")
 
     def __post_init__(self) -> None:
         check(self)
@@ -130,15 +130,17 @@ class PlaneClasses(GradientScale):
 class StructureRule(PlaneClasses):
     """Classes by level, and by the strength and direction of edges."""
 
-    level_step: int = data("int64", doc="levels of the first layer that make one here")
+    level_step: int = data("int64", doc="number of first-layer levels that form one level of this layer")
     strength_edges: NDArray[np.uint32] = data(
         "uint32", "strength_edge", doc="trace of the structure tensor above which the next strength begins"
     )
-    coherence: int = data("int64", unit="1/64", doc="share of the trace along one direction from which an edge has one")
-    turns: NDArray[np.int8] = data(
-        "int8", "site", "component", doc="signs of the tensor's components in the orientation that a site is learned in"
+    coherence: int = data(
+        "int64", unit="1/64", doc="fraction of the trace along one direction from which an edge counts as directed"
     )
-    cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
+    turns: NDArray[np.int8] = data(
+        "int8", "site", "component", doc="signs of the tensor's components in the orientation in which each site is trained"
+    )
+    cases: int = data("int64", doc="number of saturation cases of the first layer, including the unsaturated one")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -178,13 +180,13 @@ class StructureRule(PlaneClasses):
 class TreeRule(PlaneClasses):
     """Classes by the leaves of one tree for all sites. Each site turns its window to the orientation it was trained in."""
 
-    test: NDArray[np.uint8] = data("uint8", "node", doc="which quotient of evidence a node compares")
-    threshold: NDArray[np.float32] = data("float32", "node", doc="above which the second of its branches is taken")
-    branch: NDArray[np.int32] = data(
-        "int32", "node", doc="the first of a node's two branches, which follow one another; 0: a leaf"
+    test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
+    threshold: NDArray[np.float32] = data("float32", "node", doc="larger values lead to the second branch")
+    branch: NDArray[np.int32] = data("int32", "node", doc="index of the first of two consecutive branches; 0 for a leaf")
+    turns: NDArray[np.uint8] = data(
+        "uint8", "site", doc="orientation, of the eight of a square, in which each site is trained"
     )
-    turns: NDArray[np.uint8] = data("uint8", "site", doc="orientation in which a site is learned, of the eight of a square")
-    cases: int = data("int64", doc="saturation cases of the first layer, the unsaturated one included")
+    cases: int = data("int64", doc="number of saturation cases of the first layer, including the unsaturated one")
 
     def __post_init__(self) -> None:
         super().__post_init__()

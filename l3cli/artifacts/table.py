@@ -25,9 +25,7 @@ class SpectralSmoothing:
     """
 
     window: int = data("int64", unit="pixel", doc="side of the neighbourhood of a pixel")
-    reach: float = data(
-        "float64", doc="difference of brightness, a share of the pixel's own, from which others do not count"
-    )
+    reach: float = data("float64", doc="relative difference of brightness from which pixels are left out of the mean")
 
     def __post_init__(self) -> None:
         check(self)
@@ -45,7 +43,7 @@ class SpectralSmoothing:
 class LeadingComponents:
     """The components of a spectrum that a refinement layer reads and corrects (docs/method.md#leading-components)."""
 
-    basis: NDArray[np.float64] = data("float64", "output", "plane", doc="rows of outputs times it are the planes")
+    basis: NDArray[np.float64] = data("float64", "output", "plane", doc="the planes are the outputs times this matrix")
 
     def __post_init__(self) -> None:
         check(self)
@@ -98,21 +96,21 @@ class TransformTable(Artifact):
     kind: ClassVar[str] = "transform table"
     made_by: ClassVar[str] = '"l3 train"'
 
-    camera_name: str = data("str", doc="the camera it was learned for")
-    rows: int = data("int64", unit="pixel", doc="height of the camera's frames")
-    cols: int = data("int64", unit="pixel", doc="width of the camera's frames")
+    camera_name: str = data("str", doc="name of the camera for which the table was trained")
+    rows: int = data("int64", unit="pixel", doc="rows of the camera's frames")
+    cols: int = data("int64", unit="pixel", doc="columns of the camera's frames")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
     cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
     bits: int = data("int64", unit="bit", doc="depth of the raw values")
-    black_level: float = data("float64", unit="DN", doc="black level of the raw values the table expects")
-    white_level: float = data("float64", unit="DN", doc="white level of the raw values the table expects")
+    black_level: float = data("float64", unit="DN", doc="black level of the raw values that the table expects")
+    white_level: float = data("float64", unit="DN", doc="white level of the raw values that the table expects")
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
-    target_description: str = data("str", doc="what the outputs are")
+    target_description: str = data("str", doc="description of the outputs")
     output_unit: float = data(
         "float64", unit="cd s/m^2", doc="scene luminance × exposure time that an output of 1 stands for"
     )
     white_point: NDArray[np.float64] = data(
-        "float64", "output", doc="output of a perfect white under the training light, Y = 1"
+        "float64", "output", doc="output of a perfect white under the training illuminant, Y = 1"
     )
     first: MosaicLayer = group()
     later: tuple[PlaneLayer, ...] = group(default=())

@@ -26,11 +26,13 @@ LARGEST = 1e12  # electrons, cd/m² or seconds, so that 32-bit floats can hold s
 class LightSpectrum:
     """Spectrum of a light on a scene, as the radiance of a perfect white of 1 cd/m²."""
 
-    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="where the light is tabulated")
+    wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the spectrum")
     radiance: NDArray[np.float32] = data(
-        "float32", "wavelength", unit="photons/s/sr/m^2/nm", doc="of a perfect white of 1 cd/m^2"
+        "float32", "wavelength", unit="photons/s/sr/m^2/nm", doc="radiance of a perfect white of 1 cd/m^2"
     )
-    spread: float = data("float64", doc="of a mean: largest relative difference of a light from it", default=0.0)
+    spread: float = data(
+        "float64", doc="if this is a mean of illuminants: largest relative difference of one of them from it", default=0.0
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -67,10 +69,10 @@ class TrainingPair:
 
     raw: NDArray[np.uint16] = data("uint16", "row", "col", unit="DN", doc="one noisy mosaic, CFA phase (0, 0)")
     target: NDArray[np.float32] = data(
-        "float32", "output", "row", "col", unit="cd/m^2 (XYZ)", doc="wanted output, registered with the sensor"
+        "float32", "output", "row", "col", unit="cd/m^2 (XYZ)", doc="wanted output at each pixel of the sensor"
     )
     white: NDArray[np.float64] = data(
-        "float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white under this light"
+        "float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white under this illuminant"
     )
     scene: str = data("str", doc="name of the scene")
     illuminant: str = data("str", doc="name of the illuminant")
@@ -102,8 +104,10 @@ class TrainingPair:
 class Shown:
     """Fingerprints of a frame's scene and light, which are comparable between cameras."""
 
-    scene: NDArray[np.float64] = data("float64", "projection", doc="fingerprint of the scene's visible part")
-    light: str = data("str", doc="SHA-256 of the measured spectra that the light is made of")
+    scene: NDArray[np.float64] = data(
+        "float64", "projection", doc="projections of the visible part of the scene, which identify it"
+    )
+    light: str = data("str", doc="SHA-256 of the measured spectra from which the illuminant was made")
 
     def __post_init__(self) -> None:
         check(self)
@@ -113,7 +117,7 @@ class Shown:
 class IgnoredPixels:
     """Pixels for which the scene's file holds no data. They are filled from their neighbours and left out of training."""
 
-    mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: ignored")
+    mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: the pixel is ignored")
 
     def __post_init__(self) -> None:
         check(self)
@@ -130,7 +134,7 @@ class TrainingFrame(TrainingPair):
     electrons: NDArray[np.float32] = data(
         "float32", "channel", "row", "col", unit="e-", doc="mean photo-electrons of every channel, noise-free, unclipped"
     )
-    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of this frame's noise")
+    seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of the noise in this frame")
     shown: Shown | None = group(default=None)  # None: unknown
     ignored: IgnoredPixels | None = group(default=None)  # None: no pixel is ignored
 
@@ -172,7 +176,7 @@ class TrainingSet(Artifact):
 
     camera: CameraModel = group()
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
-    target_description: str = data("str", doc="what the target is")
+    target_description: str = data("str", doc="description of the target")
     target_light: LightSpectrum | None = group(default=None)
 
     @property
@@ -191,7 +195,7 @@ class FrameLight:
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
-    luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white under the light")
+    luminance: float = data("float64", unit="cd/m^2", doc="luminance of a perfect white under the illuminant")
 
 
 GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": TrainingPair}

@@ -197,7 +197,7 @@ def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Re
             f'file = "{CSV}"',
             f'file = "{CSV}"\nwavelength_nm = [800, 900, 5]',
             3,
-            "holds 390…710 nm, responsivity.wavelength_nm",
+            "has 390…710 nm, but responsivity.wavelength_nm",
         ),
         (f'file = "{CSV}"', f'file = "{CSV}"\npeak_efficiency = 40', 2, "40 % is 0.4"),
         (

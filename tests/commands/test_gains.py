@@ -78,7 +78,7 @@ def test_transforms_for_a_gain_are_exported(gain_tables: Path, several: Transfor
     source = {name: (tmp_path / name / "l3_table.c") for name in ("usual", "high", "one")}
     found = {name: path.read_bytes() for name, path in source.items()}
     assert found["usual"] == found["one"] != found["high"]
-    assert "transforms for other noise: 0.1 of the noise over time" in l3("info", gain_tables / "several.h5")[1]
+    assert "transforms for other noise: 0.1 of the temporal noise" in l3("info", gain_tables / "several.h5")[1]
 
 
 def test_frames_of_another_gain_are_judged_by_its_transforms(gain_tables: Path, l3: L3, tmp_path: Path) -> None:

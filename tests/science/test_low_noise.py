@@ -141,7 +141,7 @@ def test_low_noise_transforms_of_other_layers_are_refused() -> None:
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(table, conditions=(dataclasses.replace(low, **fields),))
 
-    changed("conditions/0 holds 1 layers, the table 2", later=())
+    changed("conditions/0 has 1 layers, the table 2", later=())
     changed("a condition must have", noise=None, edges=None)
     narrow = dataclasses.replace(low.later[0], weights=low.later[0].weights[:, :, :3])
     changed("conditions/0/later/0 has transforms of other shapes", later=(narrow,))
