@@ -129,7 +129,7 @@ def check(path: Path, made_by: str) -> None:
                 return
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror}; give the file written by {made_by}") from error
-    what = "is truncated or damaged (checksum)" if has_title else "is not an l3 artifact, or damaged"
+    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but not an l3 artifact, or damaged"
     raise InputFileError(f"{path} {what}; copy it again, or make it again with {made_by}")
 
 

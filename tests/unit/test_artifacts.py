@@ -167,7 +167,7 @@ def require_refused(path: Path, message: str) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "message"),
-    [(truncate, "truncated or damaged"), (garbage, "is not an HDF5 file"), (plain_hdf5, "no l3 artifact")],
+    [(truncate, "truncated or damaged"), (garbage, "is not an HDF5 file"), (plain_hdf5, "not an l3 artifact")],
 )
 def test_a_broken_artifact_is_one_line(
     fiveband: CameraModel, tmp_path: Path, damage: Callable[[Path], None], message: str
