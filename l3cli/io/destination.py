@@ -205,12 +205,12 @@ def _pictures(destination: Destination) -> list[Path]:
 @contextlib.contextmanager
 def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
-    made: Callable[[Path, Path, FrameReference | None], None],
+    before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
     """Open the writer of frames. Yields the writer and the number of threads that may call it at the same time.
 
-    `made` is called with each file, the temporary file that is about to be renamed to it, and its frame, or None for a file
-    that holds all frames.
+    `before_rename` is called with each file, the temporary file that is about to be renamed to it, and its frame, or None for
+    a file that holds all frames.
     """
     path = destination.path
 
@@ -225,16 +225,16 @@ def sink_of(
             content = picture if isinstance(picture, bytes) else picture_file(file, picture)
             with atomic_output(file) as temporary:
                 temporary.write_bytes(content)
-                made(file, temporary, reference)
+                before_rename(file, temporary, reference)
 
         yield write, PICTURE_WRITERS
     elif destination.kind == "pages":
-        with new_pages(path, sequence.rendered, lambda temporary: made(path, temporary, None)) as pages:
+        with new_pages(path, sequence.rendered, lambda temporary: before_rename(path, temporary, None)) as pages:
             yield timed(lambda picture, _: pages.write(picture)), 1
     elif not destination.has_times:
         output = None if destination.kind == "stream" else path
-        with new_y4m(output, choice, lambda temporary: made(path, temporary, None)) as stream:
+        with new_y4m(output, choice, lambda temporary: before_rename(path, temporary, None)) as stream:
             yield timed(lambda picture, _: stream.write(picture.pixels)), 1
     else:
-        with new_video(path, choice, lambda temporary: made(path, temporary, None)) as video:
+        with new_video(path, choice, lambda temporary: before_rename(path, temporary, None)) as video:
             yield timed(lambda picture, time: video.write(picture.pixels, time)), 1

@@ -162,7 +162,7 @@ def rendered(
     """
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
-        balanced_frame, display = shown(renderer, frame, rendition, balance, scale)
+        balanced_frame, display = frame_and_display(renderer, frame, rendition, balance, scale)
         return upright(renderer.picture(balanced_frame, display), frame.orientation), scale
     planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
     if balance is not None and rendition.space is not None:
@@ -173,7 +173,7 @@ def rendered(
     return upright(np.moveaxis(planes, 0, -1), frame.orientation), scale
 
 
-def shown(
+def frame_and_display(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
     """Apply the gains of the white balance to a frame, and return it with its display.

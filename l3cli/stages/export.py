@@ -21,7 +21,7 @@ from l3cli.rendering.conditions import at_gain, known_gains, mix_for, mixed, noi
 from l3cli.rendering.white.scene_white import far_from_training
 from l3cli.rendering.white.source import given_white
 from l3cli.simulation.light import named_beyond_known
-from l3cli.stages.rendering.job import mix_of_given
+from l3cli.stages.rendering.job import light_mix_of_given
 from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a
@@ -112,7 +112,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
             raise RecipeError(f"{table} has no transforms for single illuminants to blend; leave ‹white› out")
         if white is not None or form != "folder":  # a folder of arrays has the transforms for all illuminants
-            transforms = mixed(transforms, mix_of_given(white, transforms, mix_for, console))
+            transforms = mixed(transforms, light_mix_of_given(white, transforms, mix_for, console))
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)
         elif known_gains(transforms) != (1, 1):

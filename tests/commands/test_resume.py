@@ -207,6 +207,26 @@ def test_what_is_there_is_refused_before_any_work(runs: Runs) -> None:
     assert "frame_09.png exists" in runs.refused(1, "--size", "20x28", source="-")
 
 
+@pytest.mark.parametrize(
+    ("options", "after"), [((), 2), ((), COUNT + 2), (("--format", "mkv"), 0), (("--format", "mkv"), 1)]
+)
+def test_clips_that_were_stopped_are_continued(runs: Runs, options: tuple[str, ...], after: int) -> None:
+    source = [runs.frames, write_stack(runs.folder / "stack.npy")]
+
+    def contents(out: str) -> dict[Path, bytes]:
+        folder = runs.folder / out
+        return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("[!.]*.*")}
+
+    assert runs(*options, source=source, out="whole")[0] == 0
+    runs.stop(after, *options, source=source)
+    assert len(contents("out")) == after
+    assert runs(*options, "--resume", source=source)[0] == 0
+    assert contents("out") == contents("whole")
+    times = [path.stat().st_mtime_ns for path in sorted(runs.out.rglob("[!.]*.*"))]
+    assert runs(*options, "--resume", source=source)[0] == 0  # everything is finished
+    assert [path.stat().st_mtime_ns for path in sorted(runs.out.rglob("[!.]*.*"))] == times
+
+
 def test_a_finished_still_is_left_as_it_is(runs: Runs, l3: L3) -> None:
     """Only with --resume does a still leave a hidden file that says what it was made from."""
     frame = runs.frames / "frame_07.tif"

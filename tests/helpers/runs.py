@@ -31,7 +31,7 @@ class Runs:
         return self._refused(code, *self.call(*options, **others))
 
     def stop(self, after: int, *options: object, **others: Any) -> None:
-        """Run a call that ends, as if killed, when a picture more than `after` is about to get its name."""
+        """Run a call that ends, as if killed, when a picture or video more than `after` is about to get its name."""
 
         class Killed(BaseException):
             pass
@@ -39,7 +39,7 @@ class Runs:
         rename, named = os.replace, itertools.count(1)
 
         def renamed(source: Path, path: Path) -> None:
-            if path.suffix == ".png" and next(named) > after:
+            if path.suffix in (".png", ".mkv") and next(named) > after:
                 raise Killed
             rename(source, path)
 

@@ -66,7 +66,7 @@ class PictureCheckpoint(Checkpoint):
         self._unseen.discard(file.name)
         return bool(origin) and self.is_ours(file) and self.items[file.name]["origin"] == origin
 
-    def made(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
+    def list_output(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
         """List an output, with counts of its frames, just before its temporary file is renamed."""
         self.add(file.name, {"file": dated(temporary), "origin": origin, **counts})
 

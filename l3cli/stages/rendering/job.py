@@ -61,7 +61,7 @@ class Job:
     engine: dict[str, str]  # options of the backend
     shows_photos: bool  # whether pictures are made from files that state a white of their own
     white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
-    mix: Mix | None  # lights of the table for a white that is given
+    light_mix: Mix | None  # lights of the table for a white that is given
     rendition: Rendition
     scheduler: "Scheduler | None"
     checkpoint: PictureCheckpoint | None  # None: nothing to continue, such as a stream or a single picture
@@ -113,8 +113,8 @@ def open_job(
     overrides = _with_corrections(stated, table, camera, options, guard)
     shows_photos = has_display(place, options) and are_photos(inputs[0])
     source = white_source(options.white, table, shows_photos)
-    mix = None if source else mix_of_given(options.white, table, nearest_for, options.console)
-    rendition = _rendition(place, None if source else options.white, mixed(table, mix), options)
+    light_mix = None if source else light_mix_of_given(options.white, table, nearest_for, options.console)
+    rendition = _rendition(place, None if source else options.white, mixed(table, light_mix), options)
     if rendition.balance is not None and table.shows_grey:
         options.console.info(f"{table_file} tells no colours; pictures are grey")
     sequence = _frames(inputs, table, overrides, options)
@@ -137,7 +137,7 @@ def open_job(
         engine=engine,
         shows_photos=shows_photos,
         white_source=source,
-        mix=mix,
+        light_mix=light_mix,
         rendition=rendition,
         scheduler=scheduler,
         checkpoint=checkpoint,
@@ -333,7 +333,7 @@ def _files_read(table_file: Path, inputs: tuple[Path, ...], sequence: FrameSeque
 Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for or nearest_for
 
 
-def mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
+def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
     """Return the lights of a table that fit a white, and say which.
 
     Parameters
@@ -362,10 +362,10 @@ def mix_of_given(white: str | None, table: TransformTable, choice: Choice, conso
         names = ", ".join(light.name for light in table.lights)
         console.info(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
         return None
-    mix = choice(table, given.light.xyz)
-    assert mix is not None
-    console.info(f"white {white}: transforms of {described(table, mix)}")
-    return mix
+    light_mix = choice(table, given.light.xyz)
+    assert light_mix is not None
+    console.info(f"white {white}: transforms of {described(table, light_mix)}")
+    return light_mix
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:

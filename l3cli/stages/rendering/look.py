@@ -24,7 +24,7 @@ class Look:
     """How the frames of a job are shown."""
 
     table: TransformTable  # with the transforms for the light of the frames
-    mix: Mix | None  # lights of the table that these transforms are for; None: all in common
+    light_mix: Mix | None  # lights of the table that these transforms are for; None: all in common
     overrides: RawOverrides  # the job's, with the estimated gain
     sequence: FrameSequence  # the job's frames, to be read with these facts
     rendition: Rendition
@@ -41,15 +41,25 @@ def choose_look(job: Job) -> Look:
     found = job.sequence if gain is None else replace(job.sequence, frames=job.find(overrides).frames)
     video, pacing = _timing(job)
     if job.white_source is None or not job.table.lights:
-        mix, sequence, table = job.mix, found, mixed(job.table, job.mix)
+        light_mix, sequence, table = job.light_mix, found, mixed(job.table, job.light_mix)
         rendition, source = job.rendition, job.white_source
     else:
-        mix, sequence = _mix_of_first(job.white_source, job, found)
-        table = mixed(job.table, mix)
+        light_mix, sequence = _light_mix_of_first(job.white_source, job, found)
+        table = mixed(job.table, light_mix)
         rendition = replace(job.rendition, balance=usual_balance(table))
         source = white_source(job.options.white, table, job.shows_photos, job.table)
     temporal = _temporal_filters(job, table) if job.options.temporal else None
-    return Look(table, mix, overrides, sequence, rendition, source, video, pacing, temporal)
+    return Look(
+        table=table,
+        light_mix=light_mix,
+        overrides=overrides,
+        sequence=sequence,
+        rendition=rendition,
+        white_source=source,
+        video=video,
+        pacing=pacing,
+        temporal=temporal,
+    )
 
 
 def _estimated_gain(job: Job) -> float | None:
@@ -81,7 +91,7 @@ def _estimated_gain(job: Job) -> float | None:
     return estimate.gain
 
 
-def _mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tuple[Mix | None, FrameSequence]:
+def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tuple[Mix | None, FrameSequence]:
     """Return the light of the table nearest to the white of the first frame, and the frames.
 
     All frames are rendered with the transforms for this light. It is None if the first frame states no white. Errors in the
@@ -97,11 +107,11 @@ def _mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tup
         if not is_single:
             console.info("the first frame tells no white; the table's transforms for all its lights in common are taken")
         return None, frames
-    mix = nearest_for(job.table, white.light.xyz)
-    assert mix is not None
+    light_mix = nearest_for(job.table, white.light.xyz)
+    assert light_mix is not None
     extent = "" if is_single else ", for all frames"
-    console.info(f"{frame.name}: white {source.about}: transforms of {described(job.table, mix)}{extent}")
-    return mix, frames
+    console.info(f"{frame.name}: white {source.about}: transforms of {described(job.table, light_mix)}{extent}")
+    return light_mix, frames
 
 
 def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:

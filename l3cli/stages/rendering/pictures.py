@@ -26,7 +26,7 @@ from l3cli.parallel import WorkerPool, workers
 from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
 from l3cli.rendering.renderer import NoiseRenderer, Renderer
-from l3cli.rendering.rendition import Rendition, rendered, shown
+from l3cli.rendering.rendition import Rendition, frame_and_display, rendered
 from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
 from l3cli.stages.rendering.reading import FrameTask
@@ -48,14 +48,14 @@ class RenderSetup:
     rendition: Rendition
     suffix: str | None  # suffix of the picture files; None if pixels are wanted
     camera: CameraFile | None = None  # camera model whose defects and flat field are corrected
-    mix: Mix | None = None  # lights of the table
+    light_mix: Mix | None = None  # lights of the table
 
 
 def setup_of(job: Job, look: Look) -> RenderSetup:
     """Return the settings of a run."""
     return RenderSetup(
         job.table_file.absolute(), job.digest, job.options.backend, job.engine, look.overrides, look.rendition,
-        job.destination.file_suffix, job.camera, look.mix,
+        job.destination.file_suffix, job.camera, look.light_mix,
     )  # fmt: skip
 
 
@@ -82,7 +82,7 @@ class PictureMaker:
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
             for task in tasks:
                 started.append(task)
-                yield shown(self._renderer, _frame(task), rendition, task.balance or usual, task.scale)
+                yield frame_and_display(self._renderer, _frame(task), rendition, task.balance or usual, task.scale)
 
         for pixels in self._renderer.pictures(displayed()):
             task = started.popleft()
@@ -150,7 +150,12 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
     """Return, in a worker, the picture of a frame, the content of its file, or the error in its input."""
     setup, sent = job
     table, renderer = _renderer_of_worker(
-        setup.table, setup.digest, setup.backend, tuple(setup.engine.items()), setup.rendition.balance is not None, setup.mix
+        setup.table,
+        setup.digest,
+        setup.backend,
+        tuple(setup.engine.items()),
+        setup.rendition.balance is not None,
+        setup.light_mix,
     )
     try:
         task = _read_by_worker(sent, setup, table)
@@ -175,12 +180,12 @@ def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) 
 
 @functools.lru_cache(1)
 def _renderer_of_worker(
-    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, mix: Mix | None
+    path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, light_mix: Mix | None
 ) -> tuple[TransformTable, Renderer]:
     """Return the table, and its renderer, which a worker makes once for all frames."""
     require_same(path, digest)
     loaded = load(TransformTable, path)
-    table = mixed(loaded.pictured() if pictures else loaded, mix)
+    table = mixed(loaded.pictured() if pictures else loaded, light_mix)
     return table, NoiseRenderer(backend, table, **dict(engine))
 
 
@@ -192,7 +197,7 @@ class Renderers:
 
     def of(self, setup: RenderSetup, table: TransformTable) -> Renderer:
         """Return the renderer of a run."""
-        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.mix
+        key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.light_mix
         if key not in self._renderers:
             self._renderers = {key: NoiseRenderer(setup.backend, table, **setup.engine)}
         return self._renderers[key]

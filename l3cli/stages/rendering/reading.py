@@ -93,8 +93,8 @@ class FrameReader:
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)
-            known = self._origins.of(reference) if self._checkpoint else reference
-            yield FrameTask(known, place, not is_counted or self._exists(known), is_counted)
+            identified = self._origins.of(reference) if self._checkpoint else reference
+            yield FrameTask(identified, place, not is_counted or self._exists(identified), is_counted)
 
     def _exists(self, reference: FrameReference) -> bool:
         """Whether the picture of a frame is finished."""

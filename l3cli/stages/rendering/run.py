@@ -133,7 +133,7 @@ def _unfinished(
 def _origins(job: Job, look: Look) -> FrameOrigins:
     """Return what identifies the origins of pictures. With --deflicker, the last ones depend on the number of frames."""
     count = job.sequence.count if job.options.deflicker else None
-    settings = [look.mix and astuple(look.mix), look.overrides.unlabelled_gain, astuple(look.video), count]
+    settings = [look.light_mix and astuple(look.light_mix), look.overrides.unlabelled_gain, astuple(look.video), count]
     return FrameOrigins(job.inputs[0], settings, job.frames_depend_on_earlier)
 
 
@@ -144,8 +144,8 @@ def _lister(job: Job, look: Look, tally: Tally) -> Callable[[Path, Path, FrameRe
     def add(file: Path, temporary: Path, reference: FrameReference | None) -> None:
         tally.written.append(file)
         if job.checkpoint is not None and reference is not None:
-            job.checkpoint.made(file, temporary, reference.origin)
+            job.checkpoint.list_output(file, temporary, reference.origin)
         elif job.checkpoint is not None:
-            job.checkpoint.made(file, temporary, whole, frames=tally.done, left_out=tally.failures)
+            job.checkpoint.list_output(file, temporary, whole, frames=tally.done, left_out=tally.failures)
 
     return add
