@@ -209,8 +209,8 @@ def sink_of(
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
     """Open the writer of frames. Yields the writer and the number of threads that may call it at the same time.
 
-    `before_rename` is called with each file, the temporary file that is about to be renamed to it, and its frame, or None for
-    a file that holds all frames.
+    `before_rename` is called with each file, the temporary file that is about to be renamed to it, and its frame. The frame
+    is None for a file that holds all frames.
     """
     path = destination.path
 
