@@ -116,7 +116,9 @@ class WriteBehind:
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
         self._complete = False  # whether all items have been put
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(threads)]
+        # No Thread.join: in Python 3.11, a thread whose join is interrupted counts as ended although it still works.
+        self._ended = [threading.Event() for _ in range(threads)]
+        self._threads = [threading.Thread(target=self._run, args=(ended,), daemon=True) for ended in self._ended]
 
     def __enter__(self) -> "WriteBehind":
         for thread in self._threads:
@@ -135,8 +137,8 @@ class WriteBehind:
             return
         try:
             self._wake_one()
-            for thread in self._threads:
-                thread.join()
+            for ended in self._ended:
+                ended.wait()
         except BaseException as interruption:
             self._drop(interruption)
             raise
@@ -152,12 +154,18 @@ class WriteBehind:
         self._error = self._error or interruption
         self._wake_one()
         end = time.monotonic() + WRITE_SECONDS
-        for thread in self._threads:
-            thread.join(max(end - time.monotonic(), 0))
+        for ended in self._ended:
+            ended.wait(max(end - time.monotonic(), 0))
 
     def _wake_one(self) -> None:
         with contextlib.suppress(queue.Full):  # then a thread will take the last item and see `_complete`
             self._items.put_nowait(_End)
+
+    def _run(self, ended: threading.Event) -> None:
+        try:
+            self._work()
+        finally:
+            ended.set()
 
     def _work(self) -> None:
         while not (self._complete and self._items.empty()):

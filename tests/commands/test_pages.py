@@ -264,7 +264,6 @@ def test_pages_are_of_one_size_and_there_or_not(l3: L3, refused: Refused, desk: 
     assert "f_1.npy has 20×30 pixels, the first page 24×30" in err
     (desk / "b.tif").write_bytes(b"mine")
     assert "exists" in refused(1, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "b.tif")
-    assert "in one go" in refused(2, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "c.tif", "--resume")
     assert "a .tif" in refused(2, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "c.png")
 
 

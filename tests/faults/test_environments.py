@@ -94,7 +94,8 @@ def test_file_names_of_any_bytes(desk: Path, tmp_path: Path, name: bytes, locale
     for command in ([*start, "-o", name + b".exr"], [*start, name + b".npy", "-o", name + b".mkv"]):
         ended = subprocess.run(command, cwd=folder, env=environment(**locale), capture_output=True, check=False)
         assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b""), command
-    assert set(os.listdir(folder)) == {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
+    expected = {name + suffix for suffix in (b".h5", b".tif", b".npy", b".exr", b".mkv")}
+    assert set(os.listdir(folder)) == expected | {b"." + name + b".mkv.l3-finished"}
 
 
 def test_libraries_open_no_names_of_other_bytes_than_utf8(desk: Path, tmp_path: Path, refused: Refused) -> None:
