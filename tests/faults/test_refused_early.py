@@ -227,7 +227,14 @@ def test_what_names_state_moves_no_cursor_and_makes_no_line(l3: L3, pipeline: Pa
             root[name].attrs.update(attributes)
     seal(tmp_path / "unseen.h5")
     (tmp_path / "e.json").write_text(
-        json.dumps({"camera": HURT, "frames": [{"luminance": light, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)]})
+        json.dumps(
+            {
+                "camera": HURT,
+                "frames": [
+                    {"luminance": light, "clipped": 0.0, "exposure": 0.01, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)
+                ],
+            }
+        )
     )
     quiet = ("--backend", "reference", "--quiet")
     for call in (

@@ -22,7 +22,7 @@ def make_desk(folder: Path) -> None:
     values = np.random.default_rng(0).integers(700, 900, (20, 24)).astype(np.uint16)  # nothing worth a warning
     write_mosaic(folder / "raw.tif", values)
     np.save(folder / "raw.npy", values)
-    frames = [{"luminance": light, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)]
+    frames = [{"luminance": light, "clipped": 0.0, "exposure": 0.01, "ours": {"scielab": 2.0}} for light in (1.0, 10.0)]
     (folder / "evaluation.json").write_text(json.dumps({"camera": "µ\x1b[2J\u202e", "frames": frames}))
     for backend in ("reference", "opencl"):
         call = ["render", f"{folder}/table.h5", f"{folder}/raw.tif", "-o", f"{folder}/{backend}.png", "--exposure", "1"]

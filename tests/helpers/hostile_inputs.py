@@ -139,7 +139,9 @@ white_level_dn = 4000
 well_capacity_e = 20000
 """
 CURVES = re.sub(r"\[sweep\].*?(?=\[datasheet\])", '[curves]\nfile = "curves.json"\n', TABLE, flags=re.S)
-EVALUATION = '{"camera": "a", "frames": [{"luminance": 10, "ours": {"psnr": 30.5, "scielab": 2}}]}'
+EVALUATION = (
+    '{"camera": "a", "frames": [{"luminance": 10, "clipped": 0, "exposure": 0.01, "ours": {"psnr": 30.5, "scielab": 2}}]}'
+)
 
 
 def make_inputs(folder: Path) -> None:
