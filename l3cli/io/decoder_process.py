@@ -80,7 +80,7 @@ def confine(files: Iterable[Path]) -> tuple[str, ...]:
 
 
 def _installation() -> set[Path]:
-    """Return the folders that Python and its libraries read at run time."""
+    """Return the folders from which Python and its libraries load code and data at run time."""
     package = Path(__file__).parents[1]
     packages = [path for path in sys.path if Path(path).name in PACKAGES]
     return {package, *map(Path, (sys.prefix, sys.base_prefix, sys.exec_prefix, *packages, *SYSTEM))}
@@ -140,24 +140,25 @@ def measures(path: Path) -> tuple[str, ...]:
     return _measures
 
 
-def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
-    """Decode files, each with a worker of its own, until the connection closes.
+def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
+    """Answer decoding requests until the caller closes the connection. Every file is decoded by a worker process of its own.
 
     Parameters
     ----------
-    talk : int
+    socket_descriptor : int
         File descriptor of the socket to the caller.
     arrays : int
-        File descriptor of the file through which arrays are returned.
-    seconds : float
-        CPU time allowed per file.
-    room : int
-        Address space in bytes.
+        File descriptor of the file through which decoded arrays are returned.
+    cpu_seconds : float
+        CPU time that a worker may use for one request, in s.
+    max_bytes : int
+        Limit of the address space of a process, and of the size of a file that it writes, in bytes.
     """
-    for what, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, room), (resource.RLIMIT_FSIZE, room)):
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # hard limits too, so that they cannot be raised again
+    limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
+    for what, most in limits.items():
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit too, so that nobody can raise it again
     workers: dict[str, _Worker] = {}  # by file and decoder, least recently used first
-    with socket.socket(fileno=talk) as connection:
+    with socket.socket(fileno=socket_descriptor) as connection:
         send(connection, READY)
         while True:
             try:
@@ -165,17 +166,17 @@ def serve(talk: int, arrays: int, seconds: float, room: int) -> None:
             except EOFError:
                 return
             folder, state, module, name, path, *_ = json.loads(request)
-            known = json.dumps([folder, state, module, name, path])
-            if known not in workers:
+            task = json.dumps([folder, state, module, name, path])
+            if task not in workers:
                 _import(module, name)
                 try:
                     others = [connection, *(worker.socket for worker in workers.values())]
-                    workers[known] = _Worker(Path(folder, path), arrays, seconds, others)
+                    workers[task] = _Worker(Path(folder, path), arrays, cpu_seconds, others)
                 except OSError:
                     problem = L3Error(f"no process to decode {path} can be started; {MORE_MEMORY}, or add ‹trust›")
                     send(connection, _problem(problem))
                     continue
-            workers[known] = worker = workers.pop(known)
+            workers[task] = worker = workers.pop(task)
             send(connection, worker.answer(request))
             if len(workers) > MAX_WORKERS:
                 workers.pop(next(iter(workers))).end()
@@ -189,10 +190,10 @@ def _import(module: str, name: str) -> None:
 
 
 class _Worker:
-    """A process that decodes one file and can read no other."""
+    """A forked process that can read one file and decodes it."""
 
-    def __init__(self, path: Path, arrays: int, seconds: float, others: list[socket.socket]) -> None:
-        """Fork the worker without the sockets `others`. Raises OSError if no further process can be started."""
+    def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
+        """Fork the worker, which closes the sockets that it inherits. Raises OSError if the process cannot be started."""
         self.socket, theirs = socket.socketpair()
         with theirs:
             try:
@@ -202,14 +203,14 @@ class _Worker:
                 raise
             if not self._process:
                 try:
-                    for other in (self.socket, *others):
+                    for other in (self.socket, *inherited):
                         other.close()
-                    _decode(theirs, path, arrays, seconds)
+                    _decode(theirs, path, arrays, cpu_seconds)
                 finally:
                     os._exit(1)
 
     def answer(self, request: bytes) -> bytes:
-        """Return the worker's reply. If the worker dies, end this process in the same way, so that the caller notices."""
+        """Return the worker's reply. If it died, end this process in the same way, which the caller reports."""
         try:
             send(self.socket, request)
             return receive(self.socket)
@@ -228,8 +229,8 @@ class _Worker:
         self.socket.close()
 
 
-def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) -> None:
-    """Confine this process, answer requests for a file until the connection closes, then exit."""
+def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
+    """Confine this process to one file, answer requests for this file until the connection closes, and exit."""
     global _measures
     _measures = confine([path])
     while True:
@@ -239,7 +240,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, seconds: float) 
             os._exit(0)
         os.chdir(folder)  # the caller's folder, so that relative names work and appear in messages as given
         used = resource.getrusage(resource.RUSAGE_SELF)
-        until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + seconds) + 1)
+        until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
         send(connection, _answer(module, name, Path(path_there), plain, arrays))
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from l3cli.errors import L3Error, RecipeError
-from l3cli.system.files import UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
+from l3cli.system.files import FINISHED, UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
 
 RUN = "run"  # name of the file in a folder of parts that holds the key of the run
 
@@ -164,8 +164,10 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
         If the folder holds something else and `force` is not set.
     """
     refuse_other_run(folder, key, force)
-    marker = folder / UNFINISHED
+    marker, finished = folder / UNFINISHED, folder / FINISHED
+    refuse_protected(finished)
     write_whole(marker, key)
+    finished.unlink(missing_ok=True)
     try:
         yield
     except BaseException:
@@ -174,6 +176,17 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
             marker.unlink()
         raise
     marker.unlink()
+
+
+def mark_finished(folder: Path, key: str) -> None:
+    """Note in `folder` that the run with this key has finished it."""
+    write_whole(folder / FINISHED, key)
+
+
+def is_finished(folder: Path, key: str) -> bool:
+    """Whether the run with this key has finished `folder`."""
+    marker = folder / FINISHED
+    return marker.is_file() and marker.read_bytes() == key.encode()
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:

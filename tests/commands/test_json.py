@@ -61,7 +61,7 @@ def test_results_and_how_the_command_ran(sentence: str, pipeline: Path, tmp_path
     document = printed(out)
     assert (code, document["run"]["exit_code"], document["run"]["error"]) == (0, 0, None)
     assert set(document) >= CALLS[sentence]
-    made = {path for path in tmp_path.rglob("*") if path.is_file()}
+    made = {path for path in tmp_path.rglob("[!.]*") if path.is_file()}
     assert {Path(each["path"]): each["sha256"] for each in document["run"]["outputs"]} == {
         path: digest(path) for path in made
     }

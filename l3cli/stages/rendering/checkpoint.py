@@ -17,7 +17,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.io.destination import Destination
 from l3cli.io.sequences import FrameReference, FrameSequence
 from l3cli.system.checkpoint import Checkpoint
-from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint
+from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint, refuse_protected
 
 
 class PictureCheckpoint(Checkpoint):
@@ -73,6 +73,7 @@ class PictureCheckpoint(Checkpoint):
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
         """Keep the checkpoint during the block. It stays if the block fails, unless nothing was finished."""
+        refuse_protected(self.finished)
         self.begin()
         self.finished.unlink(missing_ok=True)
         try:

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from l3cli.artifacts.camera_recipe import camera_files, columns_left_out, load_camera
@@ -31,7 +31,7 @@ from l3cli.stages.simulation.preparation import (
     unknown_of,
 )
 from l3cli.stages.simulation.units import StoredFrames, is_of_run, key_of, received, simulate_unit, units_of
-from l3cli.system.checkpoint import incomplete_folder
+from l3cli.system.checkpoint import incomplete_folder, is_finished, mark_finished
 from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
@@ -97,18 +97,27 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         note_unknown_fields(run, files, console)
         used = files_to_read({"scene recipe": [scenes], **inputs})
         with contextlib.ExitStack() as unfinished:
+            done = [folder for folder in folders if stands and is_finished(folder, key)]
             for folder in folders:
-                unfinished.enter_context(incomplete_folder(folder, key, force))
+                if folder not in done:
+                    unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
                 stored.remove()  # of a run that was killed after the output had appeared
+                missing = replace(
+                    options,
+                    pictures=None if options.pictures in done else options.pictures,
+                    dng=None if options.dng in done else options.dng,
+                )
                 with open_training_set(output, unchanged=True) as frames:
                     total = len(frames)
-                    pictures = write_pictures(run, files, frames, options)
+                    pictures = write_pictures(run, files, frames, missing)
             else:
                 with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
                     pictures = write_pictures(run, files, stored, options)
                     _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
+            for folder in folders:
+                mark_finished(folder, key)
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
         console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}{'; finished already' if stands else ''}")
         return Simulated(total, bad, used.and_wrote(output, *pictures))
