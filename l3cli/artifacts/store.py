@@ -137,7 +137,9 @@ def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False
         try:
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
         except HDF5_ERRORS as error:
-            raise InputFileError(f"{path} is an HDF5 file but no l3 artifact; give the file written by {made_by}") from error
+            raise InputFileError(
+                f"{path} is an HDF5 file but not an l3 artifact; give the file written by {made_by}"
+            ) from error
         makers = {each.kind: each.made_by for each in expected}
         if expected and kind not in makers:
             raise InputFileError(f"{path} holds {a(kind)}; give the file written by {made_by}")

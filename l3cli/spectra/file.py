@@ -1,10 +1,10 @@
 """Reads files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
 
-A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by values, as
-many in each row. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs, a comma is a
-decimal point. A heading names the columns. It is the first line, or the last comment (#) before the numbers. The heading
-says which column contains the wavelengths. Other columns are found by name, in any order, and units in brackets are
-converted. Without a heading, the first column is the wavelength in nm, and the other columns are in the order that the
+A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by values; all
+rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs,
+a comma is a decimal point. A heading names the columns. It is the first line, or the last comment (#) before the numbers.
+The heading says which column contains the wavelengths. Other columns are found by name, in any order, and units in brackets
+are converted. Without a heading, the first column is the wavelength in nm, and the other columns are in the order that the
 caller expects.
 
 CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard

@@ -67,7 +67,7 @@ def test_the_gain_of_frames_without_iso_speed_is_estimated(
         assert (tmp_path / "out" / picture).read_bytes() == (tmp_path / "given" / picture).read_bytes()
 
     one = ("render", gain_tables / "several.h5", tmp_path / "textured.tif", "-o", tmp_path / "x.png")
-    assert "textured.tif: its gain is unknown (no area is uniform), and taken for 1; give --gain" in l3(*one)[2]
+    assert "textured.tif: the gain is unknown (no area is uniform); 1 is assumed; give --gain" in l3(*one)[2]
 
 
 def test_transforms_for_a_gain_are_exported(gain_tables: Path, several: TransformTable, l3: L3, tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_frames_whose_white_cannot_be_taken(
     np.save(tmp_path / "black.npy", np.full_like(raw, int(bayer.black_level)))
     code, _, err = l3("render", table, tmp_path / "black.npy", "--white", "auto", "-o", picture, *FAST)
     assert code == 0
-    assert "nothing to tell its white by" in err
+    assert "the white cannot be determined" in err
     exr = refused(2, "render", table, tmp_path / "plain.npy", "--white", "auto", "-o", tmp_path / "a.exr", *FAST)
     assert "--white" in exr
 
@@ -353,7 +353,7 @@ def test_by_the_table_s_white_all_lights_are_taken_in_common(
 ) -> None:
     code, _, err = l3("render", several, warm, "--white", "table", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "for all its lights in common (A, D65) are taken; --white chooses others" in err
+    assert "common transforms for all its illuminants (A, D65); --white selects others" in err
     assert l3("render", table, warm, "--white", "table", "-o", tmp_path / "b.png", *FAST)[0] == 0
     one, other = (read_image(tmp_path / name)[0] for name in ("a.png", "b.png"))
     np.testing.assert_array_equal(one, other)

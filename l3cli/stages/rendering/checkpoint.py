@@ -30,7 +30,7 @@ class PictureCheckpoint(Checkpoint):
     path : Path
         File of the checkpoint, beside the outputs.
     key : str
-        Digest of the table, of the options on which the bytes of the outputs depend, and of where the inputs lie.
+        Digest of the table, of the options on which the bytes of the outputs depend, and of the paths of the inputs.
     """
 
     def __init__(self, path: Path, key: str) -> None:
@@ -53,7 +53,7 @@ class PictureCheckpoint(Checkpoint):
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
             raise RecipeError(
-                f"{output} holds a run with another table, inputs or options; leave ‹resume› out, or add ‹force›"
+                f"{output} contains a run with another table, inputs or options; leave ‹resume› out, or add ‹force›"
             )
         self._unseen = {name for name in self.items if self.is_ours(self.path.with_name(name))}
 
@@ -86,7 +86,7 @@ class PictureCheckpoint(Checkpoint):
 
     @property
     def abandoned(self) -> list[Path]:
-        """Pictures of the earlier run whose frames are not among the inputs any more."""
+        """Pictures of the earlier run whose frames are no longer among the inputs."""
         return [self.path.with_name(name) for name in sorted(self._unseen)]
 
 
@@ -99,14 +99,14 @@ def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool)
 
 
 class FrameOrigins:
-    """Digests of what pictures are made from.
+    """Identifies what each picture is made from, as a digest.
 
     Parameters
     ----------
     inputs : Path
-        The file that holds all frames, unless each has a file of its own.
+        The file with all frames, unless each frame has a file of its own.
     settings : object
-        What all pictures depend on besides the options, such as the estimated gain; ready for JSON.
+        Further facts on which all pictures depend, such as the estimated gain; ready for JSON.
     follow : bool
         Whether a picture depends on all frames before it.
     """

@@ -27,7 +27,7 @@ from l3cli.system.files import FULL, STDIN, FilesUsed, dated, refuse_existing, r
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # states of a clip
-MAX_WARNINGS = 1000  # of a clip, in its report
+MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
@@ -44,15 +44,16 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
         inside = clips_in(each, sensor, stated_overrides(options), options.console.warn) if each.is_dir() else []
         source, target = (Path(os.path.realpath(path)) for path in (each, output))  # resolves even a loop of links
         if inside and (source in (target, *target.parents) or target in source.parents):
-            raise RecipeError(f"{output} and {each} lie in one another; name an output elsewhere")
+            raise RecipeError(f"one of {output} and {each} contains the other; name an output elsewhere")
         clips += [path for path in inside if os.path.realpath(path) != os.path.realpath(table)] or [each]
     return tuple(clips)
 
 
 def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> bool:
-    """Whether each input is a clip of its own: one of several is a sequence, or videos are wanted in a folder.
+    """Return whether each input is a clip of its own.
 
-    Several files of one frame each are a single job.
+    This is so if there are several inputs and one of them is a sequence, or if videos are to be written into a folder.
+    Several files with one frame each are a single job.
     """
     if is_video(Path(f"clip.{options.format}")) and not is_video(output):
         return True
@@ -61,7 +62,7 @@ def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, outpu
 
 
 def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
-    """Whether a file holds several frames. Errors in it are reported when it is rendered."""
+    """Return whether a file has several frames. Errors in the file are reported when it is rendered."""
     with contextlib.suppress(L3Error, OSError):
         return path.is_file() and holds_several(path, sensor, known)
     return False
@@ -164,22 +165,22 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
     with OutputGuard(options.console) as guard:
         guard.protect(table)
         for source in sources:
-            with contextlib.suppress(InputFileError, OSError):  # reported when it is its turn
+            with contextlib.suppress(InputFileError, OSError):  # reported when this clip is rendered
                 guard.protect(*frame_files(source))
                 _refuse_output(_output_of(source, folder, sensor, options), options)
         for number, source in enumerate(sources, 1):
             options.console.info(f"clip {number} of {len(sources)}: {source}")
             if dated(table) != table_state:
-                raise RecipeError(f"{table} has changed since the run began; begin it again")
+                raise RecipeError(f"{table} has changed since the run began; start the run again")
             _render_clip(table, sensor, source, folder, options, renderers, summary)
 
 
 def _refuse_folder(folder: Path, options: RenderOptions) -> None:
-    """Refuse an output that is no folder, and options that do not fit clips."""
+    """Refuse an output that is not a folder, and options that do not fit clips."""
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
-        raise RecipeError(f"{folder} is for one clip; name a folder, and the kind of its files with ‹format›")
+        raise RecipeError(f"{folder} is for one clip; name a folder, and give the type of its files with ‹format›")
     if options.uncertainty is not None:
-        raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
+        raise RecipeError("‹uncertainty› is for a single frame; name one, or leave it out")
     destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
     refuse_unwritable(folder)
 
@@ -189,7 +190,7 @@ def _output_of(source: Path, folder: Path, table: TransformTable, options: Rende
     name = name_of(source)
     if is_video(Path(f"clip.{options.format}")) or is_still(source, table, stated_overrides(options)):
         return folder / f"{name}.{options.format}"
-    return folder / name.replace(".", "_")  # because a name with a suffix would be a file
+    return folder / name.replace(".", "_")  # a name with a suffix would stand for a file
 
 
 def _refuse_output(output: Path, options: RenderOptions) -> None:
@@ -203,7 +204,7 @@ def _render_clip(
     table: Path, sensor: TransformTable, source: Path, folder: Path, options: RenderOptions, renderers: Renderers,
     summary: Summary,
 ) -> None:  # fmt: skip
-    """Render a clip and add its outcome. Raises only errors that every other clip would have, too."""
+    """Render a clip and add its outcome to the summary. Raises only errors that would also stop every other clip."""
     output, gathering = folder / name_of(source), Gathering(options.console, MAX_WARNINGS)
     try:
         output = _output_of(source, folder, sensor, options)

@@ -19,7 +19,7 @@ class FlickerReport:
     """The flicker that was removed from a sequence."""
 
     frames: int = 0
-    squares: float = 0.0  # sum of the squares of its logs
+    squares: float = 0.0  # sum of squares of the log brightness that was removed
     mains: Counter[int | None] = field(default_factory=Counter)  # frames by the mains frequency that was found, in Hz
 
     def line(self) -> str:
@@ -28,15 +28,15 @@ class FlickerReport:
         strength = math.sqrt(self.squares / max(self.frames, 1))
         if mains is None or strength < SMALLEST_REPORTED:
             return "no flicker of 100 or 120 Hz was found; if the pictures flicker, give the camera's rate as ‹fps›"
-        return f"flicker of {2 * mains} Hz taken off: {strength:.1%} RMS"
+        return f"flicker of {2 * mains} Hz removed: {strength:.1%} RMS"
 
 
 def deflickered(
     tasks: Iterator[FrameTask], job: Job, look: Look, meter: FrameMeter, report: FlickerReport
 ) -> Iterator[FrameTask]:
-    """Yield the same frames with their exposure scale, from which flicker is removed.
+    """Yield the frames with exposure scales that remove the flicker.
 
-    The flicker of a frame is fitted to LOOKAHEAD frames before and after it, which wait meanwhile.
+    The flicker of a frame is fitted to LOOKAHEAD frames before and after it, so frames wait until these have been read.
     """
     rate, unit = look.video.rate, job.sequence.unit
     window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of frames around the next one

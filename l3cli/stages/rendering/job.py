@@ -48,18 +48,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What is rendered and where to, as far as it is known before a frame is read."""
+    """Inputs, destination and settings of a rendering, as far as they are known before a frame is read."""
 
     table_file: Path
     digest: str  # SHA-256 of the table
-    table: TransformTable  # with the transforms for all its lights
+    table: TransformTable  # with the transforms for all its illuminants
     inputs: tuple[Path, ...]
     sequence: FrameSequence
     destination: Destination
     overrides: RawOverrides  # facts about the raw files, dark frame and corrections
     camera: CameraFile | None  # camera model whose defects and flat field are corrected
     engine: dict[str, str]  # options of the backend
-    shows_photos: bool  # whether pictures are made from files that state a white of their own
+    shows_photos: bool  # whether the inputs state a white of their own, and become pictures
     white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
     light_mix: Mix | None  # lights of the table for a white that is given
     rendition: Rendition
@@ -69,12 +69,12 @@ class Job:
     options: RenderOptions
 
     def find(self, overrides: RawOverrides) -> FrameSequence:
-        """Return the frames of the inputs anew, to be read with these facts about the raw files."""
+        """Find the frames of the inputs again, to be read with other facts about the raw files."""
         return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
 
     @property
     def in_order(self) -> bool:
-        """Whether exposure and white change smoothly from frame to frame. Stills that become pictures have their own."""
+        """Whether exposure and white change smoothly from frame to frame. Stills each have their own."""
         return not (self.sequence.stills and self.destination.pictures)
 
     @property
@@ -116,7 +116,7 @@ def open_job(
     light_mix = None if source else light_mix_of_given(options.white, table, nearest_for, options.console)
     rendition = _rendition(place, None if source else options.white, mixed(table, light_mix), options)
     if rendition.balance is not None and table.shows_grey:
-        options.console.info(f"{table_file} tells no colours; pictures are grey")
+        options.console.info(f"{table_file} has no colour outputs; pictures are grey")
     sequence = _frames(inputs, table, overrides, options)
     destination = paged(place, sequence)
     _refuse_frames(sequence, destination, table, options)
@@ -161,7 +161,7 @@ def stated_overrides(options: RenderOptions) -> RawOverrides:
 
 def _gains_in(path: Path) -> tuple[float, ...]:
     """Return the analog gains that a text file lists."""
-    gains, give = [], "give a text file of the gain of each frame, a line each"
+    gains, give = [], "give a text file with the gain of each frame, one per line"
     for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
         try:
             gains.append(float(GAIN.read(text)))
@@ -178,7 +178,7 @@ def video_choice(options: RenderOptions) -> VideoChoice:
 
 
 def has_display(destination: Destination, options: RenderOptions) -> bool:
-    """Whether outputs are shown as pictures, with a white and an exposure, and not written as they are."""
+    """Return whether outputs become pictures, with a white and an exposure, instead of being written unchanged."""
     return not destination.linear or options.space is not None
 
 
@@ -209,23 +209,21 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
     space, exposure = options.space, options.exposure
     if not has_display(destination, options):
         if exposure.factor is not None or exposure.stops or options.white is not None:
-            raise RecipeError(
-                "files of floating point hold the outputs as they are; ‹exposure› and ‹white› are for those of a ‹space›"
-            )
+            raise RecipeError("floating-point files contain the unchanged outputs; ‹exposure› and ‹white› require a ‹space›")
         if options.deflicker:
             raise RecipeError(
-                "‹deflicker› changes exposures, and files of floating point hold the outputs as they are; name a ‹space›"
+                "‹deflicker› changes exposures, but floating-point files contain the unchanged outputs; name a ‹space›"
             )
     if options.tone is not None and (destination.linear or destination.raw):
-        raise RecipeError("‹tone› is for pictures of codes, and values are linear here; leave it out, or name a .png")
+        raise RecipeError("‹tone› is not for linear values; leave it out, or name a .png")
     if space not in (None, "srgb") and not destination.one_by_one:
         raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
     if space is not None and destination.raw:
-        raise RecipeError("a DNG file has channels of its own; leave ‹space› out")
+        raise RecipeError("a DNG file has its own colour space; leave ‹space› out")
     if options.remosaic is not None and not destination.raw:
         raise RecipeError("‹remosaic› is for raw developers; name a .dng")
     if options.resume and destination.kind == "stream":
-        raise RecipeError("‹resume› continues files, and stdout is none; leave it out, or name a file")
+        raise RecipeError("‹resume› continues files, but the output is stdout; leave it out, or name a file")
     if options.uncertainty is not None and (options.uncertainty.suffix.lower() != ".exr" or options.temporal):
         raise RecipeError("‹uncertainty› is written as .exr, without ‹temporal›; name such a file")
 
@@ -277,7 +275,7 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     """
     number, shards = shard
     if sequence.count is None:
-        raise RecipeError(f"{sequence.what} does not say how many frames it has; choose those of all shards with ‹frames›")
+        raise RecipeError(f"{sequence.what} does not state its number of frames; name those of all shards with ‹frames›")
     count = sequence.count - sequence.lost
     if count < shards:
         raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")
@@ -292,7 +290,7 @@ def _nearest(position: int, grid: int) -> int:
 
 
 def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
-    """Keep outputs from replacing the files of the frames. A stream, which may be endless, is a single file."""
+    """Protect the files of the frames from being replaced by outputs. A stream, which may be endless, is a single file."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
@@ -300,10 +298,10 @@ def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
 def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
     """Raise RecipeError or InputFileError if an option does not fit the frames, or if frames are missing."""
     if options.deflicker and sequence.stills and destination.pictures:
-        raise RecipeError(f"‹deflicker› is for frames that follow one another; {sequence.what} is no sequence")
+        raise RecipeError(f"‹deflicker› is for sequences; {sequence.what} is not a sequence")
     if options.uncertainty is not None:
         if sequence.count != 1:
-            raise RecipeError("‹uncertainty› is of one frame; name one, or leave it out")
+            raise RecipeError("‹uncertainty› is for a single frame; name one, or leave it out")
         from l3cli.rendering.uncertainty import require_known_noise  # imported here, because few runs need it
 
         require_known_noise(table)
@@ -317,7 +315,7 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
 
 
 def _folder_or_file(inputs: tuple[Path, ...]) -> str:
-    """Return where the frames lie: the one input, or the folder of several files, to which others may be added later."""
+    """Return the only input, or the folder of several files, to which other files may be added later."""
     return os.path.realpath(inputs[0] if len(inputs) == 1 else inputs[0].parent)
 
 
@@ -334,7 +332,7 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Return the lights of a table that fit a white, and say which.
+    """Return the mixture of a table's illuminants that fits a white, and report it.
 
     Parameters
     ----------
@@ -348,7 +346,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     Returns
     -------
     Mix or None
-        None for the transforms of all lights in common, which fit the white of the table.
+        None for the common transforms of all illuminants, which fit the white of the table.
 
     Raises
     ------
@@ -360,7 +358,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     given = given_white(white, table)
     if given is None:
         names = ", ".join(light.name for light in table.lights)
-        console.info(f"the table's transforms for all its lights in common ({names}) are taken; ‹white› chooses others")
+        console.info(f"using the table's common transforms for all its illuminants ({names}); ‹white› selects others")
         return None
     light_mix = choice(table, given.light.xyz)
     assert light_mix is not None
@@ -369,7 +367,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
-    """Return how outputs become pictures under a given white, and warn if the white is far from the training."""
+    """Return how outputs become pictures for a given white, and warn if the white is far from that of the training."""
     if not has_display(destination, options):
         return outputs_as_they_are(table)
     require_xyz(table.outputs)
@@ -390,7 +388,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def _warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the light of training, or has light beyond the known curves of the camera."""
+    """Warn if a white is far from the training illuminant, or has light at wavelengths where the camera is not known."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

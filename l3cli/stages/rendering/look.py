@@ -35,7 +35,7 @@ class Look:
 
 
 def choose_look(job: Job) -> Look:
-    """Choose how the frames of a job are shown. Reads the first frame if gain or light depend on it."""
+    """Choose how the frames of a job are shown. Reads the first frame if gain or white depend on it."""
     gain = _estimated_gain(job)
     overrides = job.overrides if gain is None else replace(job.overrides, unlabelled_gain=gain)
     found = job.sequence if gain is None else replace(job.sequence, frames=job.find(overrides).frames)
@@ -63,16 +63,16 @@ def choose_look(job: Job) -> Look:
 
 
 def _estimated_gain(job: Job) -> float | None:
-    """Return the analog gain, estimated from the noise of the first frame, of all frames that do not state theirs.
+    """Estimate the analog gain from the noise of the first frame, for all frames that do not state their gain.
 
-    None if the options or the first frame state it, if there is no estimate, or if the noise of the table's camera is known
-    at one gain only.
+    Returns None if the options or the first frame state the gain, if the estimate fails, or if the noise of the table's
+    camera is known at one gain only.
     """
     table, console = job.table, job.options.console
     if job.overrides.gain is not None or job.overrides.gains or table.camera is None or known_gains(table) == (1, 1):
         return None
     if job.sequence.what == STDIN_NAME:
-        console.warn("the gain of frames on stdin is not estimated, but taken for 1; give ‹gain›")
+        console.warn("the gain of frames on stdin cannot be estimated; 1 is assumed; give ‹gain›")
         return None
     frame, _ = _first_frame(job.find(job.overrides))
     if frame is None or table.gain_at(frame.shot.iso) is not None:
@@ -80,22 +80,21 @@ def _estimated_gain(job: Job) -> float | None:
     try:
         estimate = estimate_gain(frame, table.camera)
     except ValueError as reason:
-        console.warn(f"{frame.name}: its gain is unknown ({reason}), and taken for 1; give ‹gain›")
+        console.warn(f"{frame.name}: the gain is unknown ({reason}); 1 is assumed; give ‹gain›")
         return None
     low, high = estimate.bounds
     extent = "" if job.sequence.count == 1 else ", for all frames without ISO speed"
     console.warn(
-        f"{frame.name}: gain {estimate.gain:.3g} ({low:.2g} to {high:.2g}) estimated from its noise{extent}; give ‹gain› to "
-        "state it"
+        f"{frame.name}: gain {estimate.gain:.3g} ({low:.2g} to {high:.2g}) estimated from its noise{extent}; ‹gain› sets it"
     )
     return estimate.gain
 
 
 def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tuple[Mix | None, FrameSequence]:
-    """Return the light of the table nearest to the white of the first frame, and the frames.
+    """Return the mixture of the table's illuminants that is nearest to the white of the first frame, and the frames.
 
-    All frames are rendered with the transforms for this light. It is None if the first frame states no white. Errors in the
-    first frame are reported when it is rendered.
+    All frames are rendered with the transforms for this mixture. It is None if the first frame states no white. Errors in
+    the first frame are reported when it is rendered.
     """
     console, is_single = job.options.console, sequence.count == 1
     frame, frames = _first_frame(sequence)
@@ -105,7 +104,7 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
             white = source.white(frame)
     if frame is None or white is None:
         if not is_single:
-            console.info("the first frame tells no white; the table's transforms for all its lights in common are taken")
+            console.info("the first frame has no known white; using the table's common transforms for all its illuminants")
         return None, frames
     light_mix = nearest_for(job.table, white.light.xyz)
     assert light_mix is not None
@@ -139,7 +138,7 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
             raise fault
         return first
 
-    # An endless count of numbers has been advanced, too.
+    # An endless iterator of numbers has also been advanced.
     numbers = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
     return first, replace(sequence, frames=replace(frames, series=replace(frames.series, read=read), wanted=numbers))
 
@@ -155,9 +154,9 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 
 
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
-    """Return the temporal filters. They run in this process, even if workers render, because frames depend on others."""
+    """Return the temporal filters. They run in this process even if workers render, because each needs all frames."""
     if job.sequence.count == 1:
-        job.options.console.warn("one frame has none before it: ‹temporal› changes nothing of it; give a sequence")
+        job.options.console.warn("‹temporal› has no effect on a single frame; give a sequence")
     try:
         return Chunks(filters(job.options.backend, table, **job.engine))
     except DeviceError:

@@ -111,7 +111,7 @@ class LocalPictures:
 
 
 class RemotePictures:
-    """Makes pictures, as the content of their files where each becomes one, on workers of other machines.
+    """Makes pictures on workers of other machines. If each frame becomes a file, workers make the content of the file.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class RemotePictures:
         self._shading = None if overrides.correction is None else overrides.correction.shading
 
     def pictures(self, tasks: Iterable[FrameTask]) -> Iterator[tuple[FrameTask, Any]]:
-        """Yield each frame with its picture, the content of its file, or the error in its input, in order."""
+        """Yield each frame in order, with its picture, the content of its file, or the error in its input."""
         sent: deque[FrameTask] = deque()
 
         def jobs() -> Iterator[tuple[RenderSetup, FrameTask]]:
@@ -140,14 +140,14 @@ class RemotePictures:
 
 
 def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
-    """Return the frame without the shading of the camera model, which is larger than the frame and known to workers."""
+    """Return the frame without the camera model's shading, which is larger than the frame and which workers know."""
     if task.frame is None or shading is None or task.frame.shading is not shading:
         return task
     return replace(task, frame=replace(task.frame, shading=None))
 
 
 def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
-    """Return, in a worker, the picture of a frame, the content of its file, or the error in its input."""
+    """Return the picture of a frame, the content of its file, or the error in its input. This runs in a worker."""
     setup, sent = job
     table, renderer = _renderer_of_worker(
         setup.table,
@@ -182,7 +182,7 @@ def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) 
 def _renderer_of_worker(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, light_mix: Mix | None
 ) -> tuple[TransformTable, Renderer]:
-    """Return the table, and its renderer, which a worker makes once for all frames."""
+    """Return the table and its renderer. A worker makes them once for all frames."""
     require_same(path, digest)
     loaded = load(TransformTable, path)
     table = mixed(loaded.pictured() if pictures else loaded, light_mix)
@@ -209,7 +209,7 @@ class Renderers:
 
 @contextmanager
 def picture_makers(job: Job, look: Look, renderers: Renderers) -> Iterator[LocalPictures | RemotePictures]:
-    """Yield what makes the pictures of a run: this process, or the workers of a scheduler."""
+    """Yield the object that makes the pictures of a run, in this process or on the workers of a scheduler."""
     setup = setup_of(job, look)
     if job.scheduler is None:
         yield LocalPictures(setup, renderers.of(setup, look.table))

@@ -1,4 +1,4 @@
-"""Reading and measuring of frames, in order: the first steps on the path of a frame.
+"""The first steps of a rendering: frames are read and measured in order.
 
 Each frame becomes a `FrameTask`, which the later steps complete. Finished frames are read only if later ones depend on them.
 """
@@ -24,12 +24,12 @@ from l3cli.system.files import sha256
 
 @dataclass(frozen=True)
 class FrameTask:
-    """A frame on its path from its reference to its picture. It can be pickled, so that a worker can take it over."""
+    """A frame and what is known about it, from its reference to its picture. It can be pickled for workers."""
 
     reference: FrameReference
     place: int  # position in the sequence, from 0
-    is_finished: bool = False  # whether its picture exists already, or is not to be made
-    is_counted: bool = True  # whether it is among the frames to render, and not only read for others
+    is_finished: bool = False  # whether its picture already exists, or is not needed
+    is_counted: bool = True  # whether it is to be rendered; otherwise it is only read for other frames
     is_filtered: bool = False  # whether it goes through the temporal filter
     frame: RawFrame | None = None  # None if a worker is to read it, if nothing depends on it, or after an error
     digest: str = ""  # SHA-256 of the file, if a worker is to read it
@@ -38,7 +38,7 @@ class FrameTask:
     balance: WhiteBalance | None = None  # white balance; None for the rendition's
     white: SceneWhite | None = None  # measured white
     brightness: float = 0.0  # as FrameMeter.looked_at returns it
-    ratio: float = 0.0  # log of its brightness relative to the frame before
+    ratio: float = 0.0  # log of its brightness relative to the previous frame
     error: L3Error | None = None  # why it cannot be rendered
     lost: int = 1  # number of frames that an error stands for
 
@@ -89,7 +89,7 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield the references of the frames, and whether their pictures are known to exist."""
+        """Yield the frames before they are read, and mark those whose pictures exist."""
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)
@@ -102,7 +102,7 @@ class FrameReader:
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
-        """Return a frame that a worker is to read. The first frame is always read here, because warnings go by it."""
+        """Return a frame that a worker is to read. The first frame is always read here, because warnings depend on it."""
         assert task.reference.source is not None
         try:
             digest = sha256(task.reference.source)
@@ -149,7 +149,7 @@ class FrameReader:
 
 
 def last_read(job: Job) -> int | None:
-    """Return how many frames are read, from the first; None for all. Removing flicker needs frames after the last one."""
+    """Return how many frames are read, or None for all. To remove flicker, frames after the last one are needed."""
     part = job.sequence.part
     return None if part is None else part.stop + (LOOKAHEAD if job.options.deflicker else 0)
 

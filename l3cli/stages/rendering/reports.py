@@ -20,7 +20,7 @@ class Tally:
     """Counts of a rendering, which change while it runs."""
 
     done: int = 0  # frames whose pictures exist
-    made: int = 0  # those whose pictures this run has made
+    made: int = 0  # frames whose pictures this run has made
     failures: int = 0  # frames left out
     seconds: float = 0.0  # from the first frame's reading to the last one's writing
     frame_times: str | None = None  # EVEN, KEPT or LOST; None for pictures, which have no times
@@ -46,7 +46,7 @@ class Tally:
 
 
 class WhiteReport:
-    """Report of the white that frames are shown with.
+    """Reports the white with which frames are shown.
 
     It names the white of every still, of the first frame of a sequence and, if it has changed, of the last.
     """
@@ -63,7 +63,7 @@ class WhiteReport:
             return
         if white is None:
             if self._stills:
-                self._console.info(f"{frame.name}: nothing to tell its white by; the table's is taken")
+                self._console.info(f"{frame.name}: the white cannot be determined; that of the table is used")
             return
         self._last = frame.name, white
         if self._stills or self._reported is None:
@@ -77,7 +77,7 @@ class WhiteReport:
                 self._console.warn(doubt)
 
     def end(self) -> None:
-        """Report the white of the last frame, unless it is the one reported before."""
+        """Report the white of the last frame, unless it has already been reported."""
         if self._source and self._last and self._last[1] is not self._reported:
             self._report(self._source, *self._last)
 
@@ -94,19 +94,19 @@ def report_times(job: Job, look: Look, tally: Tally) -> None:
         tally.frame_times = KEPT if destination.has_times else LOST
         if tally.frame_times == LOST:
             reason = "pictures have no times" if destination.pictures else f"y4m shows {rate}"
-            console.warn(f"{sequence.what}: its frames follow after {pacing.stated.range()}, and {reason}; {cure}")
+            console.warn(f"{sequence.what}: the time between frames varies ({pacing.stated.range()}), but {reason}; {cure}")
     elif destination.pictures:
         return
     elif sequence.unit is None and not sequence.stills:
         tally.frame_times = LOST
-        console.warn(f"{sequence.what}: the numbers of its files do not count frames; {rate} are shown")
+        console.warn(f"{sequence.what}: the numbers of its files do not count frames; the video shows {rate}")
     elif pacing.first_gap is None:
         tally.frame_times = EVEN
     else:
         tally.frame_times = KEPT if destination.has_times else LOST
         more = f", and {pacing.gaps - 1} more gaps" if pacing.gaps > 1 else ""
-        gap = "{}: no frame is there between {} and {}".format(sequence.what, *pacing.first_gap) + more
+        gap = "{}: frames are missing between {} and {}".format(sequence.what, *pacing.first_gap) + more
         if tally.frame_times == LOST:
-            console.warn(f"{gap}, and y4m has none; {cure}")
+            console.warn(f"{gap}, and y4m has no gaps; {cure}")
         elif not tally.failures:  # frames that were left out have been reported
-            console.warn(f"{gap}; the frame before is shown for as long")
+            console.warn(f"{gap}; the frame before the gap is shown for that time")

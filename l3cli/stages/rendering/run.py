@@ -1,4 +1,4 @@
-"""Third phase of a rendering: every frame from its file to its picture.
+"""Third phase of a rendering: every frame is read, rendered and written.
 
 Frames pass the steps read → measured → filtered in time → rendered → encoded → written. Reading, filtering, rendering and
 writing overlap in threads with short queues between them, so that memory does not grow with the number of frames.
@@ -27,7 +27,7 @@ from l3cli.stages.rendering.reading import FrameReader, FrameTask, last_read
 from l3cli.stages.rendering.reports import Tally, WhiteReport, report_times
 from l3cli.stages.rendering.uncertainty import write_uncertainty
 
-QUEUE_FRAMES = 3  # frames that wait at most between two steps
+QUEUE_FRAMES = 3  # largest number of frames that wait between two steps
 
 
 def run(job: Job, look: Look, renderers: Renderers) -> Tally:
@@ -65,7 +65,7 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Take every frame along its path, and count and report it in the tally."""
+    """Render all frames, and count and report them in the tally."""
     start = time.monotonic()
     sequence, options, console = look.sequence, job.options, job.options.console
     meter = FrameMeter(look.table, look.rendition, look.white_source, look.video.rate if job.in_order else None)
@@ -99,7 +99,9 @@ def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures,
         console.info(flicker.line())
     report_times(job, look, tally)
     if job.checkpoint and job.checkpoint.abandoned:
-        console.warn(f"{job.checkpoint.abandoned[0]} is of a frame that is not given now; remove it if it is not needed")
+        console.warn(
+            f"{job.checkpoint.abandoned[0]} belongs to a frame that is no longer given; remove it if it is not needed"
+        )
 
 
 def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTask]:

@@ -30,12 +30,12 @@ def write_uncertainty(job: Job, look: Look) -> Path:
     assert path is not None
     (frame,) = (look.sequence.frames.read(number) for number in look.sequence.frames.wanted)
     if frame is None:
-        raise InputFileError("the frame is missing, and so is its uncertainty")
+        raise InputFileError("the uncertainty cannot be computed, because the frame is missing")
     result = uncertainty(NoiseRenderer(job.options.backend, table, **job.engine).of_frame(frame), frame)
     pixels = np.concatenate([result.sigma, result.mask[..., None].astype(np.float32)], axis=2)
     write_picture(path, pixels, (*(f"sigma.{name}" for name in table.outputs), "mask"))
     fraction = float((result.mask > 0).mean())
     job.options.console.info(
-        f"{path}: written; {fraction:.1%} of the pixels are clipped or of classes without training patches"
+        f"{path}: written; {fraction:.1%} of the pixels are clipped, or their classes have no training patches"
     )
     return path

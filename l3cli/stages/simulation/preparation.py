@@ -218,7 +218,7 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
     camera : CameraModel
         The camera of the run without the lens of the scene recipe.
     recipe : Path or None
-        The file of the camera, whose curves are judged, too, if it is a recipe.
+        The file of the camera. If it is a recipe, its curves are also checked.
 
     Returns
     -------
@@ -268,11 +268,11 @@ def fitting(
         cures = dict.fromkeys(str(error).partition("; ")[2] for error in bad)
         why = listed(str(error).partition("; ")[0] for error in bad)
         cure = ", ".join([*filter(None, cures), "or leave them out with ‹skip_bad›"])
-        raise InputFileError(f"{len(bad)} of {count} scenes cannot be taken: {why}; {cure}")
+        raise InputFileError(f"{len(bad)} of {count} scenes cannot be used: {why}; {cure}")
     readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
     if not (any(readable) or synthetic or run.recipe.pair):
-        raise InputFileError(f"{path}: no scene is left of {len(bad)}: {listed(map(str, bad))}")
+        raise InputFileError(f"{path}: none of the {len(bad)} scenes can be used: {listed(map(str, bad))}")
     for error in bad:
         console.report(f"l3: {error}")
     return readable, len(bad)

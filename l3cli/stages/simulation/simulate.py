@@ -77,9 +77,9 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         for folder in folders:
             guard.hold_folder(folder, *WRITTEN)
         if scheduler:
-            scenes = scenes.absolute()  # its files are searched for by workers elsewhere
+            scenes = scenes.absolute()  # because workers elsewhere look for the files that it names
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-        _ = model.saturation_exposure  # InputFileError where training would have none
+        _ = model.saturation_exposure  # raises InputFileError for a camera that is blind to the light, before any work
         run, files = prepare(recipe, scenes, model, options.seed)
         files, bad = fitting(run, files, scenes, options.skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
@@ -102,7 +102,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 if folder not in done:
                     unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
-                stored.remove()  # of a run that was killed after the output had appeared
+                stored.remove()  # left by a run that was killed after the output had appeared
                 missing = replace(
                     options,
                     pictures=None if options.pictures in done else options.pictures,
@@ -115,7 +115,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
                     pictures = write_pictures(run, files, stored, options)
-                    _assemble(stored, head, output, console)  # last: whoever has the set has its pictures, too
+                    _assemble(stored, head, output, console)  # last, so that a finished set always has its pictures
             for folder in folders:
                 mark_finished(folder, key)
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
@@ -152,11 +152,11 @@ def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Co
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
     if worst.uncovered > NEGLIGIBLE_LIGHT:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        console.warn(f"{worst.scene} holds no data for {share}; give scenes of more wavelengths")
+        console.warn(f"{worst.scene} has no data for {share}; give scenes with more wavelengths")
 
 
-CHANNELS = ("down", "right", "seen")  # of a file of motion
-WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # into the folders of pictures
+CHANNELS = ("down", "right", "seen")  # channels of a file of motion
+WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # files in the folders of pictures
 
 
 def write_pictures(
@@ -185,9 +185,9 @@ def write_pictures(
 def _write_pictures(
     run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, first_of: dict[int, int], written: list[Path]
 ) -> dict[int, float]:
-    """Write each frame as a raw mosaic and as the ideal picture of it.
+    """Write the raw mosaic and the ideal picture of each frame.
 
-    Ideal pictures are exposed as `l3 render` exposes: the 99th percentile of Y is shown white.
+    Ideal pictures are exposed like those of `l3 render`: the 99th percentile of Y is shown as white.
 
     Parameters
     ----------
@@ -198,14 +198,14 @@ def _write_pictures(
     folder : Path
         Where the pictures are written.
     first_of : dict
-        Of each frame of a clip, by its number, the number of the clip's first frame, whose exposure all of them have.
+        Number of each frame of a clip → number of the clip's first frame, whose exposure applies to the whole clip.
     written : list of Path
-        To which the files are appended.
+        The files are appended to this list.
 
     Returns
     -------
     dict
-        For each frame whose ideal picture is sRGB, by its number, the exposure with which `l3 render` shows it as bright.
+        Number of each frame with an sRGB ideal picture → the exposure with which `l3 render` makes it equally bright.
     """
     import numpy as np
 
@@ -239,7 +239,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, wri
     Returns
     -------
     dict
-        The number of frames of each clip, by the number of its first frame.
+        Number of the first frame of each clip → number of frames.
     """
     import numpy as np
 
@@ -261,7 +261,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, wri
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, written: list[Path]) -> None:
-    """Write each raw frame as DNG, with the white balance of its light if it is known, and append the files to `written`."""
+    """Write each raw frame as DNG, with the white balance of its illuminant if known, and append the files to `written`."""
     from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 

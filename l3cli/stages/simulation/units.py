@@ -1,5 +1,7 @@
-"""Work of a simulation's processes: read or draw a scene, simulate its frames, and store each frame as a file in a folder
-beside the output, so that an interrupted run can continue."""
+"""What the processes of a simulation do: they read or draw a scene, simulate its frames, and store each frame as a file.
+
+The files lie in a folder beside the output, so that an interrupted run can continue.
+"""
 
 import dataclasses
 import hashlib
@@ -55,12 +57,12 @@ def is_of_run(output: Path, key: str) -> bool:
     return bool(history) and key_of(history[-1]) == key
 
 
-MAX_SENT_BYTES = 64 << 20  # of frames that a worker on another machine sends at a time, unless one frame is larger
+MAX_SENT_BYTES = 64 << 20  # largest amount of frames that a worker elsewhere sends at a time, unless one frame is larger
 
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """Work that a process does at a time: some frames of one scene, or one real pair."""
+    """The work that a process does at a time: some frames of one scene, or one real pair."""
 
     run: SimulationRun
     what: sources.WantedScene | Pair
@@ -169,6 +171,6 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
         to_xyz = xyz_from_srgb_matrix()[["XYZ".index(output) for output in outputs]]
         picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
     else:
-        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with them")
+        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with these channels")
     with raised_as(InputFileError, path):
         return make_pair(raw, upright(picture, picture_flip(path)), outputs, run.camera, pair, path.stem)
