@@ -1,4 +1,4 @@
-"""The camera model, which calibration writes and simulation reads (docs/method.md#camera-model)."""
+"""The camera model. Calibration writes camera models, and simulation reads them (docs/method.md#camera-model)."""
 
 import dataclasses
 import functools
@@ -15,20 +15,20 @@ from l3cli.physics import lens, spectra
 from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
-DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; for the last two the whole line is defective
-MAX_SHADING = 16.0  # gain of a pixel that receives a sixteenth of the light in the middle
-MAX_COLOUR_SHADING = 0.5  # relative difference between a channel's gain and the mean of all channels
-MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # limits for a channel, relative to the camera's exposure time and gain
-MAX_CHANNELS = 16  # a saturation code is 16 bits wide
-MAX_CFA = 8
-MAX_BITS = 16
-ROUNDING = 1e-6  # a quantum efficiency may exceed 1 by this much
-MAX_WAVELENGTHS = 10_000  # number of samples of a spectrum
+DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; in the last two, a whole line is defective
+MAX_SHADING = 16.0  # largest gain; the pixel receives a sixteenth of the light in the middle of the frame
+MAX_COLOUR_SHADING = 0.5  # largest relative difference between a channel's gain and the mean of all channels
+MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # smallest exposure time and largest gain of a channel, relative to the camera
+MAX_CHANNELS = 16  # a saturation code has one bit per channel, in 16 bits
+MAX_CFA = 8  # largest number of rows or columns of the super-pixel
+MAX_BITS = 16  # largest bit depth of raw values
+ROUNDING = 1e-6  # a quantum efficiency may exceed 1 by this much, because of rounding
+MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
 QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
-    """Return EMVA 1288's absolute sensitivity threshold in e-, the signal whose signal-to-noise ratio is 1.
+    """Return the absolute sensitivity threshold of EMVA 1288 in e-: the signal at which the signal-to-noise ratio is 1.
 
     `read_noise` is in e-, `gain` in DN/e-; both may be arrays.
     """
@@ -55,10 +55,10 @@ class DefectMap:
 
 @dataclass(frozen=True)
 class FlatField:
-    """Gain that corrects shading: it turns the image of an evenly lit white into a uniform one.
+    """Gain that corrects shading, so that the image of an evenly lit white target becomes uniform.
 
-    The gain is relative to the middle of the frame, per channel. It is given on a grid that covers the whole sensor, and is
-    interpolated linearly between grid lines.
+    Each channel has gains of its own, relative to the middle of the frame. They are stored on a grid that covers the whole
+    sensor, and are interpolated linearly between grid lines.
     """
 
     grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="rows of the grid lines", coordinate=True)
@@ -89,7 +89,7 @@ class FlatField:
 
 @dataclass(frozen=True)
 class Readout:
-    """Exposure and gain of each channel. Channels behind the same filter may differ in exposure time and gain."""
+    """Exposure time and gain of each channel. Channels with the same filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time, relative to that of the frame, which is the longest"
@@ -113,7 +113,7 @@ class Readout:
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light (channel), relative to the channel with the largest product of exposure and gain."""
+        """DN per unit of light for each channel, relative to the channel with the largest product of exposure and gain."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
@@ -135,18 +135,21 @@ class Noise:
 
     @property
     def temporal(self) -> float:
-        """Variance in e-² of the dark noise that differs between frames, which is the read noise."""
+        """Variance, in e-², of the dark noise that differs from frame to frame: the read noise."""
         return self.read_noise**2
 
     @property
     def fixed(self) -> float:
-        """Variance in e-² of the dark pattern that all frames have in common: DSNU and column offsets."""
+        """Variance, in e-², of the dark pattern that is the same in all frames: DSNU and column offsets."""
         return self.dsnu**2 + self.column_noise**2
 
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Temporal noise relative to the camera's: changed by another analog gain, or reduced by a temporal filter."""
+    """Changes of the noise relative to the calibrated camera: another analog gain, and a temporal filter.
+
+    The filter leaves the fraction `noise_left` of the variance of the temporal noise.
+    """
 
     gain: float = data("float64", doc="analog gain, relative to the camera's", default=1.0)
     noise_left: float = data("float64", doc="fraction of the temporal noise variance that a filter has left", default=1.0)
@@ -159,7 +162,7 @@ class NoiseScale:
 
     @property
     def shot(self) -> float:
-        """Variance of the shot noise in DN², relative to the camera's."""
+        """Ratio of the shot-noise variance, in DN², to the shot-noise variance of the calibrated camera."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -190,7 +193,7 @@ class AnalogGains:
 
 @dataclass(frozen=True)
 class Optics:
-    """Lens between scene and sensor (docs/method.md#optics). Its transmittance is part of the responsivity."""
+    """The lens (docs/method.md#optics). Its transmittance is included in the responsivity of the camera."""
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -208,12 +211,15 @@ class Optics:
 
     @property
     def irradiance_per_radiance(self) -> float:
-        """Sensor irradiance / scene radiance on the axis, in sr: the camera equation (docs/method.md#optics)."""
+        """Ratio of sensor irradiance to scene radiance on the axis, in sr, from the camera equation.
+
+        See docs/method.md#optics.
+        """
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
-    """Raise ValueError if size, bit depth (`bits`) or levels (DN) of a sensor are impossible."""
+    """Raise ValueError if the size, the bit depth or the levels (DN) of a sensor are impossible."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
         limits = f"above zero, and at most {most_pixels()} pixels and {MAX_BITS} bits"
         raise ValueError(f"rows {rows}, cols {cols} and bits {bits} must be {limits}")
@@ -281,8 +287,7 @@ class CameraModel(Artifact):
     gains : AnalogGains or None
         None if the read noise is assumed to be the same at all gains.
     noise_left : float
-        Fraction of the temporal noise variance that frames have after a temporal filter. It is set by `under`, and not
-        stored.
+        Fraction of the temporal noise variance that remains after a temporal filter. `under` sets it. It is not stored.
     """
 
     kind: ClassVar[str] = "camera model"
@@ -346,7 +351,7 @@ class CameraModel(Artifact):
 
     @property
     def full_scale(self) -> float:
-        """Electrons between black and white level."""
+        """Number of electrons between the black and the white level."""
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
@@ -358,7 +363,7 @@ class CameraModel(Artifact):
         Parameters
         ----------
         gain : float
-            Analog gain relative to the camera's.
+            Analog gain, relative to this camera.
         """
         if gain == 1:
             return self
@@ -383,21 +388,21 @@ class CameraModel(Artifact):
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return a copy of the camera with the noise that `noise` describes."""
+        """Return a copy of the camera at the analog gain and with the remaining noise of `noise`."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the channel (row, col) of each pixel of a frame of this shape, CFA phase (0, 0)."""
+        """Return the channel (row, col) of each pixel in a frame of this shape. The first pixel is CFA site (0, 0)."""
         return tiled(self.cfa, shape)
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light (channel), relative to the most sensitive channel; 1 if all channels are read alike."""
+        """DN per unit of light for each channel, relative to the most sensitive channel. All are 1 without a `readout`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Conversion gain (channel), relative to `gain`."""
+        """Conversion gain of each channel, relative to `gain`."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
@@ -413,7 +418,10 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength) as `electron_weights`, but for signals: the electrons that give the same DN at `gain`."""
+        """W (channel, wavelength), such that `gain` · W @ radiance gives the mean signal in DN per second of exposure.
+
+        Radiance is in photons/s/sr/m²/nm. W differs from `electron_weights` if channels have gains of their own.
+        """
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
@@ -424,7 +432,7 @@ class CameraModel(Artifact):
         Raises
         ------
         InputFileError
-            If the camera collects almost none of that light, or all its wavelengths are invisible.
+            If the camera collects almost no light from this white, or if all wavelengths of the camera are invisible.
         """
         with raised_as(InputFileError, f"camera {self.name}", InputFileError):
             white = spectra.at_luminance(spectra.illuminant("D65", self.wavelength), self.wavelength, 1.0)
@@ -438,28 +446,29 @@ class CameraModel(Artifact):
 
     @property
     def output_unit(self) -> float:
-        """Luminance × exposure time, in cd s/m², that an output of 1 stands for in tables of the camera.
+        """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for the camera.
 
-        It is the saturation exposure. If the sensitivities of channels differ more than four times, it is instead a quarter
-        of the exposure that fills the least sensitive channel (docs/method.md#exposures).
+        It is the saturation exposure. If the sensitivities of channels differ by more than a factor of four, it is instead a
+        quarter of the exposure that fills the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
-        """Return the mean dark signal above black, in DN, after `exposure` seconds; 0 for None
-        (docs/method.md#dark-current).
+        """Return the mean dark signal above black, in DN, after `exposure` seconds (docs/method.md#dark-current).
+
+        The result is 0 if the exposure time is None.
         """
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
     def noise_variance(
         self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
     ) -> NDArray[np.floating]:
-        """Return the noise variance of pixels, in DN², including rounding (docs/method.md#noise).
+        """Return the noise variance of pixels, in DN², including quantisation noise (docs/method.md#noise).
 
         Parameters
         ----------
         signal : ndarray
-            Mean signal above black in DN, of a frame that `RawFrame.at_levels` has rescaled.
+            Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled.
         dark : float
             Dark signal in DN that has been subtracted from the frame.
         channel : ndarray of int, optional
@@ -470,24 +479,24 @@ class CameraModel(Artifact):
         return constant + (linear + quadratic * signal) * signal
 
     def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
-        """Return the coefficients of the noise variance as a polynomial of the signal above black.
+        """Return the coefficients of the noise variance as a polynomial in the signal above black.
 
-        The mean dark signal has been subtracted, and the remaining range stretched to full scale. The shot noise of the
-        dark electrons and their nonuniformity stay in the frame. `noise_left` scales the temporal part of the variance,
-        without rounding.
+        They apply to frames from which the mean dark signal has been subtracted, and whose remaining range has been
+        stretched to full scale. The shot noise and the nonuniformity of the dark signal are still in these frames.
+        `noise_left` scales the temporal noise, but not the quantisation noise.
 
         Parameters
         ----------
         dark : float
-            Dark signal in DN of a channel with the full exposure time and the gain `gain`.
+            Dark signal, in DN, that a channel with the full exposure time and the gain `gain` has.
         channel : ndarray of int, optional
-            Channel of each pixel. It matters if channels differ in exposure time or gain; without it the coefficients are
-            those of a channel with the full exposure time and the gain `gain`.
+            Channel of each pixel. It matters if channels differ in exposure time or gain. [default: a channel with the full
+            exposure time and the gain `gain`]
 
         Returns
         -------
         constant, linear, quadratic
-            In DN², DN and 1. The first two are arrays of the shape of `channel` if channels differ.
+            In DN², DN and 1. If channels differ, the first two are arrays with the shape of `channel`.
 
         Raises
         ------

@@ -43,7 +43,7 @@ class NoiseEdges:
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
-        """Return the noise-dependent parts of the rules of a table's layers."""
+        """Collect the parts of the class rules of all layers that depend on the noise."""
         constants = first.rule.features.constants if first.rule.features else np.zeros(0, np.int32)
         coarse = later[-1].coarse_chroma if later else None
         return cls(first.rule.contrast_edges, constants, tuple(layer.rule.scale for layer in later), coarse)

@@ -55,8 +55,8 @@ class LeadingComponents:
 class TransformTable(Artifact):
     """Local linear transforms for every class of every layer, and the rules that decide the class of a pixel.
 
-    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of what the previous layer
-    rendered. A table is all that rendering needs (docs/method.md#classes).
+    The first layer transforms patches of the mosaic. Each refinement layer transforms windows of the output of the
+    previous layer. Rendering needs no other file than the table (docs/method.md#classes).
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class TransformTable(Artifact):
     outputs : tuple of str
         Names of the outputs: ("X", "Y", "Z"), ("Y",) or names of spectral bands.
     output_unit : float
-        Scene luminance times exposure time that an output of 1 stands for, in cd s/m².
+        Product of scene luminance and exposure time that corresponds to an output of 1, in cd s/m².
     white_point : ndarray, (output,)
         Output of a perfect white under the training light, scaled to Y = 1.
     first : MosaicLayer

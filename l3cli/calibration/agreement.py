@@ -1,4 +1,4 @@
-"""Check captures against each other: exposure times and lights must agree.
+"""Check captures against each other, to find wrong exposure times and lights.
 
 Signals are proportional to exposure time times radiance. A mistyped exposure, a wrong unit or two swapped lights therefore
 stand out by a large factor, long before a fit looks wrong. The tolerances are far wider than the variations of lamps,
@@ -15,19 +15,19 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # largest ratio between signals per second under one light
-SCALE = 3.0  # largest ratio between the scales from charts and monochromator, which fill different parts of the frame
-STEP, END = 3.0, 20.0  # largest ratio of a monochromator step to both its neighbours; of the first and last to the next two
+SCALE = 3.0  # largest ratio between the scales from charts and from monochromators, which fill different parts of frames
+STEP, END = 3.0, 20.0  # largest ratio of a monochromator step to both neighbours; of the first or last step to the next two
 LEAST = 0.02  # fraction of the largest response or signal below which differences are ignored
 NEAR_TOP = 0.85  # fraction of the largest signal above which a signal may be saturated
-LONGEST = 20.0  # exposures that exceed saturation by this factor are mistakes
+LONGEST = 20.0  # exposures that exceed saturation by more than this factor are mistakes
 DRIFT = 0.05  # DN by which the black level may drift
 Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
-    """Raise InputFileError for a white capture whose signal is not proportional to its exposure.
+    """Raise InputFileError if the signal of a white capture is not proportional to the exposure time.
 
-    `lit` (capture) is the time under light in seconds, `signal` (capture, channel) the mean DN above black.
+    `lit` (capture) is the time under light in seconds. `signal` (capture, channel) is the mean DN above black.
     """
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
@@ -43,9 +43,9 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 
 
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
-    """Raise InputFileError for a dark capture whose mean signal lies far off the line through all others.
+    """Raise InputFileError if the mean signal of a dark capture is far from the line through all other dark captures.
 
-    `signal` (capture) is in DN. A capture is only checked if at least three other exposures define the line.
+    `signal` (capture) is in DN. A capture is checked only if the others have at least three exposure times.
     """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
@@ -69,9 +69,9 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError for a capture whose patch values do not follow the exposures of its band.
+    """Raise InputFileError if the patch values of a capture contradict the other captures of the same band.
 
-    `light` (capture) is the index of the band, `values` and `valid` are (capture, patch, channel), in DN.
+    `light` (capture) is the index of the band. `values`, in DN, and `valid` are (capture, patch, channel).
     """
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
@@ -90,13 +90,13 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if a chart, or all charts together, contradict the monochromator.
+    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromator.
 
-    `measured` and `predicted` are (chart, channel); the prediction comes from the monochromator's curves. If both kinds of
-    capture have radiances in absolute units (`absolute`), their scales are compared too.
+    `measured` and `predicted` are (chart, channel). The predictions come from the curves that the monochromator gave. If
+    both kinds of capture have radiances in absolute units (`absolute`), their scales are compared, too.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two
+    votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two charts
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
         raise _odd(captures[int(off.argmax())], float(ratio[off.argmax()] / np.median(votes)), "chart")
@@ -111,8 +111,8 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
     """Describe the monochromatic captures whose response is far above or below both neighbours in wavelength.
 
-    A capture counts only if every channel that sees it agrees. The most striking capture comes first; it is removed before
-    the next one is searched.
+    A capture is listed only if it is implausible in every channel that sees it. The worst capture comes first. It is left
+    out before the next capture is searched for.
     """
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
@@ -128,10 +128,10 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """Return how much brighter (> 1) or darker (< 1) a step is than its neighbours allow.
+    """Return the factor by which a step is brighter (> 1) or darker (< 1) than its neighbours allow.
 
-    The result is that of the channel with the smallest deviation, and 1 if the step is plausible in any channel. `place` is
-    the step's position in `order`.
+    The channel with the smallest deviation decides. The factor is 1 if the step is plausible in any channel. `place` is the
+    position of the step in `order`.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):
@@ -148,7 +148,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:
-            continue  # the channel hardly sees this step, and should not
+            continue  # the channel hardly sees this step, as its neighbours predict
         value = max(values[at], 1e-3 * floor)
         factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
     if not factors or min(factors) <= 1.0 <= max(factors):
@@ -157,7 +157,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signal per second (capture) of one capture differs too much from that of the others."""
+    """Raise InputFileError if the signal per second (capture) of one capture differs too much from the others."""
     if len(captures) < 2:
         return
     off = np.abs(np.log(rates / np.median(rates)))

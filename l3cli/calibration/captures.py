@@ -1,7 +1,8 @@
 """Evaluate captures, and derive the corrections of a camera.
 
-The sensor, its responsivity and charts (docs/method.md#calibration), a chart behind narrow filters
-(docs/method.md#sweeps-and-band-series), defect map and flat field (docs/method.md#corrections).
+This module evaluates dark and white frames, monochromatic captures and charts (docs/method.md#calibration), and charts
+behind narrow filters (docs/method.md#sweeps-and-band-series). It also makes defect maps and flat fields
+(docs/method.md#corrections).
 """
 
 import functools
@@ -19,27 +20,27 @@ from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture, ChartCapture, Measurements, MonoCapture
 from l3cli.physics import spectra
 
-OVEREXPOSED = 1e-3  # fraction of saturated pixels that makes a monochromatic capture useless
-CUT_OFF = 0.05  # largest fraction of a light's peak at the ends of its measured spectrum
+OVEREXPOSED = 1e-3  # fraction of saturated pixels from which a monochromatic capture is not used
+CUT_OFF = 0.05  # largest radiance at the ends of a measured spectrum, as a fraction of its peak
 Array = NDArray[np.float64]
-DEGREE = 4  # degree of the flat field's polynomial, up to the fourth power of the distance from the centre
-CELLS = (36, 54)  # largest number of rows and columns of cell means that the polynomial is fitted to
-GRID = (33, 49)  # rows and columns of the stored grid; between them cos⁴ of a wide lens is linear within 0.1 %
-UNEVEN = 0.05  # largest relative RMS of the means about the surface; no lens is rougher
-LEAST_SIGNAL = 0.02  # fraction of full scale; a darker white says little about a pixel's response
+DEGREE = 4  # degree of the polynomial that is fitted to the flat field
+CELLS = (36, 54)  # largest number of rows and columns of cells; the polynomial is fitted to the means of cells
+GRID = (33, 49)  # rows and columns of the stored grid; between grid lines, cos⁴ of a wide lens is linear within 0.1 %
+UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; the shading of lenses is smoother
+LEAST_SIGNAL = 0.02  # fraction of full scale; the responses of pixels cannot be measured in darker whites
 MOST_DEFECTIVE = 0.05  # fraction of defective pixels above which frames cannot be corrected
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Results of dark and white frames."""
+    """Results from dark and white frames."""
 
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
     prnu: Array  # (channel)
-    exposure: Array  # (level) s, of the white captures
+    exposure: Array  # (level) exposure times of the white captures in s
     defects: statistics.Defects
-    response: Array  # (row, col) DN/s of the white light, defects patched
+    response: Array  # (row, col) DN/s under white light; defects are replaced
 
     @property
     def saturation(self) -> float:
@@ -50,11 +51,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Charts:
-    """All patches under all lights: measured values and incident light."""
+    """Measured values and incident light of all patches under all lights."""
 
     illuminants: tuple[str, ...]
-    values: Array  # (chart, patch, channel) DN, dark signal subtracted
-    photons: Array  # (chart, patch, wavelength) on a pixel, per node's hat function, lens fall-off included
+    values: Array  # (chart, patch, channel) DN; the dark signal is subtracted
+    photons: Array  # (chart, patch, wavelength) photons on a pixel under each hat function, including the lens fall-off
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
@@ -77,7 +78,10 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons (…, wavelength) per node's hat function that an on-axis pixel receives during a capture."""
+    """Return the photons (…, wavelength) that a pixel on the axis receives during a capture.
+
+    The spectrum is divided into the hat functions of `nodes`.
+    """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
 
@@ -87,8 +91,8 @@ def measure_sweep(
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
     """Set up the linear system of the spectral responsivities from monochromatic captures (docs/method.md#calibration).
 
-    Each equation is divided by the number of photons in its capture. Its signal is the mean over the whole frame. The
-    fall-off of the lens is the same for all captures and is left in the scale, which the charts determine later.
+    Each capture gives one equation, which is divided by the number of photons. The signal is the mean over the whole frame.
+    The fall-off of the lens is the same in all captures. It remains part of the scale, which the charts determine later.
 
     Parameters
     ----------
@@ -97,12 +101,12 @@ def measure_sweep(
     sensor : Sensor
         Noise and defects from the dark and white captures.
     each : callable
-        Maps a function over the captures; may use several processes.
+        Maps a function over the captures. It may use several processes.
 
     Returns
     -------
     sweep : Sweep
-        The linear system. Captures that saturate a channel are not used for it.
+        The linear system. Captures that saturate a channel are not used for this channel.
     left_out : tuple of str
         One line for each saturated capture.
 
@@ -141,7 +145,7 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Measure the mean DN of every patch, and compute its incident photons.
+    """Measure the mean DN of every patch, and compute the photons that come from it.
 
     Raises InputFileError if the measured radiances do not cover the nodes.
     """
@@ -163,8 +167,8 @@ def measure_charts(
 def flat_field(response: Array, body: Body) -> FlatField:
     """Fit the gains that make the response (row, col) to an even white uniform.
 
-    The fit is to the square root of the gain, for which cos⁴ is a polynomial of second degree. Raises InputFileError if the
-    white is not a smooth surface, or falls off as no lens does.
+    A polynomial is fitted to the square root of the gain, which has degree two if the fall-off is cos⁴. Raises
+    InputFileError if the response is not smooth, or if it falls off more than lenses do.
     """
     gains = []
     for channel, name in enumerate(body.channels):
@@ -191,13 +195,13 @@ def corner_falloff(field: FlatField) -> Array:
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """Return the polynomial's terms (place, term) at y, x from −1 to 1. The first term is 1."""
+    """Return the terms (place, term) of the polynomial at coordinates y, x from −1 to 1. The first term is 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Return position, y and x from −1 to 1, and value of a channel's means over cells."""
+    """Divide the pixels of a channel into cells. Return the mean y, x (from −1 to 1) and response of each cell."""
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
     down = np.broadcast_to(y[:, None], response.shape)
@@ -211,7 +215,7 @@ def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Arr
 
 
 def _by_cell(site: Array) -> Array:
-    """Return the means of a picture over at most CELLS equal parts."""
+    """Divide a picture into at most CELLS rows and columns of equal cells, and return the mean of each cell."""
     starts = [
         np.linspace(0, length, min(length, most) + 1).astype(int) for length, most in zip(site.shape, CELLS, strict=True)
     ]
@@ -222,7 +226,7 @@ def _by_cell(site: Array) -> Array:
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
     """Return the camera with its defect map, and with a flat field if the white frames are even.
 
-    Noise measurements work with uneven white frames, so these are no error.
+    Uneven white frames are not an error, because noise can be measured with them.
     """
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
@@ -233,10 +237,10 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera with defect map and flat field from dark and white frames. Nothing else changes.
+    """Return the camera with a new defect map and flat field from dark and white frames. Nothing else changes.
 
-    The frames may have one exposure or several. Raises InputFileError if the whites are too dark, clipped or uneven, or if
-    too many pixels are defective.
+    The frames may have one exposure time or several. Raises InputFileError if the white frames are too dark, clipped or
+    uneven, or if too many pixels are defective.
     """
     body, darks = measurements.body, measurements.darks
     means = [statistics.mean_frame(capture).astype(np.float64) for capture in darks]
@@ -275,13 +279,13 @@ def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> 
 
 @dataclass(frozen=True)
 class Series:
-    """Patch values of all captures of a chart behind filters, dark signal subtracted."""
+    """Patch values in all captures of a chart behind filters. The dark signal is subtracted."""
 
-    lights: tuple[str, ...]  # names of the bands, sorted by centre
-    light: NDArray[np.int64]  # (capture) index of its band
-    lit: Array  # (capture) s under light
+    lights: tuple[str, ...]  # names of the bands, sorted by centre wavelength
+    light: NDArray[np.int64]  # (capture) index of the band
+    lit: Array  # (capture) time under light in s
     values: Array  # (capture, patch, channel) DN
-    valid: NDArray[np.bool_]  # (capture, patch, channel) not saturated
+    valid: NDArray[np.bool_]  # (capture, patch, channel) whether the value is not saturated
 
 
 def fit_series(
@@ -294,9 +298,9 @@ def fit_series(
     Parameters
     ----------
     captures : sequence of BandCapture
-        The chart behind each filter, with two exposures or more each.
+        The chart behind each filter, with at least two exposures per filter.
     darks : sequence of Capture
-        Dark frames; may be empty.
+        Dark frames, if there are any.
     body : Body
         Camera.
     black_level, white_level : float
@@ -345,7 +349,7 @@ def fit_series(
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches of every capture. Bands are sorted by their centres."""
+    """Measure the patches in every capture. Bands are sorted by centre wavelength."""
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
@@ -362,7 +366,7 @@ def measure_series(
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
     """Return the dark signal (exposure, channel) in DN, interpolated between dark frames.
 
-    Without dark frames it is `black_level`.
+    Without dark frames, the dark signal is `black_level`.
     """
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
@@ -375,16 +379,16 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals in proportion to exposure, and predict each capture from the others of its band.
+    """Fit signals that are proportional to the exposure time. Predict each capture from the others of the same band.
 
     Returns
     -------
     rates : ndarray, (light, patch, channel)
-        DN/s from all unsaturated captures of a band.
+        DN/s, from all unsaturated captures of a band.
     predicted : ndarray, (capture, patch, channel)
-        DN that the other captures of the band predict.
+        Signal in DN that the other captures of the band predict.
     used : ndarray of bool, (capture, patch, channel)
-        Where there is a prediction.
+        True where the value is not saturated and has a prediction.
     """
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
@@ -398,12 +402,12 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the centroid in nm of the part of a filter's band that is at least half its peak."""
+    """Return the centre of a filter's band in nm: the centroid of the part with at least half the peak radiance."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the centre of each band (light) in nm, and the light on each patch (light, patch) in the radiances' unit."""
+    """Return the centre (light) of each band in nm, and the radiance (light, patch), integrated over the band."""
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
     return np.array([band_centre(capture) for capture in first]), np.array(photons)
@@ -412,13 +416,13 @@ def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
     """Return the response to each light, averaged over the patches, and its relative spread.
 
-    Uneven illumination changes a patch by the same factor in all bands. The factor is estimated from the brightest channel
-    of each band and divided out before the spread is computed.
+    Uneven illumination changes the signal of a patch by the same factor in all bands. The factor is estimated from the
+    brightest channel in each band, and divided out before the spread is computed.
 
     Parameters
     ----------
     rates : ndarray, (light, patch, channel)
-        Signals per second of exposure. NaN: saturated.
+        Signals per second of exposure. Saturated values are NaN.
     photons : ndarray, (light, patch)
         Photons per second that the patches send.
 
@@ -440,7 +444,7 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 def linearity_errors(series: Series, span: float) -> Array:
     """Return the linearity error per channel, averaged over bands and patches.
 
-    It uses patches with three or more captures within 5–95 % of the span.
+    A patch is used if at least three captures lie within 5–95 % of `span`, the range from black to white level in DN.
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
@@ -454,7 +458,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Return a line for each capture with saturated patches: their number per channel."""
+    """Return, for each capture with saturated patches, a line with the number of these patches in each channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

@@ -1,9 +1,9 @@
-"""Estimate lamp drift that nobody monitored from the disagreement of the charts (docs/method.md#drift-of-lamps).
+"""Estimate unmonitored lamp drift from disagreements between the charts (docs/method.md#drift-of-lamps).
 
-If a lamp is brighter during a capture than when its spectrum was measured, the responses of all channels grow by one
-factor. For the steps of a monochromator, such factors deform the curves slowly over wavelength, so that the deformation
-looks like the curves' own shape. For charts, they change the scale. Comparing each chart in each channel with the
-prediction from the curves reveals both.
+If a lamp is brighter during a capture than when its spectrum was measured, the responses of all channels increase by the
+same factor. During a monochromator sweep, such factors deform the curves slowly over wavelength, and the curves alone do not
+reveal the deformation. In chart captures, the factors change the scale. Both effects show when the curves' prediction for
+each chart and channel is compared with the measurement.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
-MEMORY = 0.8  # correlation of a lamp's drift between consecutive captures of the measurement file
-CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; 24 patches known to 0.5 % each explain half of it
-TRIED = np.geomspace(2e-4, 0.2, 100)  # candidate relative standard deviations of the drift
-EVIDENCE = 4.0  # natural log of the likelihood ratio by which a drift must beat the declared drift
+MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
+CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; errors of 24 patches, 0.5 % each, explain half of it
+TRIED = np.geomspace(2e-4, 0.2, 100)  # relative standard deviations of the drift that are tried
+EVIDENCE = 4.0  # smallest natural log of the likelihood ratio between a drift and the declared drift
 Array = NDArray[np.float64]
 
 
@@ -26,8 +26,8 @@ class DriftError:
     """Lamp drift that the charts reveal, and the uncertainty that it causes."""
 
     deviation: float  # relative standard deviation of the lamps from their measured spectra
-    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, not counting their scale
-    scale_error: float  # relative standard deviation of the scale from the charts
+    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, without the error of their scale
+    scale_error: float  # relative standard deviation of the scale that the charts give
 
 
 def estimate_drift(
@@ -48,25 +48,27 @@ def estimate_drift(
     black_level : ndarray, (channel)
         DN.
     declared : float
-        Relative standard deviation of the drift that the measurement file declares.
+        Relative standard deviation of the drift, as declared in the measurement file.
 
     Returns
     -------
     DriftError or None
-        None if the declared drift explains the charts.
+        None if the declared drift explains the disagreements.
 
     Notes
     -----
-    Logarithms of the charts' factors are linear in the unknown drifts of all captures, which are normally distributed with
-    an exponential correlation. The probability of each deviation follows from its likelihood, with a uniform prior of its
-    logarithm. The root of the mean variance is returned, which is larger than the most probable deviation the fewer charts
-    there are.
+    In each channel, a chart is brighter than the curves predict by some factor. The logarithms of these factors are linear
+    in the unknown drifts of all captures. The drifts are assumed to be normally distributed, with an exponential
+    correlation. The probability of each standard deviation follows from its likelihood, with a prior that is uniform in its
+    logarithm. The returned deviation is the root of the mean variance. With few charts, it is larger than the most probable
+    deviation.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)
     correlation = MEMORY ** np.abs(order[:, None] - order)
     factors = np.empty((count, len(curves)))
-    response = np.zeros((count, len(curves), steps + count))  # change of the logarithm of each factor per drift of a capture
+    # (chart, channel, capture) change of the logarithm of each factor per drift of a capture
+    response = np.zeros((count, len(curves), steps + count))
     deformations = []
     for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
         deformation = smoother * np.where(sweep.valid[:, channel], sweep.values[:, channel], 0.0)
@@ -93,9 +95,9 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Return the drift that explains the log factors (factor), or None if the declared drift explains them.
+    """Return the drift that explains the logarithms of the factors (factor), or None if the declared drift explains them.
 
-    `covariance` is the covariance of the log factors for a drift of 1.
+    `covariance` is their covariance if the standard deviation of the drift is 1.
     """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2

@@ -1,4 +1,4 @@
-"""Figures of a calibrated camera in EMVA 1288 terms, their errors against a known truth, and reasons to distrust them."""
+"""Report on a calibrated camera: its EMVA 1288 figures, their errors against a known truth, and warnings."""
 
 from typing import Any
 
@@ -16,21 +16,21 @@ from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.system.text import columns, figure
 
-SHOWN = 8  # defects listed in the text; JSON and the artifact contain all
-LEAST_EFFICIENCY = 0.01  # at the peak; below this, a wrong unit is more likely than such a camera
+SHOWN = 8  # number of defects that the text lists; JSON and the artifact contain all defects
+LEAST_EFFICIENCY = 0.01  # peak quantum efficiency; a wrong unit is more likely than a camera with a lower peak
 MOST_MISFIT = 0.03  # largest RMS misfit of a photo's patches, as a fraction of the brightest patch
-LARGEST_POWER = 4  # factors of 10^4 and more are printed as powers of ten
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for every channel; beyond them the calibration has failed
+LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for every channel; a calibration that exceeds them has failed
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the figures of the whole camera.
+    """Return the figures that apply to all channels of a camera.
 
     Returns
     -------
     dict
-        EMVA 1288 name → (value, unit). Column noise is listed only if a recipe declares it, because calibration does not
-        measure it.
+        EMVA 1288 name → (value, unit). Column noise is included only if a recipe declares it, because calibration does not
+        measure column noise.
     """
     noise = camera.noise
     columns = {"column noise": (noise.column_noise, "e-")} if noise.column_noise else {}
@@ -53,8 +53,8 @@ def figures(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Figures of the camera and, as far as they were measured, of its channels, lights, bands, gains and photos. The
-        entries of figures that were not measured are empty or None.
+        Figures of the camera and, if they were measured, of channels, lights, bands, gains and photos. Entries without
+        measurements are empty or None.
     """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
@@ -93,7 +93,10 @@ def figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _curves(camera: CameraModel) -> dict[str, Any]:
-    """Return the range of the curves, and peak and FWHM of each channel. FWHM is None if the curve does not fall to half."""
+    """Return the wavelength range of the curves, and peak and FWHM of each channel.
+
+    FWHM is None if the curve does not fall to half the peak on both sides.
+    """
     grid = camera.wavelength
     channels = {
         name: {"peak (nm)": float(grid[curve.argmax()]), "FWHM (nm)": full_width(grid, curve)}
@@ -111,7 +114,7 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the peak quantum efficiency per channel, its 95 % band if known, and the offset of Eq. 2."""
+    """Return the peak quantum efficiency of each channel, the 95 % band if known, and the offset in Eq. 2."""
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
@@ -119,7 +122,7 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """Return the EMVA 1288 figures. The dynamic range is from saturation down to a signal-to-noise ratio of 1."""
+    """Return the EMVA 1288 figures. The dynamic range extends from saturation to a signal-to-noise ratio of 1."""
     least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
         "K (DN/e-)": noise.conversion_gain,
@@ -146,7 +149,7 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
 
 
 def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
-    """Return the figures of the whole camera at each analog gain."""
+    """Return the figures of the camera at each analog gain."""
     rows = {}
     for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
         there = camera.at_gain(float(times))
@@ -162,7 +165,7 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
 
 
 def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
-    """Return centre, response and spread over patches of each band and channel."""
+    """Return the centre of each band, and the response and its spread over the patches for each channel."""
     rows = {}
     for index, light in enumerate(series.lights):
         row = {"centre (nm)": float(camera.wavelength[index])}
@@ -174,7 +177,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainty of the curves, and of the colours that they predict under other lights."""
+    """Return the uncertainty of the curves, and the uncertainty of colours that the curves predict under other lights."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -217,7 +220,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        "camera" has recovered value, true value, unit and error of each figure. "channels" has the errors of the curves.
+        The entry "camera" contains recovered value, true value, unit and error of each figure. The entry "channels" contains
+        the errors of the curves.
 
     Raises
     ------
@@ -252,7 +256,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Turn columns, each an array (channel), into one dict of plain numbers per channel."""
+    """Convert columns, which are arrays (channel), to one dict of Python numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -265,9 +269,9 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     Parameters
     ----------
     result : dict
-        The result of `figures`, with the result of `compare` under "truth" if there is a truth.
+        The result of `figures`. If the true camera is known, the entry "truth" contains the result of `compare`.
     width : int, optional
-        Largest width in characters; wider tables are split.
+        Largest width in characters. Wider tables are split.
     """
     truth = result.get("truth")
     lines = []
@@ -321,7 +325,7 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """Format the colour errors that the exported matrices leave, per light and matrix.
+    """Format the colour errors of the exported matrices, for each light and matrix.
 
     Parameters
     ----------
@@ -345,14 +349,14 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Format a table with two heading lines: names, and units from the brackets after the names."""
+    """Format a table with two heading lines. Units in brackets are moved from the titles to the second line."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """Format the results of photos of charts, with a hint on reading their bands."""
+    """Format the results from photos of charts, and explain how to compare the confidence bands."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
@@ -370,9 +374,9 @@ def _photo_lines(result: dict[str, Any]) -> list[str]:
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return warnings about a camera that is still usable.
+    """Return warnings that do not make a camera unusable.
 
-    The warnings concern lamps that drifted more than declared, and photos whose patches contradict the named light.
+    They concern lamps that drifted more than declared, and photos whose patches contradict the light that the user named.
     """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
@@ -401,8 +405,8 @@ def _times(logarithm: float) -> str:
 def shortfall(camera: CameraModel) -> str | None:
     """Return why a camera should not be trusted, or None.
 
-    The sentence names captures that disagree, an implausible efficiency, a photo whose patches do not fit, or a channel that
-    fails its validation.
+    Reasons are captures that disagree, an implausible efficiency, a photo whose patches do not fit, and a channel that fails
+    the validation.
     """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
@@ -427,7 +431,7 @@ def shortfall(camera: CameraModel) -> str | None:
 
 
 def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
-    """Return which photo's patches do not fit, or None."""
+    """Return a sentence about the first photo whose patches do not fit, or None."""
     for index, name in enumerate(fit.names):
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:

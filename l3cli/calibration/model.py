@@ -25,12 +25,12 @@ from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
-DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that Eq. 1 tries
-LEAST_R_SQUARED = 0.5  # a lower R² means that the charts were not measured as the measurement file says
+DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that are tried in Eq. 1 (docs/method.md#responsivity)
+LEAST_R_SQUARED = 0.5  # if R² is lower, the measurement file does not describe the charts correctly
 Array = NDArray[np.float64]
-TOLERANCE = 0.1  # largest relative difference between a setting in the file and the frames
+TOLERANCE = 0.1  # largest relative difference between a setting in the measurement file and in the frames
 SAME_SPEED = 1.25  # largest factor, up or down, between a measured gain and the gain that the ISO speed implies
-CERTAIN = 4.0  # a gain must differ by this many standard deviations before it counts as wrong
+CERTAIN = 4.0  # a gain counts as wrong only if it differs by more than this number of standard deviations
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
@@ -39,7 +39,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     Parameters
     ----------
     measurements : Measurements
-        Captures and settings, as a measurement file describes them.
+        Captures and settings from a measurement file.
     each : callable
         Maps a function over captures: the built-in `map`, or a map that spreads the work over several processes.
 
@@ -51,7 +51,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     Raises
     ------
     InputFileError
-        If a capture is unusable or contradicts the others. The message names the capture.
+        If a capture cannot be used or contradicts the others. The message identifies the capture.
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
@@ -90,9 +90,9 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
-    """Measure gain and read noise at each ISO speed from its dark and white frames (docs/method.md#gains).
+    """Measure gain and read noise at each ISO speed from dark and white frames (docs/method.md#gains).
 
-    Returns None if the measurement file states no ISO speed. Raises InputFileError if a measured gain does not match its ISO
+    Returns None if the measurement file has no ISO speed. Raises InputFileError if a measured gain does not match the ISO
     speed.
     """
     body, found = measurements.body, {}
@@ -116,7 +116,8 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
     """Build a camera with relative curves from photographs of charts.
 
-    Dark and white frames give the sensor's noise and levels. Without them, the photos and the data sheet do.
+    The noise and levels of the sensor come from dark and white frames. Without these, they come from the photos and the data
+    sheet.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)
@@ -132,9 +133,9 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
-    """Build a camera with the sensor of a data sheet and relative curves.
+    """Build a camera with relative curves from the figures in a data sheet.
 
-    The curves come from a table, from a finished source, or from a chart photographed behind filters.
+    The curves come from a sweep beside a photodiode, from finished curves, or from a chart photographed behind filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
@@ -149,10 +150,11 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit, DriftError | None]:
-    """Fit Eq. 1 and return the curves, the fit, and the lamp drift if the charts reveal one.
+    """Fit the curves (Eq. 1 in docs/method.md#responsivity), and estimate the lamp drift from the charts.
 
-    The smoothing is the one that predicts the charts best. Each channel is scaled to a peak of 1. If the charts disagree by
-    more than the declared drift explains, the confidence band includes the drift that they show.
+    The smoothing with the best prediction of the charts is used. Each channel is scaled to a peak of 1. If the charts
+    disagree by more than the declared drift explains, the estimated drift is returned and included in the confidence band.
+    Otherwise the drift is None.
     """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
@@ -168,7 +170,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the cross-validated relative RMSE over the charts, averaged over channels."""
+    """Return the cross-validated relative RMSE over the charts with the smoothing `delta`, averaged over channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -179,7 +181,7 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if one chart contradicts the others, or all charts contradict the monochromator."""
+    """Raise InputFileError if one chart contradicts the others, or if all charts contradict the monochromator."""
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
@@ -190,10 +192,10 @@ def check_charts(
 def fit_charts(
     charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
-    """Fit and validate Eq. 2 for every channel.
+    """Fit the gain and offset of every channel (Eq. 2 in docs/method.md#gain-and-offset), and check the fit.
 
-    Raises InputFileError if the charts contradict the curves. If there are `odd` monochromatic captures, the message blames
-    the first of them.
+    Raises InputFileError if the charts contradict the curves. `odd` describes suspicious monochromatic captures. If there
+    are any, the message tells the user to check the first.
     """
     photons = charts.photons @ relative.T
     fits = []
@@ -226,7 +228,7 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Convert the noise of dark and white frames to electrons, with the conversion gain of the whole sensor.
+    """Convert the noise in dark and white frames to electrons, with the conversion gain of the whole sensor.
 
     Raises InputFileError if the channels' measured gains contradict the measurement file.
     """
@@ -253,8 +255,8 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 def conversion_gain(sensor: Sensor, body: Body) -> float:
     """Return the conversion gain K of the whole sensor in DN/e-.
 
-    K is the mean of the channels' gains, weighted by their numbers of pixels. If channels differ in exposure or
-    amplification, the weights are the inverse variances of the gains.
+    K is the mean of the gains of all channels, weighted by the number of pixels in each channel. If channels differ in
+    exposure time or amplification, the weights are the inverse variances of the gains.
     """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
@@ -263,7 +265,7 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the channels' figures into one set for the whole sensor, weighted by their numbers of pixels."""
+    """Average the figures of the channels, weighted by the number of pixels, into one set for the whole sensor."""
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
 
@@ -281,14 +283,14 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """Assemble the camera model. It is absolute if charts gave the scale.
+    """Assemble the camera model. Its responsivity is absolute if charts gave the scale.
 
-    Raises InputFileError if the levels contradict each other.
+    Raises InputFileError if the values do not make a valid camera.
     """
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        band = band if curves.band.any() else np.zeros_like(band)  # the scale's error alone is not a band of the curve
+        band = band if curves.band.any() else np.zeros_like(band)  # the error of the scale alone is not a confidence band
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
@@ -319,7 +321,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:
-    """Return the names of the figures that were not measured."""
+    """Return the names of the quantities that were not measured."""
     if fit.noise is not None:
         return ()
     if fit.photo is None:
@@ -349,7 +351,7 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
 def check_exposures(responsivity: Array, body: Body) -> None:
     """Raise InputFileError if channels with the same filter differ in efficiency (channel, wavelength).
 
-    They differ if a channel's exposure is not the one that the measurement file states.
+    They differ if the exposure time of a channel is wrong in the measurement file.
     """
     if body.readout is None:
         return
@@ -366,16 +368,16 @@ def check_exposures(responsivity: Array, body: Body) -> None:
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Divide the channels' curves and bands (channel, wavelength) by gain and exposure, and scale the highest peak to 1."""
+    """Divide curves and bands (channel, wavelength) by gain and exposure of each channel. Scale the highest peak to 1."""
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
 
 
 def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
-    """Return the channels' settings with their read noise, or None if all channels are read out alike.
+    """Return the exposure, gain and read noise of each channel, or None if all channels have the same exposure and gain.
 
-    `read_noise` (e-) is used for every channel if there are no noise measurements.
+    Without noise measurements, `read_noise` (e-) is used for every channel.
     """
     if body.readout is None:
         return None

@@ -1,7 +1,7 @@
-"""Sensor noise from stacks of frames as EMVA 1288 defines it (docs/method.md#dark-and-white-frames).
+"""Measure sensor noise, as defined in EMVA 1288, from stacks of frames (docs/method.md#dark-and-white-frames).
 
-Temporal variances come from differences of pairs of frames, in which the fixed pattern cancels. Spatial variances are
-corrected for the temporal noise that remains in the averages. Hot and dead pixels are left out.
+Temporal variances come from differences between two frames, in which the fixed pattern cancels. Spatial variances are
+corrected for the temporal noise that remains in averaged frames. Hot and dead pixels are left out.
 """
 
 import functools
@@ -34,42 +34,42 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
 SATURATED = 0.985  # fraction of the span from black to white level from which a pixel counts as saturated
-TOLERATED = 1e-4  # fraction of saturated pixels that does not distort a variance
+TOLERATED = 1e-4  # largest fraction of saturated pixels that does not distort a variance
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
-WINDOW = 7  # side of a local mean in samples of one CFA site; windows above 9 respond to dust
+WINDOW = 7  # side of the window of local means, in samples of one CFA site; windows larger than 9 respond to dust
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results of the dark frames, per channel."""
+    """Results from dark frames, per channel."""
 
-    black_level: Array  # DN at zero exposure
-    slope: Array  # DN/s
-    variance: Array  # DN² at zero exposure, without quantisation
+    black_level: Array  # DN at zero exposure time
+    slope: Array  # DN/s; dark signal per exposure time
+    variance: Array  # DN²; temporal variance at zero exposure time, without quantisation noise
     dsnu: Array  # DN
-    hot: Defects = field(default_factory=no_defects)
+    hot: Defects = field(default_factory=no_defects)  # hot pixels
 
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Temporal variance against signal of the white frames."""
+    """Results from white frames: temporal variance against signal."""
 
-    mean: Array  # (level, channel) DN above black
-    variance: Array  # (level, channel) DN²
-    used: NDArray[np.bool_]  # (level, channel) below saturation
+    mean: Array  # (level, channel) mean signal in DN above black
+    variance: Array  # (level, channel) temporal variance in DN²
+    used: NDArray[np.bool_]  # (level, channel) whether the level is below saturation
     white_level: float  # DN at which pixels saturate
     white_level_reached: bool  # False if no frame saturates and the white level is the converter's maximum
-    gain: Array  # (channel) DN/e-, conversion gain K
-    gain_error: Array  # (channel) DN/e-, its standard deviation
-    linearity_error: Array  # (channel) EMVA 1288 LE, relative
+    gain: Array  # (channel) conversion gain K in DN/e-
+    gain_error: Array  # (channel) standard deviation of K in DN/e-
+    linearity_error: Array  # (channel) linearity error LE of EMVA 1288, as a fraction
 
 
 # ------------------------------------------------------------------------------------------------------------ dark
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights that turn values at `exposures` into intercept and slope of their least-squares line."""
+    """Return the weights of values at `exposures` that give the intercept and the slope of the least-squares line."""
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope
@@ -80,14 +80,15 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
     Three variances are involved:
 
-    1. The temporal variance, from differences of frames, contains everything that changes from frame to frame: pixels, rows
-       and columns. It gives the read noise.
-    2. The spatial variance is that of the mean frame, extrapolated to zero exposure, without the means of its rows and
-       columns: column noise does not count as DSNU. It contains the DSNU, and what averaging leaves of the temporal noise.
-    3. What averaging leaves is the temporal variance of pixels, also without the means of rows and columns, divided by the
-       number of frames. It is subtracted from the spatial variance.
+    1. The temporal variance comes from differences between frames. It contains all noise that changes from frame to frame,
+       including the noise of whole rows and columns. It gives the read noise.
+    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
+       and column means are left out, because column noise does not count as DSNU. The spatial variance contains the DSNU and
+       the temporal noise that remains after averaging.
+    3. The remaining temporal noise is the temporal variance without row and column means, divided by the number of frames.
+       It is subtracted from the spatial variance.
 
-    Raises InputFileError if all frames have the same exposure.
+    Raises InputFileError if all frames have the same exposure time.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
@@ -118,10 +119,10 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain to temporal variance against mean (docs/method.md#dark-and-white-frames).
+    """Fit the conversion gain, the slope of temporal variance over mean signal (docs/method.md#dark-and-white-frames).
 
-    `levels` are sorted by exposure. Saturation of the well or the converter begins where the variance falls; levels beyond
-    are not used. Raises InputFileError if a channel has fewer than two levels below saturation.
+    `levels` are sorted by exposure. The well or the converter saturates where the variance begins to fall. Higher levels are
+    not used. Raises InputFileError if a channel has fewer than two levels below saturation.
     """
     mean = np.array([mean_value(level.counts) for level in levels]) - dark.black_level
     variance = np.array([level.variance for level in levels])
@@ -149,7 +150,7 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Return the slope of variance over mean (level) and its standard deviation.
+    """Return the slope of the variance over `mean` (level), and the standard deviation of the slope.
 
     The standard deviation of a variance from n samples is √(2/n) times the variance.
     """
@@ -162,9 +163,9 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return the linearity error LE of EMVA 1288 per channel: the mean relative deviation of the signal from a line.
+    """Return the linearity error LE of EMVA 1288 per channel, the mean relative deviation of the signal from a line.
 
-    It is 0 if a channel has fewer than three usable levels.
+    The error is 0 if a channel has fewer than three usable levels.
     """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
@@ -176,7 +177,7 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from its line over `lit`, fitted to relative deviations."""
+    """Return the mean relative deviation of `signal` from a line over `lit` that minimises squared relative deviations."""
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
 
@@ -184,8 +185,8 @@ def linearity_error(lit: Array, signal: Array) -> float:
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
     """Return the DN at which pixels saturate, and whether any pixel did.
 
-    If the variance of a channel has collapsed at the longest exposure, the level is the median of that channel. Otherwise it
-    is the converter's maximum `top`.
+    If the variance of a channel has collapsed at the longest exposure, the saturation level is the median of this channel.
+    Otherwise it is the maximum of the converter, `top`.
     """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
@@ -205,7 +206,7 @@ def prnu(
     captures : sequence of Capture
         White captures.
     levels : sequence of Level
-        Their statistics.
+        Statistics of the captures.
     used : ndarray of bool, (level, channel)
         Levels below saturation.
     body : Body
@@ -213,16 +214,16 @@ def prnu(
     hot : ndarray, (defect, 2)
         Hot pixels.
     each : callable
-        Map over captures.
+        Maps a function over captures.
 
     Returns
     -------
     prnu : ndarray, (channel)
-        Relative spread of the slopes about their local mean, in which uneven light cancels.
+        Relative spread of the slopes about their local mean. Uneven light changes both and cancels.
     dead : ndarray, (defect, 2)
         Pixels whose slope differs from the local mean by a tenth or more.
     slopes : ndarray, (row, col)
-        DN/s, defects replaced.
+        Slopes in DN/s. Defective pixels are replaced.
     """
     weights = np.zeros(used.shape)
     for channel in range(used.shape[1]):
@@ -240,8 +241,8 @@ def prnu(
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
     """Find pixels whose response (row, col) to even light differs from the local mean by a tenth or more.
 
-    Returns the pixels and the response with these pixels replaced. The search runs twice: the second local mean leaves out
-    the suspects of the first, so that pixels beside a defective row or cluster are not blamed.
+    Returns the pixels, and the response with these pixels replaced. The search runs twice. The second local mean leaves out
+    the pixels that the first search found, so that good pixels beside a defective row or cluster are not found as well.
     """
     suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
@@ -258,7 +259,7 @@ def _local_mean(site: Array) -> Array:
 
 
 def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the ratio (row, col), minus 1, of each pixel to the local mean of its CFA site in `patched`."""
+    """Divide each pixel by the local mean of its CFA site in `patched`, and subtract 1."""
     deviation = np.empty_like(picture)
     for (_, into), (_, site), (_, whole) in zip(
         *(by_site(each, cfa) for each in (deviation, picture, patched)), strict=True
@@ -268,7 +269,7 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Return the variance of pixel over local mean, corrected for the temporal variance `temporal` of each sample."""
+    """Return the variance of the ratio of pixels to the local mean, without the temporal variance `temporal` of a pixel."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0

@@ -1,8 +1,7 @@
-"""Spectral responsivities and the channels' gains.
+"""Estimate spectral responsivities, and the gain of each channel.
 
-Eq. 1 gives curves from monochromatic captures; tables and finished sources are read as they are
-(docs/method.md#responsivity). Eq. 2 gives gain and offset of each channel from charts under known lights
-(docs/method.md#gain-and-offset).
+Eq. 1 gives the responsivities from monochromatic captures (docs/method.md#responsivity). Tables and finished curves need no
+fit. Eq. 2 gives the gain and offset of each channel from charts under known lights (docs/method.md#gain-and-offset).
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +16,12 @@ from l3cli.frames import chart
 from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, ChartCapture, FinishedCurves, SweepTable
 from l3cli.physics import spectra
 
-NODE_STEP = 5.0  # nm between the hat functions; 10 nm doubles the error (docs/method.md#responsivity)
-EDGE = 0.01  # fraction of a light's peak below which the light does not reach a node
+NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
+EDGE = 0.01  # fraction of its peak below which the radiance of a light is ignored
 PLATEAU = 1.05  # a smoothing whose error is within 5 % of the best counts as equally good
-PILOT = 10.0  # residuals for the confidence band refer to a curve with this multiple of the smoothing
-BAND_FLOOR = 0.0002  # fraction of the peak, the narrowest half width of a confidence band
-COVERAGE = 1.96  # standard deviations in the half width of a 95 % band
+PILOT = 10.0  # the residuals for the confidence band refer to a pilot curve with this multiple of the smoothing
+BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
+COVERAGE = 1.96  # half width of a 95 % band in standard deviations
 Array = NDArray[np.float64]
 USUAL = (0.03, 1.0)  # plausible peak quantum efficiencies of cameras, lens and filters included
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
@@ -35,8 +34,8 @@ MISTAKES = {  # common mistakes, and the factor by which each multiplies the qua
     "radiances were per µm": 1e-3,
     "exposures were in s where ms are stated": 1e3,
 }
-CORE = 0.25  # half the side of the sampled core of a patch, in chart cells
-RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # fraction of the signal, DN: error of a patch (docs/method.md#gain-and-offset)
+CORE = 0.25  # half the side of the core of a patch that is averaged, in chart cells
+RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # errors of a patch: fraction of signal, and DN (docs/method.md#gain-and-offset)
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,13 @@ class Sweep:
     """Linear system of Eq. 1 for all channels: values = design @ responsivity."""
 
     nodes: Array  # (wavelength) nm
-    design: Array  # (capture, wavelength) fraction of the capture's photons under each node's hat function
+    design: Array  # (capture, wavelength) fraction of the photons that each hat function contains
     values: Array  # (capture, channel) DN/photon
-    valid: NDArray[np.bool_]  # (capture, channel) not saturated
+    valid: NDArray[np.bool_]  # (capture, channel) whether the value is not saturated
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return nodes in nm, every 5 nm, over the range that the lights cover. Each light is a pair (wavelength, radiance)."""
+    """Return nodes in nm, at steps of 5 nm, that cover all lights. Each light is a pair (wavelength, radiance)."""
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
     last = np.ceil(max(part[-1] for part in lit) / NODE_STEP) * NODE_STEP
@@ -58,18 +57,18 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Return the centroid in nm of the part of a spectrum that is at least half its peak."""
+    """Return the centre of a light in nm: the centroid of the part with at least half the peak radiance."""
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Integrate radiance (…, wavelength) times each node's hat function: (…, node) in photons/s/sr/m²."""
+    """Integrate radiance (…, wavelength) times the hat function of each node. Returns (…, node) in photons/s/sr/m²."""
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
 
 def roughness(nodes: int) -> Array:
-    """Return the matrix (nodes − 2, nodes) of second differences."""
+    """Return the matrix (nodes − 2, nodes) that takes second differences."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
@@ -99,7 +98,7 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Solve Eq. 1 for each channel from its unsaturated captures: (channel, wavelength) in DN/photon."""
+    """Solve Eq. 1 for each channel from unsaturated captures. Returns (channel, wavelength) in DN/photon."""
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
@@ -116,7 +115,8 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 def choose_smoothing(deltas: Array, errors: Array) -> float:
     """Return the geometric middle of the plateau around the smallest error.
 
-    The exact minimum is a matter of chance (docs/method.md#responsivity).
+    The plateau contains the neighbouring smoothings with nearly the same error. Which of these has the smallest error
+    depends on chance (docs/method.md#responsivity).
     """
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
@@ -146,9 +146,9 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
     Notes
     -----
-    The spread is the one that random signs of the leverage-corrected residuals about a smoother pilot curve would cause. It
-    has a closed form because the estimate is linear where r > 0. The pilot's bias, the lamp drift, the wavelength error and
-    a floor are added in quadrature.
+    The residuals about a smoother pilot curve are corrected for their leverage. The spread is the standard deviation that
+    the curve would have if the signs of these residuals were random. It has a closed form, because the estimate is linear
+    where r > 0. The bias of the pilot curve, the lamp drift, the wavelength error and a floor are added in quadrature.
     """
     bands = []
     for channel, curve in enumerate(responsivity):
@@ -175,15 +175,15 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix (node, capture) that maps values to the responsivity, as long as no r is clamped at zero."""
+    """Return the matrix (node, capture) that maps values to the responsivity, if no node is limited to zero."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return for each channel the matrix (node, capture) that maps its values to its responsivity.
+    """Return, for each channel, the matrix (node, capture) that maps the values to the responsivity.
 
-    The columns of captures that saturate the channel are zero.
+    Captures that saturate the channel have columns of zeros.
     """
     matrices = []
     for valid in sweep.valid.T:
@@ -195,26 +195,27 @@ def smoothers(sweep: Sweep, delta: float) -> list[Array]:
 
 @dataclass(frozen=True)
 class Curves:
-    """Relative responsivities per photon, with their uncertainty."""
+    """Relative responsivities per photon, with confidence bands."""
 
     wavelength: Array  # (wavelength) nm
     relative: Array  # (channel, wavelength)
     band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere if unknown
 
     def to_common_peak(self) -> "Curves":
-        """Return the curves scaled so that the largest value of the whole set is 1."""
+        """Return the curves, scaled so that the largest value of all channels is 1."""
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def to_channel_peaks(self) -> "Curves":
-        """Return the curves scaled so that every channel's largest value is 1."""
+        """Return the curves, scaled so that the largest value of each channel is 1."""
         peak = self.relative.max(axis=1, keepdims=True)
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Return the curves with a wider band that includes relative errors of the light and errors of its wavelength in nm.
+        """Return the curves with a wider band, which includes errors of the light.
 
-        Both errors are standard deviations.
+        `light_error` is the relative standard deviation of the light's brightness, and `wavelength_error` the standard
+        deviation of its wavelength in nm.
         """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
         stated = COVERAGE * np.hypot(light_error * self.relative, wavelength_error * slope)
@@ -241,10 +242,10 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
 
 
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
-    """Return the curves of a table or of a finished source.
+    """Return the curves from a sweep table, or finished curves, scaled to a common peak of 1.
 
-    The band reflects the declared errors of light and wavelength. If either is not declared, the error is unknown and the
-    band is 0.
+    The band follows from the declared errors of light and wavelength. If either error is not declared, the band is 0, which
+    means unknown.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -271,7 +272,7 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
     """Raise InputFileError if a quantum efficiency (channel, wavelength) exceeds 1.
 
-    If there are `odd` captures, the message blames the first of them.
+    `odd` describes suspicious captures. If there are any, the message tells the user to check the first.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
@@ -282,16 +283,16 @@ def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
 
 
 def likely_mistake(peak: float) -> str:
-    """Name the mistakes that would explain an implausible peak quantum efficiency."""
+    """Return an instruction to check the units, with the mistakes that would explain the peak quantum efficiency `peak`."""
     likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
     general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
     return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Map each pixel to the ColorChecker patch whose core contains it: (row, col), 24 outside all cores.
+    """Return, for each pixel (row, col), the ColorChecker patch whose core contains the pixel, or 24 outside all cores.
 
-    `corners` (4, 2) are the col, row of the outer corners of patches 1, 6, 24 and 19. The chart may be rotated and in
+    `corners` (4, 2) contains col and row of the outer corners of patches 1, 6, 24 and 19. The chart may be rotated and in
     perspective.
     """
     cells = chart.corner_cells(CHART_ROWS, CHART_COLS)
@@ -299,10 +300,10 @@ def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the mean DN (patch, channel) of a chart's patches over all frames, and which of them are saturated.
+    """Return the mean DN (patch, channel) over all frames of a chart, and which values are saturated (patch, channel).
 
-    A patch is saturated if in any frame more than one pixel in a thousand of its core is at `limit` DN or above. Raises
-    InputFileError if a corner lies outside the frame, or if a core contains no pixel of a channel.
+    A value is saturated if, in any frame, more than 0.1 % of the pixels in the core of the patch have at least `limit` DN.
+    Raises InputFileError if a corner lies outside the frame, or if a core contains no pixel of a channel.
     """
     channels = len(body.channels)
     pixels, label, count = _cores(capture, body, defects)
@@ -317,7 +318,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Return the mean DN (patch, channel) of a chart. Raises InputFileError that names a saturated patch."""
+    """Return the mean DN (patch, channel) of a chart. Raises InputFileError if a patch is saturated."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -328,7 +329,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the relative illumination (patch, 1) of a chart's patches: the lens's fall-off, 1 on the axis."""
+    """Return the relative illumination (patch, 1) of patches through the lens, which is 1 on the axis and falls off."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -336,9 +337,9 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the pixels inside patch cores, their labels, and the count per label (patch, channel), without defects.
+    """Return the pixels inside the cores of patches, the label of each pixel, and the number of pixels (patch, channel).
 
-    The label of a pixel is patch · channels + channel.
+    A label is patch · channels + channel. Defective pixels are left out.
     """
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
@@ -361,22 +362,22 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Sum weights (pixel) per label: (patch, channel)."""
+    """Add up `weights` (pixel) for each label. Returns (patch, channel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
 
 def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, float]:
-    """Fit values ≈ alpha · photons + beta, alpha ≥ 0, for one channel (Eq. 2).
+    """Fit values ≈ alpha · photons + beta, with alpha ≥ 0, for one channel (Eq. 2).
 
     Parameters
     ----------
     photons : ndarray, (sample)
-        Signal that the responsivity predicts.
+        Photons, weighted by the responsivity.
     values : ndarray, (sample)
         Mean DN.
     black_level : float
-        DN. It determines the weights (docs/method.md#gain-and-offset).
+        Black level in DN, which affects the weights (docs/method.md#gain-and-offset).
 
     Returns
     -------
@@ -393,9 +394,10 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
-    """Return the standard deviation of alpha: from its scatter over charts fitted one by one, or from the declared drift.
+    """Return the standard error of alpha.
 
-    The larger of the two counts. `photons` and `values` are (chart, patch).
+    It follows from the scatter of alpha over charts that are fitted one by one, or from the declared drift if that is
+    larger. `photons` and `values` are (chart, patch).
     """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)
@@ -403,29 +405,29 @@ def gain_error(photons: Array, values: Array, black_level: float, alpha: float, 
 
 
 def chart_factors(photons: Array, values: Array, black_level: float, beta: float) -> tuple[Array, Array]:
-    """Fit the slope of Eq. 2 for each chart alone, with the common offset `beta`.
+    """Fit the slope of Eq. 2 for each chart separately, with the common offset `beta`.
 
-    Returns the slopes (chart) and the weights (chart, patch) of the patches.
+    Returns the slopes (chart), and the weights (chart, patch) of the patches.
     """
     weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
     return (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1), weight
 
 
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
-    """Return the RMSE relative to the mean signal above black, over the axes (chart, patch). Further axes remain."""
+    """Return the RMSE over the axes (chart, patch), relative to the mean signal above black. Other axes are kept."""
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return the fraction of the variance of `measured` that `predicted` explains, over the axes (chart, patch)."""
+    """Return, over the axes (chart, patch), the fraction of the variance of `measured` that `predicted` explains."""
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
-    """Return the relative RMSE of charts predicted with alpha and beta from the charts under the other lights.
+    """Return the relative RMSE of cross-validation over charts.
 
-    `photons` and `values` are (chart, patch).
+    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` are (chart, patch).
     """
     predicted = np.empty_like(values)
     for left_out in range(len(values)):

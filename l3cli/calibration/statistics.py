@@ -1,7 +1,7 @@
 """Statistics of frames per CFA site or channel: histograms, means, temporal variances, weighted sums and defective pixels.
 
-Statistics leave out defective pixels. The argument `each` maps a function over captures: the built-in `map`, or a map that
-spreads the work over several processes.
+Defective pixels are left out. The argument `each` maps a function over captures. It is the built-in `map`, or a replacement
+that uses several processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,8 +15,8 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-OUTLIER = 6.0  # robust standard deviations; fewer than one Gaussian pixel in a hundred million exceeds them
-LEAST_LOSS = 0.1  # a response that differs by less from its neighbours is nonuniformity, not a defect
+OUTLIER = 6.0  # number of robust standard deviations; fewer than one Gaussian pixel in a hundred million is farther off
+LEAST_LOSS = 0.1  # a response that differs from its neighbours by a smaller fraction is nonuniformity, not a defect
 WHOLE_LINE = 0.9  # fraction of defective pixels from which a whole row or column counts as defective
 Defects = NDArray[np.int64]  # (defect, 2) row, col
 Array = NDArray[np.float64]
@@ -32,8 +32,8 @@ def no_defects() -> Defects:
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Find pixels that differ from the median of their CFA site by much more than the spread, and by at least `least`.
 
-    A whole row or column is included if its median differs from the other medians both by much more than their spread and by
-    more than the spread of pixels.
+    All pixels of a row or column are included if its median differs from the medians of the other rows or columns by much
+    more than their spread, and by more than the spread of pixels.
     """
     rows, cols = cfa.shape
     defects = []
@@ -57,7 +57,7 @@ def _middle_and_spread(values: Array) -> tuple[float, float]:
 
 
 def joined_defects(*parts: Defects) -> Defects:
-    """Merge lists of pixels: each pixel once, sorted by row and column."""
+    """Merge lists of pixels. The result contains each pixel once, sorted by row and column."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
@@ -80,14 +80,15 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
     defects : ndarray, (defect, 2)
         Row and col of every defective pixel.
     hot : ndarray, (defect, 2)
-        The defects that appear without light.
+        Defective pixels that are conspicuous without light.
     shape : tuple of int
         Rows and columns of the sensor.
 
     Returns
     -------
     DefectMap
-        If nearly all pixels of a row or column are defective, the map includes the rest of it.
+        The defective pixels and their kinds. If nearly all pixels of a row or column are defective, the whole line is
+        marked.
     """
     bad, warm = np.zeros(shape, bool), np.zeros(shape, bool)
     bad[tuple(defects.T)] = True
@@ -121,31 +122,31 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Level:
-    """Statistics of the frames of one exposure."""
+    """Statistics of the frames that were captured with one exposure."""
 
     exposure: float  # s
-    lit: float  # s, exposure time corrected for the reading of the lamp
-    trials: int
-    counts: Counts  # (channel, value) number of pixels in all frames
-    variance: Array  # (channel) DN², temporal, including rows and columns that vary from frame to frame
-    pixel_variance: Array  # (channel) DN², temporal, without the means of rows and columns
+    lit: float  # s; exposure time, corrected for the brightness of the lamp
+    trials: int  # number of frames
+    counts: Counts  # (channel, value) number of pixels with each value in all frames
+    variance: Array  # (channel) DN²; temporal variance, including the noise of rows and columns
+    pixel_variance: Array  # (channel) DN²; temporal variance without the noise of rows and columns
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Yield the channel and the pixels, as a picture, of each site of the super-pixel."""
+    """Yield, for each site of the super-pixel, its channel and a picture of its pixels."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average a figure per site, in the order of `by_site`, over the sites of each channel."""
+    """Average one number per site over the sites of each channel. The sites are in the order of `by_site`."""
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """Count the pixels of each channel with each value: (channel, value), without defects."""
+    """Return how many pixels of each channel have each value (channel, value). Defects are left out."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -156,7 +157,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """Return the histogram (channel, value) of all frames of a capture, without defects."""
+    """Return the histogram (channel, value) over all frames of a capture, without defects."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -164,21 +165,21 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """Return the mean DN per channel of a histogram (channel, value)."""
+    """Return the mean DN of each channel from a histogram (channel, value)."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return the fraction of pixels per channel that are at `value` DN or above."""
+    """Return, for each channel, the fraction of pixels with at least `value` DN."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
-    """Return the histogram and temporal variance of a capture under even light or none.
+    """Return the histogram and the temporal variance of a capture under even light or without light.
 
-    A variance is half the variance of the difference of two frames about its mean. Fixed pattern and drift of the lamp or
-    the black level cancel. Frames 1 and 2 form a pair, frames 3 and 4 the next. Raises InputFileError if the capture is a
-    single frame.
+    The temporal variance is half the variance of the difference between two frames, averaged over pairs of frames. The fixed
+    pattern and drifts of the lamp or the black level cancel in the difference. Frames 1 and 2 form a pair, frames 3 and 4
+    the next pair. Raises InputFileError if the capture is a single frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     variances, pixel_variances, trials = [], [], 0
@@ -202,9 +203,9 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
 
 
 def pixel_variance(picture: NDArray[Any]) -> float:
-    """Return the variance of a picture (row, col) without that of its row means and column means.
+    """Return the variance of a picture (row, col) without the variances of the row means and the column means.
 
-    It is unbiased: without row and column noise, its mean is the variance of the pixels.
+    The estimate is unbiased: without row and column noise, its expected value is the variance of the pixels.
     """
     rows, cols = picture.shape
     lines = [picture.mean(axis=axis, dtype=np.float64).var() for axis in (0, 1)]
@@ -213,7 +214,7 @@ def pixel_variance(picture: NDArray[Any]) -> float:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Return weighted sums of the captures' mean frames: (sum, row, col).
+    """Return weighted sums (sum, row, col) of the mean frames of captures.
 
     `weights` is (sum, capture, channel). Captures are read one by one.
     """
@@ -239,5 +240,5 @@ def mean_frame(capture: Capture) -> NDArray[np.float32]:
 
 
 def channel_shares(body: Body) -> Array:
-    """Return the fraction of the pixels that each channel has."""
+    """Return, for each channel, its fraction of all pixels."""
     return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size

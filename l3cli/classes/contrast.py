@@ -74,7 +74,7 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Return the number of a contrast, for reports and JSON."""
+    """Return the entry that describes a contrast in reports and JSON: its number."""
     return {"contrast": contrast}
 
 

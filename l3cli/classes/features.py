@@ -101,7 +101,10 @@ class FeatureModule(DescribedFeature, Protocol):
         """Return the value (…) of the feature, given window sums (…, sum) and `level` (…)."""
 
     def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-        """Return the feature for frames with the given fraction of the noise variance, overall or for each level."""
+        """Return the feature for frames in which only the given fraction of the noise variance is left.
+
+        `noise_fraction` is one number, or one number for each signal level of the class rule.
+        """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
         """Return the new value for each value if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""

@@ -46,7 +46,8 @@ def tensor(
 ) -> tuple[Integers, Integers, Integers]:
     """Return the structure tensor xx, yy, xy (row, col): weighted sums of products of gradients.
 
-    Gradients are scaled by `factor` and `shift` (row + 4, col + 4).
+    Gradients are multiplied by `factor`, shifted right by `shift` bits and clipped. Both arrays have the shape of the
+    gradients, which have 4 more rows and columns than the result.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)

@@ -182,7 +182,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the message of a wrong call, with the help that explains the command."""
+    """Return the message for a usage error. It ends with the --help call that explains the command."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]

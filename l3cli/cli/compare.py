@@ -1,4 +1,4 @@
-"""l3 compare: evaluations of several cameras, compared over luminance."""
+"""l3 compare: compare the evaluations of several cameras at each luminance."""
 
 import textwrap
 from pathlib import Path
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @declared.output("HTML page with the curves", required=False)
 @declared.of(CompareOptions)
 def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
-    """Compare the evaluations of several cameras at each luminance: which camera is better, and where each one clips.
+    """Compare the evaluations of several cameras at each luminance. Show which camera is better, and where each one clips.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html

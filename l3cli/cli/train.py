@@ -23,8 +23,8 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
     however many frames they have.
 
     To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed. Training
-    takes two passes, because the errors of the first pass determine the weights in the second. That makes four steps, and
-    the final table has the same bytes as without shards:
+    takes two passes, because the errors of the first pass determine the weights in the second. That makes four steps. The
+    final table has the same bytes as a table that is trained without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -32,9 +32,9 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    If the recipe has first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is one pass: two steps,
-    without --first. Every [[layer]] of the recipe adds a pass, with --first and the table of the previous pass. --merge
-    prints the next step.
+    If the recipe has first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is only one pass. Training
+    then takes two steps, without --first. Every [[layer]] of the recipe adds a pass, with --first and the table of the
+    previous pass. --merge prints the next step.
     """
     from l3cli.stages.training.train import filling, merge_shards, train_shard
     from l3cli.stages.training.train import train as train_whole

@@ -127,7 +127,10 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
 
 
 def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
-    """Add the arrays of a set of transforms, and return its layers' scalars and the cost of short word lengths."""
+    """Add the transforms of a table to `arrays`, and return the other entries of its header.
+
+    The entries contain the scalar parameters of each layer, and the loss of accuracy at short word lengths.
+    """
     costs = word_costs(table)
     words = chosen_words(table, costs)
     layers = [_layer(arrays, number, layer) for number, layer in enumerate(table.layers)]

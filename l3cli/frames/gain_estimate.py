@@ -87,7 +87,7 @@ class _Patches:
     half: NDArray[np.bool_]  # (patch) whether the patch belongs to the second half of the frame
     channel: NDArray[np.intp]  # (pixel) index into the channels of `means`
     sites: NDArray[np.uint8]  # (channel) channel of the camera
-    black: float  # DN; values are clipped at this distance below black
+    black: float  # DN; distance from the value 0, where frames are clipped, to the black level
     span: float  # DN; difference between white and black level
 
     @property

@@ -1,7 +1,7 @@
-"""Packings of headerless frames: the order of the bits of pixels in the bytes of a file.
+"""Packings of headerless frames: how the bits of the pixels are arranged in the bytes of a file.
 
 Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
-Option help, error messages and the table in docs/raw-files.md are all made from `PACKINGS`.
+Option help, error messages and the table in docs/raw-files.md are all generated from `PACKINGS`.
 """
 
 from dataclasses import dataclass

@@ -156,7 +156,7 @@ def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
 
 
 def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean signal (row, col) of a tile modulo a period."""
+    """Return the mean signal (row, col) at each position within a period, averaged over a tile."""
     down, across = tile.shape[0] // period[0], tile.shape[1] // period[1]
     whole = tile[: down * period[0], : across * period[1]].reshape(down, period[0], across, period[1])
     return np.asarray(whole.mean(axis=(0, 2)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TIMES_WHITE = 1e6  # highest value relative to a perfect white, such as the sun beside a sheet of paper
-BRIGHTEST_UNLIT = 1e26  # highest value of scenes without illuminant, because linear pictures may have any scale
+BRIGHTEST_UNLIT = 1e26  # highest value in scenes without an illuminant; large, because linear pictures may have any scale
 SHOWN = 390.0, 710.0  # nm; range that drawn scenes cover for every camera, and in which fingerprints are computed
 PROJECTIONS = 8  # number of values in a fingerprint
 ALIKE = 1e-3  # relative difference below which two fingerprints belong to the same scene; far larger than rounding errors

@@ -1,14 +1,15 @@
-"""The process that decodes foreign files for isolated.py: its limits, its workers, and their replies.
+"""The process that decodes untrusted files for isolated.py. It starts a confined worker for each file.
 
 Three measures confine a worker:
 
-* resource limits: processor time, address space, size of files;
-* Linux's Landlock (man 7 landlock): a worker reads the files that it is given, the Python installation and the system's
-  libraries, and no other file. It writes no file and starts no program; with newer kernels it opens no TCP connection and
-  signals no other process;
-* seccomp, if pyseccomp and libseccomp are installed: no system call that reaches beyond the process.
+* Resource limits restrict processor time, address space and file size.
+* Landlock, a security module of Linux (man 7 landlock), restricts file access. A worker can read only the files that it is
+  given, the Python installation and the system's libraries. It cannot write files or start programs. On newer kernels it
+  also cannot open TCP connections or send signals to other processes.
+* seccomp denies system calls that reach beyond the process. It is used if pyseccomp and libseccomp are installed.
 
-Each measure applies even if another is missing. A worker may use what it already has open.
+The measures are independent: if one is not available, the others still apply. A worker can always use files and sockets that
+are already open.
 """
 
 import contextlib
@@ -34,20 +35,20 @@ try:
 except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
     pyseccomp = None
 
-ABI, SECCOMP = "Landlock ABI ", "seccomp"
-SET_NO_NEW_PRIVILEGES = 38  # prctl
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # system calls of Landlock, the same on every architecture
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET
-PATH_BENEATH = 1  # kind of rule
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1; versions that added one more
+ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version follows the first
+SET_NO_NEW_PRIVILEGES = 38  # option of prctl
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls; the numbers are the same on all machines
+ASK_FOR_VERSION = 1  # flag of CREATE_RULESET that asks for the version of Landlock
+PATH_BENEATH = 1  # kind of rule: rights for a file, or for everything below a folder
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1; versions that each added one more right
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
-TCP, TCP_SINCE = 0b11, 4  # binding and connecting; version that added them
-SCOPES, SCOPES_SINCE = 0b11, 6  # abstract Unix sockets and signals; version that added them
+TCP, TCP_SINCE = 0b11, 4  # the rights to bind and to connect; version of Landlock that added them
+SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions for abstract Unix sockets and signals; version that added them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # workers that live at the same time, because several files may be read alternately
+MAX_WORKERS = 8  # number of workers that are kept alive, because several files may be read alternately
 
-REFUSED = {  # system calls that reach beyond the process, by what they reach
+REFUSED = {  # denied system calls, by the resource beyond the process that they reach
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",
@@ -64,13 +65,13 @@ REFUSED = {  # system calls that reach beyond the process, by what they reach
 }
 CLONE_THREAD = 0x10000  # flag of the system call clone
 
-_measures: tuple[str, ...] = ()  # measures that confine this process besides its limits
+_measures: tuple[str, ...] = ()  # measures that confine this process, besides resource limits
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
-    """Confine this process, which must have one thread, to reading `files`. This cannot be undone.
+    """Confine this process to reading `files`. It must have only one thread. The confinement cannot be undone.
 
-    Returns what is now in force: Landlock with its version (ABI), and seccomp.
+    Returns the names of the measures that are now in force, such as ("Landlock ABI 7", "seccomp").
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -87,9 +88,9 @@ def _installation() -> set[Path]:
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
-    """Deny all file access except reading below `readable`, TCP, and signals to other processes.
+    """Deny TCP, signals to other processes, and all file access except reading the paths `readable` and below.
 
-    Returns the kernel's version of Landlock, 0 if it has none.
+    Returns the version of Landlock in the kernel, or 0 if Landlock is not in force.
     """
     version = libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ASK_FOR_VERSION)
     file_rights = (1 << FILE_RIGHTS + sum(version >= added for added in ADDED_IN)) - 1
@@ -103,7 +104,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
             try:
                 place = os.open(path, os.O_PATH | os.O_CLOEXEC)
             except OSError:
-                continue  # it does not exist
+                continue  # the path does not exist
             rights = READ_FILE | READ_FOLDER if path.is_dir() else READ_FILE
             rule = ctypes.create_string_buffer(struct.pack("=Qi", rights, place), 12)
             libc.syscall(ADD_RULE, ruleset, PATH_BENEATH, rule, 0)
@@ -114,16 +115,16 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
 
 
 def _filter_system_calls() -> bool:
-    """Deny system calls that reach beyond the process. Returns False if pyseccomp or the kernel cannot do that."""
+    """Deny system calls that reach beyond the process. Returns False if pyseccomp or the kernel does not support this."""
     if pyseccomp is None:
         return False
     itself, refuse = os.getpid(), pyseccomp.ERRNO(errno.EPERM)
     try:
         rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
         for name in " ".join(REFUSED.values()).split():
-            with contextlib.suppress(OSError):  # a newer system call, which this libseccomp does not know
+            with contextlib.suppress(OSError):  # this version of libseccomp does not support the system call
                 rules.add_rule(refuse, name)
-        # A filter cannot read the flags of `clone3`. If it does not seem to exist, the C library falls back to `clone`.
+        # A filter cannot read the flags of `clone3`. If `clone3` seems not to exist, the C library falls back to `clone`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")
         rules.add_rule(refuse, "clone", pyseccomp.Arg(0, pyseccomp.MASKED_EQ, CLONE_THREAD, 0))
         for name, own in (("kill", itself), ("tgkill", itself), ("prlimit64", 0)):
@@ -136,7 +137,7 @@ def _filter_system_calls() -> bool:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return what confines the worker for a file besides its limits, for example ("Landlock ABI 7", "seccomp")."""
+    """Return the measures that confine the worker of a file, besides resource limits. See `confine`."""
     return _measures
 
 
@@ -183,7 +184,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries once, before workers are forked and confined."""
+    """Import a decoder and its libraries before workers are forked and confined, so that each worker need not."""
     with contextlib.suppress(Exception):  # the worker tries again and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
@@ -238,7 +239,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # the caller's folder, so that relative names work and appear in messages as given
+        os.chdir(folder)  # the caller's folder, so that relative paths work and messages repeat them as given
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -246,7 +247,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
 
 
 def _allowed(what: int, most: int) -> int:
-    """Return the lower of `most` and the hard limit of this process."""
+    """Return the smaller of `most` and the hard limit of this process for the resource `what`."""
     hard = resource.getrlimit(what)[1]
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
@@ -264,7 +265,7 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # from the file of the arrays; decoders' errors have become InputFileErrors already
+    except OSError as error:  # from writing the arrays; decoders convert their own errors to InputFileError
         return _problem(InputFileError(f"{path}: its content cannot be handed over ({error.strerror or error})"))
 
 

@@ -1,6 +1,6 @@
-"""Read frames of a lab as they are: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files, in raw DN.
+"""Read frames that a lab has captured, in raw DN: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files.
 
-Also: classify the files in a folder of captures as raw frames, tables of spectra or others.
+This module also classifies the files in a folder of captures as raw frames, tables of spectra or other files.
 """
 
 import os
@@ -33,18 +33,18 @@ from l3cli.system.limits import require_picture
 
 TIFF = (".tif", ".tiff")
 RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
-PICTURES = (".tif", ".png")  # formats whose depth is checked before pixels are read
-MOST_FILES, DEEPEST = 20_000, 8  # largest number of files, and depth of nested folders, that are searched
+PICTURES = (".tif", ".png")  # formats whose bit depth is checked before pixels are read
+MOST_FILES, DEEPEST = 20_000, 8  # largest number of files and largest depth of nested folders that are searched
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # suffixes of files that are rarely tables
-FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # a row of a table
+PROSE = (".txt", ".asc", ".xml")  # suffixes of files that usually contain other text than tables
+FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # the beginning of a row of numbers in a table
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
     """Return the content of a raw file with one frame.
 
-    Raises InputFileError if it is not a mosaic of one channel, or if it has a fault that none of the `answered` parameters
-    resolves.
+    Raises InputFileError if the file is not a mosaic of one channel, or if it has a fault that none of the `answered`
+    parameters resolves.
     """
     require_regular(path, RAW_FILE)
     kind = format_of(path)
@@ -62,7 +62,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """Frames that are read one by one in each iteration."""
+    """Frames in files. Each iteration reads the frames again, one by one."""
 
     paths: tuple[Path, ...]
     shape: tuple[int, int]
@@ -81,7 +81,7 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """Raw files of a known camera's whole sensor, read one by one in each iteration."""
+    """Raw files that show the whole sensor of a known camera. Each iteration reads the files again, one by one."""
 
     paths: tuple[Path, ...]
     camera: CameraModel
@@ -108,7 +108,7 @@ class WholeFrames:
 
 
 def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
-    """Return the frames of a stack: a TIFF of several pages, a .npy or a FITS file of three axes.
+    """Return the frames of a stack. A stack is a TIFF file with several pages, or a .npy or FITS file with three axes.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
     Returns
     -------
     iterator of (str, RawContent), or None
-        Name and content of each frame; None if the file holds one, or is of another format.
+        Name and content of each frame, or None if the file is not a stack.
 
     Raises
     ------
     InputFileError
-        If the pages are not frames of one size and kind.
+        If the pages differ in size or type.
     """
     pages = _stack(path)
     if pages is None or pages.count is None:
@@ -142,18 +142,17 @@ def _stack(path: Path) -> MultiFrameFile | None:
 
 def _counted(pages: MultiFrameFile, number: int) -> RawContent:
     content = pages.read(number)
-    assert content is not None  # a stack has as many frames as it counts
-    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # DN of any type, as of single frames
+    assert content is not None  # a stack contains `count` frames
+    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # any type is allowed
         content["values"] = require_dn(pages.name(number), content["values"])
     return content
 
 
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
-    """Read a frame (row, col) in DN: a single-channel 16-bit picture (8 bits for sensors of up to 8 bits) or a raw file's
-    mosaic.
+    """Read a frame (row, col) in DN from a raw file or a single-channel 16-bit picture.
 
-    Raises InputFileError if the file is neither, if its size differs from `shape`, if values exceed `bits`, or if the file
-    states another CFA or phase than `array`.
+    The picture may have 8 bits if the sensor has at most 8 bits. Raises InputFileError if the file is neither, if its size
+    differs from `shape`, if values exceed `bits`, or if the CFA or phase in the file contradicts `array`.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -167,7 +166,7 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
 def _whole_frame(
     path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
 ) -> NDArray[np.uint16]:
-    """Return the values of a frame of the whole sensor; InputFileError as of `read_frame`."""
+    """Return the values of a frame of the whole sensor. Raises InputFileError in the same cases as `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
     if array is not None and pattern is not None:
         phase = phase_of(path, pattern, array)
@@ -180,7 +179,7 @@ def _whole_frame(
 
 
 def require_bits(path: Path, values: NDArray, bits: int) -> None:
-    """Raise InputFileError if values are too large for a sensor with the given bits."""
+    """Raise InputFileError if any value is too large for the bit depth `bits`."""
     if values.max() >= 2**bits:
         raise InputFileError(f"{path} contains {values.max()} DN, more than {bits} bits can store; check sensor.bits")
 
@@ -220,7 +219,7 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 def list_captures(folder: Path) -> CaptureFolder:
     """List the frames and tables in a folder and its subfolders.
 
-    Raises InputFileError if it is not a folder, or contains too many files.
+    Raises InputFileError if `folder` is not a folder, or if it contains too many files.
     """
     if not folder.is_dir():
         raise InputFileError(f"{folder} is not a folder; give the folder of a lab's captures")
@@ -251,7 +250,10 @@ def list_captures(folder: Path) -> CaptureFolder:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield regular files sorted by name, without hidden files and without following links to folders."""
+    """Yield the regular files in a folder and its subfolders, sorted by name.
+
+    Hidden files and folders are skipped, and links to folders are not followed.
+    """
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
         folders[:] = sorted(name for name in folders if not name.startswith(".") and deep < DEEPEST)
@@ -262,9 +264,9 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Read a raw frame as it is; for a stack, its first frame.
+    """Read a raw frame without changing its values. If the file is a stack, read the first frame.
 
-    Raises InputFileError for a developed picture or a damaged file.
+    Raises InputFileError if the file is damaged, or is a developed picture rather than a raw file.
     """
     pages = _stack(path)
     content = raw_content(path) if pages is None else _counted(pages, 0)
@@ -279,7 +281,10 @@ def read_capture(path: Path) -> RawFile:
 
 
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
-    """Read the tables of spectra in a folder. `notes` gets a line for each table that is not one."""
+    """Read the tables of spectra in a folder. A line is added to `notes` for each file that is left out.
+
+    Text files without rows of numbers are left out silently.
+    """
     found = []
     for name in folder.tables:
         try:
@@ -293,7 +298,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Whether a text file has rows of numbers and may therefore be meant as a table."""
+    """Whether a text file has rows of numbers, so that the user may consider it a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

@@ -65,7 +65,7 @@ class FrameSequence:
     count: int | None  # expected number of frames; None for a stream of unknown length
     stills: bool  # whether the frames are single files and not a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it
-    missing: Sequence[range] = ()  # numbers of expected frames that do not exist
+    missing: Sequence[range] = ()  # numbers of frames that are missing from the sequence
     is_stream: bool = False
     wanted: range | None = None  # numbers selected from a stream
     unit: int | None = 1  # step of the numbers from frame to frame; None if they do not count frames

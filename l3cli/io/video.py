@@ -157,7 +157,7 @@ class _Converter:
     def frame(self, picture: NDArray) -> Any:
         room, source = self._room_for(self.even(picture))
         frame = pyav().VideoFrame.from_numpy_buffer(room, format=source)
-        # One thread, because rendering keeps the other cores busy, and dividing the work would take a fifth longer.
+        # One thread, because rendering keeps the other cores busy. With several threads, the conversion takes 20 % longer.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 

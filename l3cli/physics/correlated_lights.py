@@ -29,8 +29,8 @@ class CorrelatedLight:
     xyz: NDArray[np.float64]  # (3) XYZ of a perfect white, with Y = 1
     kelvin: float  # correlated colour temperature in K
     duv: float  # distance from the black-body locus in CIE 1960 uv, positive if greener
-    misfit: float  # RMS difference between the logarithms of the model's channel signals and of the given signals
-    radiance: Array | None  # relative photon radiance on the camera's grid, or None if unknown
+    misfit: float  # RMS difference between the logarithms of the channel signals, modelled and given
+    radiance: Array | None  # (wavelength) relative photon radiance on the camera's wavelength grid, or None if unknown
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:

@@ -118,8 +118,8 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation`, or for a table with grey pictures a matrix whose result is the white of D65 times Y, so that R, G and B
-        are exactly equal.
+        `adaptation`. If the table renders grey pictures, the matrix returns Y times the D65 white instead, so that R, G and
+        B are exactly equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 

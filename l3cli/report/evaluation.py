@@ -42,7 +42,7 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
     standards : dict
         The entry "standards" of the document that `l3 evaluate --json` prints.
     height : int
-        Rows of the camera's pictures, from which line widths per picture height follow.
+        Number of rows of the camera's pictures, for conversion to line widths per picture height.
 
     Returns
     -------

@@ -83,7 +83,7 @@ def _alike(sides: list[Side]) -> list[Place]:
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return the fingerprint of a frame in each side, or None where it has no fingerprint."""
+    """Return the fingerprint of a frame on each side, or None where the frame has no fingerprint."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 

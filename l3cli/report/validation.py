@@ -204,7 +204,7 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ. Empty if fewer than two values were tried."""
+    """Plot the cross-validated error against the smoothing δ. There is no plot if fewer than two values were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []

@@ -252,7 +252,7 @@ def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np
     """
     squared = along * along + across * across
     squared += np.float32(1e-12)  # avoids a division by zero at the centre
-    re, im = along * along - across * across, np.float32(2) * along * across  # real and imaginary part of the square
+    re, im = along * along - across * across, np.float32(2) * along * across  # real and imaginary parts of the square
     third = re * along - im * across, re * across + im * along
     fifth = third[0] * re - third[1] * im, third[0] * im + third[1] * re
     distance = np.sqrt(squared)

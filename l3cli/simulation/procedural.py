@@ -499,7 +499,7 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
     """Return concentric rings whose frequency grows linearly from the centre.
 
-    It reaches `highest` cycles per pixel at the nearest sides.
+    The frequency reaches `highest` cycles per pixel at the nearest edges of the picture.
     """
     down, across = _centred(size)
     phase = np.pi * highest * (down**2 + across**2) / (min(size) / 2)

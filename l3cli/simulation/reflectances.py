@@ -6,7 +6,7 @@ Random materials are varied, smooth and physically valid (docs/method.md#procedu
 2. a Gaussian distribution fitted to the measured surfaces in logit space,
 3. models of materials that are common in pictures: skin, leaves and hair.
 
-Saturation is low and varies between scenes. Pictures get the smoothest reflectances that have their colours
+Saturation is low and varies between scenes. Each pixel of an RGB picture gets the smoothest reflectance that has its colour
 (docs/method.md#pictures-raised-to-spectra).
 """
 

@@ -1,4 +1,4 @@
-"""Simulation of the sensor: converts mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
+"""Simulate the sensor: convert mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
 
 This module also draws the defects that the virtual lab adds to a camera.
 """
@@ -17,8 +17,8 @@ from l3cli.errors import RecipeError, shortened, suggestion
 from l3cli.recipes.toml import NotNegative, Recipe, Share
 from l3cli.system.plugins import NOISE, blamed, plugins
 
-MAX_ELECTRONS = 1e15  # larger than any well, and small enough for the Poisson generator
-NOISES = ("all", "shot", "none")  # "shot" is the shot noise of light and dark current; "none" leaves only quantisation
+MAX_ELECTRONS = 1e15  # e-; larger than any full-well capacity, and small enough for the Poisson generator
+NOISES = ("all", "shot", "none")  # "shot": only the shot noise of light and dark current; "none": only quantisation
 OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
@@ -27,11 +27,11 @@ class FixedPattern:
     """Differences between the pixels of a camera that are the same in every frame."""
 
     prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col) offset in e-, including the column offset
+    dsnu: NDArray[np.float32]  # (row, col) offset in e-, including the offset of the column
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU maps of the whole sensor, drawn from the fixed-pattern seed of the camera."""
+    """Return the PRNU and DSNU maps of the whole sensor. The camera's `fixed_pattern_seed` determines them."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
@@ -55,10 +55,10 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Convert electron rates (row, col), in e-/s, to what they would be if all channels had the camera's gain.
+    """Scale electron rates (row, col), in e-/s, by the relative gain of each channel.
 
-    A pixel with the camera's gain and the resulting rate has the same signal in DN. The result differs from the input only
-    if the channels have gains of their own.
+    Multiplied by the camera's gain, the result gives the signals in DN per second. If all channels have the camera's gain,
+    the rates are returned unchanged.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
@@ -132,7 +132,7 @@ def expose(
     exposure : float
         Exposure time in s.
     rng : Generator
-        Source of the noise.
+        Random generator of the noise.
     noises : str
         One of NOISES, or the name of a noise model from an installed package.
 
@@ -162,9 +162,9 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """Simulate one raw frame, in DN, of a sensor with a given fixed pattern (docs/method.md#sensor).
+    """Simulate one raw frame, in DN, of a sensor with the given fixed pattern (docs/method.md#sensor).
 
-    The other parameters are the same as in `expose`.
+    `pattern` has the shape of `electrons`. The other parameters are the same as for `expose`.
     """
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
@@ -188,7 +188,7 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons (row, col) with the camera's noise, or with those parts of it that `noises` selects."""
+    """Return the electrons (row, col), including dark current and the noise that `noises` selects."""
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
     if noises != "none":
@@ -220,7 +220,7 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons (row, col) with noise from a package's model. Raises L3Error if its result is unusable."""
+    """Return the electrons (row, col) with noise from a plugin's model. Raises L3Error if the values are unusable."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
@@ -232,20 +232,20 @@ def _noisy_by(
 
 
 class DefectRecipe(Recipe):
-    """Defects of the sensor in the virtual lab."""
+    """Recipe for the defects of the sensor in the virtual lab."""
 
     hot_pixels_per_million: OfMillion = 25.0
-    hot_current_e_per_s: NotNegative = 4000.0  # dark current of a hot pixel
+    hot_current_e_per_s: NotNegative = 4000.0  # additional dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
-    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # dust specks, which cast soft shadows
-    dust_depth: Share = 0.03  # fraction of the light that the centre of a speck blocks
+    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # specks cast soft shadows
+    dust_depth: Share = 0.03  # fraction of the light that a speck blocks at its centre
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
     column_noise_e: NotNegative = 2.0  # e-; standard deviation of the column offsets
 
 
 @dataclass(frozen=True)
 class SensorDefects:
-    """The defects of one sensor. They are the same in every frame."""
+    """The defects of one sensor, which are the same in every frame."""
 
     hot: NDArray[np.int64]  # (pixel, 2) row and column of each hot pixel
     dead: NDArray[np.int64]  # (pixel, 2) row and column of each dead pixel
@@ -254,7 +254,7 @@ class SensorDefects:
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """Draw the defects of a camera from its fixed-pattern seed."""
+    """Draw the defects of a camera. Its `fixed_pattern_seed` determines them."""
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 

@@ -1,11 +1,11 @@
-"""Reads files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
+"""Read files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
 
-A text table is CSV as spectrometers, spreadsheets and l3 itself write it. Each row is a wavelength followed by values; all
-rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. Between semicolons or tabs,
-a comma is a decimal point. A heading names the columns. It is the first line, or the last comment (#) before the numbers.
-The heading says which column contains the wavelengths. Other columns are found by name, in any order, and units in brackets
-are converted. Without a heading, the first column is the wavelength in nm, and the other columns are in the order that the
-caller expects.
+A text table is delimited text, such as spectrometers, spreadsheets and l3 itself export. Each row has a wavelength followed
+by values, and all rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. If they
+are separated by semicolons or tabs, a comma is a decimal point. The column names are in the first line, or in the last
+comment (#) before the numbers. This heading determines which column contains the wavelengths. The other columns are found by
+name, in any order, and units in brackets are converted. Without a heading, the first column contains the wavelengths in nm,
+and the other columns are in the order that the caller expects.
 
 CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard
 Format for the Electronic Transfer of Spectral Data) is read with colour-science.
@@ -39,31 +39,31 @@ from l3cli.system.limits import read_bounded
 
 CURE = "give a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
-CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows text
+CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows-1252 text
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
-QUALITY = re.compile(r"\d{5}")  # code before a measurement of Photo Research instruments
+QUALITY = re.compile(r"\d{5}")  # code that Photo Research instruments write before a measurement
 SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row contains this many wavelengths in this range (nm)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
-JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz: dark, reference, sample, processed result
+JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz spectrometer: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
 Cells = list[str]
-DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name, and for each point X (nm) and Y
+DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of the curve, and X (nm) and Y of each point
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """The rows of numbers in a text, and the names of their columns."""
+    """The rows of numbers in a text, and the names of the columns."""
 
-    heading: Cells | None  # name of each column
+    heading: Cells | None  # name of each column, or None without a heading
     rows: list[list[float]]  # all rows have the same length
-    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves, in place of rows
+    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves; there are then no rows
     faults: tuple[str, ...] = ()  # faults of the digitised curves
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is broken."""
+    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is not valid."""
     return _text_table(_text(path), path)
 
 
@@ -82,7 +82,7 @@ def _text_table(text: str, path: Path) -> TextTable:
     cells = _upright(cells, decimal_comma)
     rows, before = _numbers(cells, separator, decimal_comma, path)
     heading = _heading(before, len(rows[0]), decimal_comma, path)
-    if heading is None and comments:  # numpy writes the heading as a comment
+    if heading is None and comments:  # numpy.savetxt writes the heading as a comment
         names = _split(comments[-1].lstrip("# "), separator)
         heading = names if len(names) == len(rows[0]) and any(map(is_wavelength, names)) else None
     if heading is not None and heading[0] == "W" and "P" in heading and {*map(str.lower, heading[1:])} <= JAZ:
@@ -96,7 +96,7 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Decode the text of a file, which may have any of the encodings that instruments use."""
+    """Decode a text file. Its encoding may be any that instruments use."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -165,7 +165,7 @@ def _numbers(
     """Return the rows of numbers at the end of a text, and the lines before them.
 
     Raises InputFileError if there are no such rows, or if rows of numbers precede the last line of text. In that case, the
-    line of text is probably a broken row and not the end of the preamble.
+    last line of text is probably a broken row and not the end of the preamble.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -235,7 +235,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the headings of X and Y of each curve, or an empty list if the row is not a heading of pairs."""
+    """Return the X and Y column headings of each curve, or an empty list if the row does not consist of X, Y pairs."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -248,7 +248,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Whether a heading of pairs is X, Y, …, in which case the names are in the line above."""
+    """Whether the column headings are just X, Y, …. The names of the curves are then in the line above."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -257,7 +257,7 @@ def _all_numbers(row: Cells, decimal_comma: bool) -> bool:
 
 
 def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
-    """Transpose a table whose wavelengths are in one row, so that each row is one wavelength."""
+    """Transpose a table whose wavelengths are in one row, so that each row belongs to one wavelength."""
     for number, row in enumerate(cells):
         if len(row) <= SIDEWAYS or _is_number(_without_nm(row[0]), decimal_comma):
             continue  # the row does not contain the wavelengths
@@ -295,7 +295,7 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the line that names the columns, completed with the units in the line below."""
+    """Return the column names. Units in the line below the names are appended to them. None if there is no heading."""
     if not before:
         return None
     if len(before) == 1 and not QUALITY.fullmatch(before[0][0]) and not MARKER.match(before[0][0]):
@@ -314,7 +314,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # only units; the names are in the line above
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # only units; names are in the line above
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -329,28 +329,28 @@ def _mismatch(named: int, columns: int, path: Path) -> str:
 
 
 def is_wavelength(heading: str) -> bool:
-    """Whether a heading denotes wavelengths. It may contain a word for wavelength or be just a unit of length."""
+    """Whether a column heading means wavelengths: it begins with a word for wavelength, or is just a unit of length."""
     words = [word for word in re.split(SEPARATORS, heading) if word]
     lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
     return bool(words) and (words[0].lower() in WAVELENGTH or lone)
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell if the cell contains nothing else, with or without brackets."""
+    """Return the unit in a cell, without brackets. None if the cell contains anything else."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append the unit of the values, in brackets, to a heading. The heading of the wavelengths is returned unchanged."""
+    """Append the unit of the values, in brackets, to a column heading. Wavelength columns keep their heading."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of all values if a line of the preamble states it, as in "Units: µW/cm²/nm"."""
+    """Return the unit of all values if a line of the preamble gives it, as in "Units: µW/cm²/nm"."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
@@ -364,7 +364,7 @@ FOOT = 0.05  # fraction of the peak; a curve may end inside the plot if it has f
 JITTER = 0.02  # fraction of the peak by which a digitised curve may fall below zero
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which wavelengths are probably in these units, not in nm
 SPDX = (".spdx", ".xml")
-SPDX_UNITS = {  # quantity in the standard → unit
+SPDX_UNITS = {  # quantity in IES TM-27 → unit
     "radiance": "W/(sr m² nm)",
     "irradiance": "W/(m² nm)",
     "exitance": "W/(m² nm)",
@@ -373,13 +373,13 @@ SPDX_UNITS = {  # quantity in the standard → unit
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns of raw counts, beside the result
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns of raw counts beside the result
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SpectrumFormat:
-    """A file format for spectra. docs/own-lab.md lists all formats."""
+    """A file format of spectra. docs/own-lab.md lists all formats."""
 
     name: str
     suffixes: tuple[str, ...]  # in lower case, but file names may use any case
@@ -404,7 +404,7 @@ def read_table(path: Path) -> CurveTable:
     Raises
     ------
     InputFileError
-        If the format is unknown, or if the wavelengths are implausible in nm or in the unit that the file states.
+        If the format is unknown, or if the wavelengths are implausible in the unit given in the file (otherwise nm).
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -413,12 +413,12 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Whether the name of an illuminant, chart or transmittance is a file name: whether it has a suffix in FORMATS."""
+    """Whether the name of an illuminant, chart or transmittance ends with a suffix in FORMATS, and is therefore a file."""
     return name.lower().endswith(SUFFIXES)
 
 
 def _cgats(content: str, path: Path) -> CurveTable:
-    """Read the samples of a CGATS file as columns."""
+    """Read a CGATS file. Each sample becomes a column."""
     spectra = read_cgats(content, path)
     return _over_wavelengths(path, spectra.wavelength, spectra.values, spectra.names, spectra.unit)
 
@@ -438,7 +438,7 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 
 
 def _result(table: CurveTable) -> CurveTable:
-    """Drop the raw readings if the file also contains the result that was computed from them.
+    """Drop raw readings if the table also contains the result that was computed from them.
 
     Avantes, for example, writes Sample, Dark and Reference in counts beside Transmittance in percent.
     """
@@ -483,10 +483,10 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 
 
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
-    """Interpolate digitised curves to steps of 1 nm. Their points may be in any order.
+    """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
-    A curve is zero beyond its ends, unless it ends at the edge of the plot. Raises InputFileError with all faults of all
-    curves.
+    Beyond its ends a curve is zero. If it ends at the edge of the plot, it continues with its last value instead. Raises
+    InputFileError with a message that lists the faults of all curves.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
@@ -525,7 +525,7 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum of an IES TM-27-14 file, in the unit of its quantity."""
+    """Read the spectrum in an IES TM-27-14 file. The unit follows from the spectral quantity in the file."""
     read_bounded(path, CURE)
     colour = colour_science()
     try:
@@ -545,7 +545,7 @@ def _spdx(_: str, path: Path) -> CurveTable:
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
     """Raise InputFileError unless the wavelengths are sorted and plausible and all values are finite.
 
-    `column` is the description of the wavelength column in the message.
+    `column` describes the wavelength column in the message.
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
@@ -577,7 +577,7 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column and, if the heading states a unit, the size of this unit in nm."""
+    """Return the index of the wavelength column, and the size of its unit in nm, or None if the heading has no unit."""
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
@@ -620,6 +620,6 @@ SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
 
 def formats_table() -> str:
-    """Return the FORMATS as the Markdown table in docs/own-lab.md."""
+    """Return the Markdown table of FORMATS for docs/own-lab.md."""
     rows = [f"| {each.name} | {' '.join(f'`{suffix}`' for suffix in each.suffixes)} | {each.holds} |" for each in FORMATS]
     return "\n".join(["| format | file names | content |", "|---|---|---|", *rows])

@@ -188,13 +188,13 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return how a measurement file names a path: relative to its folder, or absolute if the path lies outside."""
+    """Return a path as written in a measurement file: relative to the file's folder, or absolute if outside the folder."""
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
 
 
 def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
-    """Return the tables of spectra of a folder, sorted by name in natural order. Append what is skipped to `notes`."""
+    """Return the tables of spectra in a folder, in natural order of their names. Files that are left out go to `notes`."""
     tables = read_spectra(listing, notes)
     spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]
     return sorted(spectra, key=lambda each: natural(each.name.path))

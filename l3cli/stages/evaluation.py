@@ -326,7 +326,7 @@ def figures_by_gain(
 ) -> list[dict[str, Any]]:
     """Evaluate a few simulated frames per illuminant at several analog gains.
 
-    The gains are those of GAINS for which the noise of the table's camera is known.
+    Gains in GAINS are left out if the noise of the table's camera is not known at the gain.
 
     Returns
     -------

@@ -55,7 +55,7 @@ class Verification:
 
     intact: Intact
     links: tuple[Link, ...]  # one for each role of files in the history
-    strangers: tuple[Path, ...]  # given files that the history does not name
+    strangers: tuple[Path, ...]  # given files that do not occur in the history
 
     def document(self) -> dict[str, Any]:
         """Return the result in a form that JSON can hold."""

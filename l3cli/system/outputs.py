@@ -1,6 +1,7 @@
-"""Checks of a stage's outputs before its work.
+"""Check the outputs of a stage before the work begins, and lock them.
 
-Inputs are never replaced. Outputs that cannot be written are refused, and other runs are kept off them until the stage ends.
+An output may not replace an input. Outputs that cannot be written are refused. The locks keep other runs from writing the
+same outputs until the stage ends.
 """
 
 import contextlib
@@ -24,12 +25,12 @@ class OutputGuard(contextlib.ExitStack):
         self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # outputs; folders with globs of the files written there
 
     def protect(self, *inputs: Path) -> None:
-        """Protect input files until the end: no output may replace them, under any name, even with `force`.
+        """Protect input files until the end. No output may replace them, under any name, even with `force`.
 
         Raises
         ------
         RecipeError
-            If an output that is already guarded would replace one.
+            If an output that is already guarded would replace an input.
         """
         self.enter_context(protecting(inputs))
         for path, globs in self._guarded:

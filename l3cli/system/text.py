@@ -77,7 +77,7 @@ def array_lines(rows: list[list[str]]) -> list[str]:
 
 
 def unit(text: str) -> str:
-    """Return a unit for printing: artifacts store it in ASCII."""
+    """Format a unit for display. Artifacts store units in ASCII, such as "m^2" for "m²"."""
     return text.replace("e-", "e⁻").replace("m^2", "m²").replace("^2", "²")
 
 

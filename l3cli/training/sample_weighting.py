@@ -1,6 +1,7 @@
-"""Sample weights of the second pass.
+"""Weights of the training samples in the second pass (docs/method.md#second-pass).
 
-Large errors, of colour or of spectrum, count less than their square (docs/method.md#second-pass).
+A sample whose error in the first pass was large gets a lower weight. Large errors, in colour or in the spectrum, therefore
+count less than their square.
 """
 
 from dataclasses import dataclass
@@ -12,37 +13,41 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
-MIN_TARGET = 0.02  # fraction of the level; errors of darker targets are measured as if they had this brightness
+MIN_TARGET = 0.02  # fraction of the level; errors of darker targets are computed as if the targets had this brightness
 TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#sample-weights)
-ERROR_FLOOR = 0.25  # ΔE² or degrees²; smaller errors have about the same weight
-# Factors from errors of f(X), f(Y), f(Z) to errors of L*, a*, b*; those of chroma are reduced, as it is less visible.
+ERROR_FLOOR = 0.25  # ΔE² or degrees²; samples with smaller errors have about the same weight
+# Factors that convert errors of f(X), f(Y) and f(Z) to errors of L*, a* and b*. The factors for a* and b* are lower than the
+# 500 and 200 of CIELAB, because errors of chroma are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 
 
 @dataclass(frozen=True)
 class ColourWeighting:
-    """Transforms to X, Y, Z of one site's classes from the first pass."""
+    """Sample weights at one canonical site, from errors of the first pass in X, Y and Z."""
 
-    weights: Floats  # (class, tap, output)
-    products: Floats  # (class, tap, product) XX, YY, ZZ, XY, YZ of the weights, which propagate the noise of the taps
-    intercept: Floats  # (class, output)
-    white: Floats  # (output)
-    power: float  # of the weight
+    weights: Floats  # (class, tap, output) transforms of the first pass
+    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY, YZ of the weights, to propagate the noise of the taps
+    intercept: Floats  # (class, output) intercepts of the first pass
+    white: Floats  # (output) perfect white
+    power: float  # exponent of the squared error
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e is the expected CIELAB error of the first pass, from bias and noise.
+        e² is the expected squared CIELAB error of the first pass, the sum of bias and noise.
 
         Parameters
         ----------
         clean, variance : ndarray, (patch, tap)
             Noise-free signals and noise variance, in fractions of full scale.
         target : ndarray, (patch, 3)
+            X, Y and Z that the transforms should give.
         level : ndarray, (patch)
+            Level of each patch, as a fraction of full scale.
         runs : list of (class, first patch, end patch)
+            Runs of patches with the same class.
 
         Returns
         -------
@@ -68,20 +73,20 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Transforms to spectra of one site's classes from the first pass."""
+    """Sample weights at one canonical site, from errors of the first pass in a spectrum."""
 
-    weights: Floats  # (class, tap, output)
-    squares: Floats  # (class, tap) of the weights, summed over the outputs, which propagate the noise
-    intercept: Floats  # (class, output)
-    power: float  # of the weight
+    weights: Floats  # (class, tap, output) transforms of the first pass
+    squares: Floats  # (class, tap) squared weights summed over the outputs, which propagate the noise of the taps
+    intercept: Floats  # (class, output) intercepts of the first pass
+    power: float  # exponent of the squared error
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e is the expected spectral angle of the first pass in degrees, from bias and noise. Parameters are those of
-        `ColourWeighting`, with `target` (patch, output).
+        e² is the expected square of the spectral angle in the first pass, in degrees², the sum of bias and noise. The
+        parameters are the same as for `ColourWeighting.weight`, except that `target` is (patch, output).
         """
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:
@@ -99,12 +104,12 @@ SampleWeighting = ColourWeighting | SpectralWeighting
 
 
 def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWeighting:
-    """Return the weighting of a canonical site from the table of the first pass.
+    """Return the weighting for a canonical site from the table that the first pass has learned.
 
     Parameters
     ----------
     table : TransformTable
-        Its outputs are X, Y, Z or a spectrum.
+        Table with the outputs X, Y, Z or a spectrum.
     site : int
     power : float
         Exponent of the squared error.
@@ -124,7 +129,17 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Return squared Lab error (…), chroma halved and eased, of errors in XYZ (…, 3) about targets (…, 3) at levels (…)."""
+    """Return squared CIELAB errors (…) with reduced weight of chroma.
+
+    Parameters
+    ----------
+    error, target : ndarray, (…, 3)
+        Errors in X, Y, Z, and the targets that they refer to.
+    level : ndarray, (…)
+        Level of each target, as a fraction of full scale.
+    white : ndarray, (3,)
+        Perfect white.
+    """
     relative = 1 / level[..., None]
     slope = np.maximum(target * relative / white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * white)
     x, y, z = np.moveaxis(slope * error * relative, -1, 0)

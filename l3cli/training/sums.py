@@ -119,7 +119,7 @@ def add_products(
 
 
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
-    """Add the sums `more` to `sums` in place. The result is exact in any order."""
+    """Add the sums `more` to `sums` in place. The addition is exact, so the order does not matter."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
 

@@ -38,11 +38,11 @@ class TrainingPass:
     patches: tuple[int, ...]  # (frame) patches of a canonical site, before they are divided by `divisors`
     rule: ClassRule
     recipe: LearningRecipe
-    white_point: NDArray[np.float64]  # (output) of a perfect white under the training illuminant, Y = 1
+    white_point: NDArray[np.float64]  # (output) perfect white under the training illuminant, Y = 1
     seed: int
     number: int  # FIRST or LAST
-    exposure: float = 0.0  # s, mean of the simulated frames
-    light: LightSpectrum | None = None  # mean illuminant of the frames; None if one of them is unknown
+    exposure: float = 0.0  # s; mean exposure time of the simulated frames
+    light: LightSpectrum | None = None  # mean illuminant of the frames, or None if the illuminant of any frame is unknown
 
     @property
     def dark(self) -> float:

@@ -148,7 +148,7 @@ INLINE floats toned(floats linear) {
 // octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u number the parabola;
 // the lookup reads the last five of them.
 #define PIECE_BITS 21
-__constant float curve_pieces[] = {CURVE_PIECES};  // (power of u, number of its parabola)
+__constant float curve_pieces[] = {CURVE_PIECES};  // coefficients of the parabolas, (power of u, parabola)
 
 INLINE floats term_of(int power, ints piece) {
     __constant const floats_unaligned *table = (__constant const floats_unaligned *)(curve_pieces + 32 * power);

@@ -2,7 +2,7 @@
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
 #define STRUCTURE_READ label_words, strength_edges
-#define TURN_A 14  // bits of the gradient word
+#define TURN_A 14  // positions of the bits of the gradient word that change the signs of a and b
 #define TURN_B 15
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }

@@ -1,25 +1,26 @@
-// Processor variant, layers in floating point: patches → weighted sums of any number of outputs.
+// Processor variant for layers in floating point: computes the weighted sums of patches for any number of outputs.
 //
-// An odd square is 8n + 1. A patch of one plane therefore fills VECTORS whole vectors and one more tap. (With 16 lanes, half of the
-// last vector may be zero weights.) The last tap is processed with the intercept, in one vector of four for all outputs of a group.
+// The side of a patch is odd, so a patch of one plane has 8n + 1 taps. All taps but one fill VECTORS whole vectors. (With 16 lanes, half of
+// the weights in the last vector may be zero.) The last tap is processed together with the intercept, in one vector of four lanes for all
+// outputs of a group.
 
 #ifndef SIDE_BY_SIDE
 
 #define VECTORS ((TAPS - 1 + LANES - 1) / LANES)
-#define GROUPS ((OUTPUTS + 3) / 4)               // groups of at most four outputs, so that their sums stay in registers
-#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // outputs of a group
-#define LAST_TAP (VECTORS * GROUP * LANES)       // offset of a group's last taps, which its intercepts follow
+#define GROUPS ((OUTPUTS + 3) / 4)               // number of groups of at most four outputs; the sums of a group stay in registers
+#define GROUP ((OUTPUTS + GROUPS - 1) / GROUPS)  // number of outputs in a group
+#define LAST_TAP (VECTORS * GROUP * LANES)       // offset of the last tap's weights in a group; the intercepts follow these weights
 #ifdef RATIO_TAPS
-#define TAPS_OF_RATIOS RATIO_TAPS  // taps after the windows, whose weights follow the intercepts
+#define TAPS_OF_RATIOS RATIO_TAPS  // number of taps after the windows; their weights follow the intercepts
 #else
 #define TAPS_OF_RATIOS 0
 #endif
 #define GROUP_STRIDE WHOLE(LAST_TAP + 8 + 4 * TAPS_OF_RATIOS, 16)
 #define CLASS_STRIDE (GROUPS * GROUP_STRIDE)
 #define PLANES_MADE (GROUPS * GROUP)
-#define READ_AHEAD (VECTORS * LANES)  // taps that may be read past a patch
+#define READ_AHEAD (VECTORS * LANES)  // number of taps that may be read beyond the end of a patch
 
-// Sum of the groups of four lanes in a vector.
+// Adds the groups of four lanes of each vector, lane by lane. Group n of the result is the sum of the groups of v[n].
 INLINE totals fold_all(const totals v[LANES / 4]) {
 #if LANES == 16
     const totals ab = JOIN(v[0], v[1], 0, 4) + JOIN(v[0], v[1], 8, 12);
@@ -31,7 +32,8 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 #endif
 }
 
-// Initial value of a pixel's sums: the last tap and the intercept of output o, in lane o.
+// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap and the weighted taps after
+// the windows.
 INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
@@ -39,7 +41,8 @@ INLINE four_totals last_taps(const tap *patch, const float *ratios, __global con
     return sum;
 }
 
-// Products of a pair of pixels with the weights of their classes, summed as far as both pixels share the work.
+// Multiplies the patches of a pair of pixels by the weights of their classes. The products of both pixels are summed until they fit into
+// one vector per output (fold_two).
 INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, const float *ratios, __global const tap *first_weights,
                        __global const tap *second_weights) {
     const four_totals first_last = last_taps(first, ratios, first_weights);
@@ -64,7 +67,8 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// Output o of group g of LANES pixels from x on → made[g * GROUP + o]. `ratios` (tap, column) are the taps after the windows.
+// Computes output o of group g for LANES pixels from column x on, and stores it in made[g * GROUP + o]. `ratios` (tap, column) contains
+// the taps after the windows.
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
@@ -79,7 +83,7 @@ INLINE void apply(totals *made, const tap *patches, const float *ratios, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = ratios + x + first;
-#ifndef PLANES  // outputs are mostly wanted of one frame, for its exposure; then half the code saves more time in compiling
+#ifndef PLANES  // mostly a single frame is rendered to planes; leaving out half the code then saves more time in compiling
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else

@@ -1,20 +1,21 @@
-// Processor variant: pairs of pixels, and sums over the lanes of vectors.
+// Processor variant: helpers that process pixels in pairs and add up the lanes of vectors.
 //
-// Pairs: pixels that are PAIR columns apart have the same site, if the CFA's width allows, and so the same class in uniform areas. Then
-// the weights, which are most of the data, are read once for both.
+// The two pixels of a pair are PAIR columns apart. If the width of the CFA allows, they have the same site, and therefore the same class
+// in uniform areas. The weights, which are most of the data, are then read once for both pixels.
 
-// How many groups of four pixels are unrolled. A loop compiles in half the time, and runs as fast if another layer follows. Otherwise it
-// is up to 4 % slower, which matters less for outputs, since these are mostly wanted of a single frame, for its exposure.
+// Number of loop iterations that the compiler unrolls. Each iteration processes four pixels. Code that is not unrolled compiles in half
+// the time. It runs as fast if another layer follows, and up to 4 % slower otherwise. The slower loop is accepted for PLANES, because
+// mostly a single frame is rendered to planes, to find its exposure.
 #if defined(FIXED_POINT) || defined(PLANES)
 #define UNROLLED 1
 #else
 #define UNROLLED (LANES / 4)
 #endif
 
-#define COLUMN (PATCH * SOURCES)  // values per column of the ring (transform.cl)
+#define COLUMN (PATCH * SOURCES)  // number of values in each column of the ring (transform.cl)
 #define TAPS (PATCH * COLUMN)
 
-// The arrangement of weights (layout.py): either side_by_side.cl or floating_point.cl.
+// Selects the arrangement of the weights (layout.py), and with it the file that applies them: side_by_side.cl or floating_point.cl.
 #if defined(FIXED_POINT) || (OUTPUTS >= 3 && OUTPUTS <= 4 && TAPS <= 25 && !defined(RATIO_TAPS))
 #define SIDE_BY_SIDE
 #endif
@@ -24,10 +25,12 @@
 #else
 #define PAIR (LANES / 2)
 #endif
-#define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of the n-th pair of LANES
-#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // pixel x among all pairs' pixels
+#define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of pair n among LANES pixels
+#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // position of pixel x if pixels are ordered by pair
 
-// Sums over lanes, for several vectors at once. Each step halves the number of vectors. [a b …] stand for the lanes of each four.
+// The following functions add up the lanes of several vectors at once. Each step halves the number of vectors. A vector consists of groups
+// of four lanes. Brackets such as [a b a b] show which vector each lane of a group belongs to. Every group in the result of SHUFFLE_FOURS
+// consists of the lanes i, j, k and l of the corresponding groups of u and v.
 #if LANES == 16
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4, \
     i + 8, j + 8, k + 8, l + 8, i + 12, j + 12, k + 12, l + 12)
@@ -35,16 +38,17 @@
 #define SHUFFLE_FOURS(u, v, i, j, k, l) __builtin_shufflevector(u, v, i, j, k, l, i + 4, j + 4, k + 4, l + 4)
 #endif
 
-// Lanes 0 2 and 1 3 of each four → [a b a b]
+// Adds lanes 0 and 2, and lanes 1 and 3, of each group of a and of b. The partial sums of a and b alternate in the result: [a b a b].
 INLINE totals fold_two(totals a, totals b) {
     return SHUFFLE_FOURS(a, b, 0, LANES, 1, LANES + 1) + SHUFFLE_FOURS(a, b, 2, LANES + 2, 3, LANES + 3);
 }
-// [a b a b], [c d c d] → [a b c d]
+// Completes the sums of two results of fold_two, [a b a b] and [c d c d]. Each group of the result contains the four sums [a b c d].
 INLINE totals fold_four(totals ab, totals cd) {
     return SHUFFLE_FOURS(ab, cd, 0, 1, LANES, LANES + 1) + SHUFFLE_FOURS(ab, cd, 2, 3, LANES + 2, LANES + 3);
 }
 #if LANES == 16
-// Combines groups of four lanes of u and v, by their first lanes.
+// Concatenates four groups of four lanes: two groups of u, then the same two groups of v. `low` and `high` are the first lanes of these
+// groups.
 #define JOIN(u, v, low, high) __builtin_shufflevector(u, v, low, low + 1, low + 2, low + 3, high, high + 1, high + 2, high + 3, \
     low + 16, low + 17, low + 18, low + 19, high + 16, high + 17, high + 18, high + 19)
 #endif

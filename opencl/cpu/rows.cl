@@ -1,13 +1,14 @@
-// Processor variant: outputs of LANES pixels of a row → written values. Done per LANES pixels, so that stores and transfer curve run in
-// parallel with the sums of the next pixels.
+// Processor variant: writes the outputs of a row, LANES pixels at a time. The stores and the transfer curve then run in parallel with the
+// sums of the next pixels.
 
 #ifdef SHADED
-#define GAIN_PARAMETER , __global const float *restrict gain  // (row, node) of the outputs
+#define GAIN_PARAMETER , __global const float *restrict gain  // (row, grid node) shading gains of the outputs
 #define GAIN_READ , gain
 
 #define LANE(i) (float)(i)
 
-// made[o] of pixels from column x on, times the gain of each, which is linear between a row's nodes at every GAIN_STEP columns.
+// Multiplies made[o] of the pixels from column x on by their gains. `gain` contains the gains of one row at grid nodes, which are GAIN_STEP
+// columns apart. Between the nodes, gains are interpolated linearly.
 INLINE void even_pixels(floats *made, __global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
@@ -21,7 +22,8 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #endif
 
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-// Limits made[0..2], X, Y and Z, to the brightness of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
+// Limits X, Y and Z, which are made[0] to made[2], to the brightness of the clipped white (l3cli/classes/clipping.py). The XYZ of this
+// white are stored behind the matrix.
 INLINE void limit_to_white(floats *made, __global const float *matrix) {
     const float limit = matrix[10];
     const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;
@@ -33,11 +35,11 @@ INLINE void limit_to_white(floats *made, __global const float *matrix) {
 #define limit_to_white(made, matrix)
 #endif
 
-// The first `count` pixels are inside the frame.
+// Only the first `count` pixels are inside the frame, so every variant of write_pixels writes only these.
 #if defined(FIXED_POINT)
 
-// made[o] → planes for the next layer (output, pixel). Stores bypass the caches if vectors are aligned with cache lines, because planes
-// are read after all have been written, and no cache holds them all.
+// Writes made[o] to planes (output, pixel) for the next layer. If the vectors are aligned with cache lines, stores bypass the caches. The
+// planes are read only after all of them have been written, and they are too large for the caches.
 INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     #pragma unroll
@@ -51,7 +53,7 @@ INLINE void write_pixels(__global int *picture, const ints *made, __global const
 
 #elif defined(PLANES)
 
-// made[o] → picture (output, pixel)
+// Writes made[o] to the picture (output, pixel).
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) {
@@ -63,7 +65,7 @@ INLINE void write_pixels(__global float *picture, const floats *made, __global c
 
 #elif defined(NOT_ENCODED)
 
-// For timing: writes the sum of three planes.
+// Writes only the sum of three outputs, to measure the time without encoding.
 INLINE void write_pixels(__global float *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     const floats sum = made[0] + made[1] + made[2];
@@ -85,9 +87,9 @@ typedef uchar four_bytes __attribute__((ext_vector_type(4 * LANES)));
 #define TWICE_LANES(index, i) EIGHT(index, i), EIGHT(index, i + 8)
 #endif
 
-// Values a, b, c of LANES pixels → pixel by pixel.
+// Interleaves the values a, b and c of LANES pixels, so that the three values of each pixel are consecutive.
 #if TOP == 255
-// For bytes: those of a pixel are put in one word, then every fourth byte is left out.
+// The three bytes of a pixel are put into one 32-bit word. Then every fourth byte is left out.
 #define PLACE(i) ((i) / 3 * 4 + (i) % 3)
 INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
     const four_bytes words = SAME_BITS(a | b << 8 | c << 16, four_bytes);
@@ -105,7 +107,7 @@ INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
 }
 #endif
 
-// made of X, Y, Z → picture (pixel, 3)
+// Converts X, Y and Z, which are made[0] to made[2], to display codes and writes them to the picture (pixel, 3).
 INLINE void write_pixels(__global CODE *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     __global CODE *to = picture + 3 * at;

@@ -1,23 +1,24 @@
-// Processor variant with outputs side by side, for layers in fixed point (16-bit values → 32-bit sums → planes) and for small patches in
-// floating point.
+// Processor variant with outputs side by side. It serves layers in fixed point (16-bit values, 32-bit sums, then planes) and layers with
+// small patches in floating point.
 //
-// A vector of weights holds ONCE taps of each output; the sums of an output are in four lanes. ONCE taps of the patch are read at a time,
-// repeated for every output. The sums of a pixel are then one vector (or two of 8 lanes), and adding up their lanes costs a third of what
-// one vector per output would. With three outputs, the fourth has no weights; in fixed point its intercept is the fraction of the class.
-// Floats fill a vector with half as many taps. For large patches, reading them would take longer than the lanes' sums save.
+// A vector of weights contains ONCE taps for each output. The sums of an output occupy four lanes. ONCE taps of the patch are read at a
+// time and repeated for every output. All sums of a pixel then fit into one vector (or two vectors of 8 lanes). Adding up its lanes costs
+// a third as much as adding up the lanes of one vector per output. If there are three outputs, the weights of the fourth are zero. In
+// fixed point, the intercept of the fourth output is the number of fractional bits of the class. In floating point, a vector has room for
+// only half as many taps. For large patches, reading these taps would take longer than the simpler sums over lanes save.
 
 #ifdef SIDE_BY_SIDE
 
-#define AT_ONCE_OUTPUTS (LANES / 4)         // number of outputs side by side in a vector
-#define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors that hold four outputs
-#define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // taps
+#define AT_ONCE_OUTPUTS (LANES / 4)         // number of outputs in a vector
+#define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors for four outputs
+#define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // number of taps per output in a vector
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // begins with the intercepts, in the first lane of each four
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // the intercepts come first, in the first lane of each group of four
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether weights are read once for a pair of the same class. If another layer follows, classes change so often that mispredicted
-// branches would take longer than reading some weights twice.
+// Whether the weights are read only once if both pixels of a pair have the same class. If another layer follows, they never are: classes
+// change so often that mispredicted branches would take longer than reading some weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else
@@ -37,7 +38,8 @@ typedef tap some_taps __attribute__((ext_vector_type(ONCE), aligned(sizeof(tap))
 #define REPEATED(v) __builtin_shufflevector(v, v, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #endif
 
-// Products of a pair of pixels with the weights of their classes, summed as far as both pixels share the work.
+// Multiplies the patches of a pair of pixels by the weights of their classes. The products of both pixels are summed until they fit into
+// SUMS vectors (fold_two).
 INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __global const tap *first_weights,
                        __global const tap *second_weights) {
     totals one[SUMS], other[SUMS];
@@ -60,7 +62,7 @@ INLINE void apply_pair(totals sum[SUMS], const tap *first, const tap *second, __
     for (int s = 0; s < SUMS; s++) sum[s] = fold_two(one[s], other[s]);
 }
 
-// Groups of four lanes, with those of the same output together.
+// Sorts groups of four lanes by output: output[o] contains output o of LANES pixels.
 INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #if LANES == 16
     const totals *v = folded[0];
@@ -79,7 +81,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// Plane or output o of LANES pixels from x on → made[o].
+// Computes plane or output o of LANES pixels from column x on, and stores it in made[o].
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)

@@ -4,7 +4,7 @@
 // the first of its two consecutive branches (from bit 8). A leaf is its own branch, and no value exceeds its threshold.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// The next node, by one product and one comparison in float32, which are the same on every device.
+// Returns the next node. It follows from one product and one comparison in float32, which give the same result on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);

@@ -39,21 +39,21 @@ LAMP = (
 )
 PITCH = "µm between pixels, from the sensor's data sheet"
 LEAST_CHARTS = 2  # charts needed to fit gain and offset
-CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example, col and row in pixels
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example; col and row in pixels
 SHARING = ("[[mono]]", "[[band]]")  # captures to which [common] applies
-SEVERAL = 2  # a key that at least this many captures lack goes to [common]
+SEVERAL = 2  # if at least this number of captures lack a key, the key is written to [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
 PAIR = 2  # frames needed to measure noise
 Mosaic = NDArray[np.floating]
 
 
 class DraftText:
-    """The text of a measurement file while it is written."""
+    """The text of a measurement file, to which tables, keys and comments are added."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
         self.assumed: list[str] = []  # lines on values that the user should check
-        self._missing: list[tuple[str, str, str]] = []  # key, where it is missing, what it means
+        self._missing: list[tuple[str, str, str]] = []  # key, place where it is missing, explanation
 
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
@@ -81,17 +81,20 @@ class DraftText:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
 
     def todo(self, name: str, example: Any, what: str, where: str) -> None:
-        """Add a commented key that only the user knows, with an example. `where` names the capture, file or table."""
+        """Add a commented key with an example, because only the user knows its value.
+
+        `where` is the capture, file or table to which the key belongs.
+        """
         self._line(f"# TODO {name} = {toml_value(example)}", what)
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key that refers to something that the user still has to make."""
+        """Add a key whose value refers to a file that the user still has to make."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
     def todo_table(self, heading: str, what: str, *keys: tuple[str, Any]) -> None:
-        """Add a commented table that is missing."""
+        """Add a missing table as a comment."""
         self._lines += ["", f"# TODO {heading}  # {printable(what)}"]
         self._lines += [f"# {name} = {toml_value(value)}" for name, value in keys]
         self._missing.append((heading, "", what))
@@ -118,9 +121,9 @@ class Survey:
 
     shape: tuple[int, int]
     period: tuple[int, int]
-    array: CfaRecipe | None  # as stated in the files
-    black_level: float | None  # DN, as stated in the files
-    white_level: float | None  # DN
+    array: CfaRecipe | None  # colour filter array in the files' metadata
+    black_level: float | None  # DN, from the metadata
+    white_level: float | None  # DN, from the metadata
     scale: Scale
     groups: list[Group]
     tables: list[Spectra]
@@ -133,7 +136,7 @@ class Survey:
 
     @property
     def black(self) -> float:
-        """DN of a pixel without light: as stated in the files, or from the darkest frames."""
+        """DN of a pixel without light, from the metadata or from the darkest frames."""
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
@@ -162,7 +165,7 @@ def unknown_optics(out: DraftText) -> None:
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
     """Add [sensor], [cfa] and [optics] as far as the frames reveal them.
 
-    If `photo`, the only captures are photographs of charts, for which pixel pitch and optics do not matter.
+    `photo` means that all captures are photographs of charts, for which pixel pitch and optics do not matter.
     """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
@@ -202,7 +205,7 @@ class Composer:
     seen : Survey
         Contents of the folder.
     camera : CameraModel or None
-        The camera, if known.
+        The camera, if it is known.
     folder : str
         Path to the frames, as it appears in the draft.
     read : callable
@@ -212,11 +215,11 @@ class Composer:
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that [common], or the first capture, explains for all captures
+        self.shared: set[str] = set()  # keys that are explained for all captures in [common] or in the first capture
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
-        if self.steps and self.bands:  # only one source of responsivity is allowed; monochromatic light is the better
+        if self.steps and self.bands:  # only one source of responsivity is allowed; monochromatic light is better
             seen.notes.append(f"{len(self.bands)} captures of a chart in narrow bands beside monochromatic ones: left out")
             self.bands = []
 
@@ -303,7 +306,7 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a reference to a table that the user has to make. The first reference explains what it contains."""
+        """Add a reference to a table that the user has to make. The first reference explains the contents of the table."""
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:
@@ -311,7 +314,7 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if their heading states none."""
+        """Add the unit of radiances if the column heading has no unit."""
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
                 peak = radiances(table, column).max()

@@ -1,7 +1,7 @@
 """Draft a measurement file from a folder.
 
-The folder contains frames, which are surveyed: what each file states, which frames come from one sensor, what each frame
-shows. Or it contains tables alone, as published measurements do.
+If the folder contains frames, l3 reads the metadata of each file, selects the frames of one sensor, and determines what each
+frame shows. A folder may also contain only tables, as published measurements do.
 """
 
 import re
@@ -23,10 +23,10 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
-SAMPLED = 6  # frames from which the period of the array is estimated
-LEFT_OUT = "; left out"  # ends the notes of files that are not used
-MOST_NOTED = 12  # rejected files that get a line of their own
-LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of a channel's column in a sweep
+SAMPLED = 6  # number of frames from which the period of the array is estimated
+LEFT_OUT = "; left out"  # end of each note on a file that is not used
+MOST_NOTED = 12  # largest number of rejected files with a line of their own
+LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of the column of a channel in a sweep
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
 SENSOR = (
     ("rows", 3000, "of the sensor, by its data sheet"),
@@ -48,12 +48,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class _Fact:
-    """A frame and the facts that its file states."""
+    """A frame and the metadata in its file."""
 
     path: str
     shape: tuple[int, int]
     mean: float
-    raw: RawFile  # its values are empty if memory is short
+    raw: RawFile  # without pixel values if memory is short
 
     @property
     def sensor(self) -> tuple[object, ...]:
@@ -70,9 +70,9 @@ def survey(
     listing : CaptureFolder
         The folder and its files.
     tables : list of Spectra
-        The spectra found in it.
+        Tables of spectra in the folder.
     notes : list of str
-        Gets a line for everything that is left out.
+        A line is added for each file that is left out.
     camera : CameraModel or None
         The camera, if known.
     reading : Reading
@@ -114,7 +114,7 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Return the frames, with wavelengths that their names state without a unit."""
+    """Return the frames, with wavelengths that their names contain without a unit."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
@@ -123,7 +123,7 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the facts that every file states. Pixels are kept as far as they fit into memory."""
+    """Read the metadata of every file. Pixel values are kept as long as they fit into memory."""
     facts, room = [], 64 << 20
     refused: list[str] = []
     for path in reading.progress(listing.frames, len(listing.frames), "files"):
@@ -157,7 +157,7 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 
 
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
-    """Return the rows and columns of the array: from the camera, the files, or the brightest frames."""
+    """Return the period (rows, columns) of the array, from the camera, the metadata, or else the brightest frames."""
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
         return known.shape[0], known.shape[1]
@@ -168,7 +168,7 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Summarise every frame. Files without raw values are left out or noted."""
+    """Summarise every frame. Drawings are left out. Frames that seem to be processed are noted."""
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)
@@ -191,7 +191,7 @@ def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first `most` lines, and a line with the number of further lines. `more` is its format."""
+    """Return the first `most` lines, and a line with the number of further lines in the format `more`."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
@@ -203,7 +203,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
     tables : sequence of Spectra
         Tables of the folder.
     camera : CameraModel or None
-        Provides sensor, array and optics, if known.
+        The camera, if it is known. Sensor, array and optics are then taken from it.
     name : str
         Name of the folder.
     left_out : sequence of str
@@ -314,7 +314,7 @@ def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> No
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add whether the curves are per energy or per photon, by their unit if there is one."""
+    """Add whether the curves are per energy or per photon. Their unit decides, if there is one."""
     possible = [each for each in (True, False) if _has_unit(curves, each)]
     if len(possible) == 1:
         out.key("per_energy", possible[0], "by the unit in the heading")

@@ -1,4 +1,4 @@
-"""Find out what a capture is, by its name and folder, and by its values."""
+"""Recognise the kind of a capture from its name and folder, and from its values."""
 
 import itertools
 import operator
@@ -23,16 +23,16 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
-BARE, LEAST_STEPS = (300.0, 1200.0), 5  # range of wavelengths (nm) without a unit; smallest number of steps
-VISIBLE = (200.0, 2000.0)  # nm, range of wavelengths with a unit
-BLOCKS = 16  # rows and columns of blocks in a frame's summary
-PERIODS = (1, 2, 3, 4, 5, 6, 8)  # rows or columns of the arrays that are tried
-LARGEST_CROP = 960  # side in pixels of the part from which the period is estimated; divisible by all periods
-EXPLAINED = 0.98  # the smallest array with this fraction of the best explained variance is taken
+BARE, LEAST_STEPS = (300.0, 1200.0), 5  # wavelengths without a unit: range in nm, and smallest number of different values
+VISIBLE = (200.0, 2000.0)  # nm; range of wavelengths that names give with a unit
+BLOCKS = 16  # largest number of rows and of columns of blocks in the summary of a frame
+PERIODS = (1, 2, 3, 4, 5, 6, 8)  # numbers of rows or columns of an array that are tried
+LARGEST_CROP = 960  # pixels; side of the part from which the period is estimated; divisible by all periods
+EXPLAINED = 0.98  # the smallest array that explains this fraction of the variance that the best array explains is used
 SIGNIFICANT = 0.02  # smallest fraction of the variance that an array must explain
 EVEN = 0.05  # largest relative residual of an even field after a smooth fit
-TERMS = 4  # degree of that fit
-COMMON, LEAST_CODES = 12, 16  # pixels that make a value frequent; frequent values needed for a verdict
+TERMS = 4  # degree of the smooth fit
+COMMON, LEAST_CODES = 12, 16  # number of pixels from which a value is frequent; number of frequent values needed to decide
 MOST_GAPS = 0.25  # largest fraction of frequent values whose next value may be missing in unprocessed data
 PLAIN, DRAWN = 0.8, 8  # fraction of pixels that equal their neighbours, and range in DN, above which a frame is a drawing
 Array = NDArray[np.floating]
@@ -40,7 +40,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Name:
-    """Facts that a file's path below the folder states."""
+    """Facts from the path of a file below the folder."""
 
     path: str
     kind: str | None = None
@@ -79,10 +79,10 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Add wavelengths that names of monochromatic captures state without a unit, such as mono_450_03.
+    """Add wavelengths that names of monochromatic captures contain without a unit, such as mono_450_03.
 
-    The wavelength is the number at one position of all names whose values lie in the range of light, and whose steps are not
-    those of a counter.
+    All names must have the same number of numbers. The wavelength is the first number that lies in the range of light in all
+    names and does not count the files.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -99,9 +99,9 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Return the kind of capture that a name, or otherwise the nearest of its folders, states.
+    """Return the kind of capture that the file name contains, or otherwise the nearest folder.
 
-    A part that states several kinds is skipped.
+    Names with words for several kinds are skipped.
     """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
@@ -113,7 +113,7 @@ def kind_of(path: PurePath) -> str | None:
 
 
 def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
-    """Return a sort key for paths that orders numbers by value: 9 before 10."""
+    """Return a sort key for paths. Numbers in the paths are sorted by value, so 9 comes before 10."""
     return tuple(
         tuple(float(part) if index % 2 else part.lower() for index, part in enumerate(re.split(r"([0-9]+)", each)))
         for each in PurePath(path).parts
@@ -139,8 +139,9 @@ class Summary:
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal, at the brightest
-        site.
+        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal.
+
+        Only the brightest site is evaluated.
         """
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
@@ -153,7 +154,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Summarise a frame (row, col) of DN by the sites of an array with `period` rows and columns."""
+    """Summarise a frame (row, col) in DN, for each site of an array with `period` rows and columns."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -165,10 +166,10 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Estimate the period, rows and columns, of the array from frames.
+    """Estimate the number of rows and columns after which the colour filter array repeats.
 
-    One light may not distinguish all channels, so the result is the largest period that at least a third of the frames agree
-    on, not counting frames that show none. It is 1×1 if no frame shows an array.
+    One light may not distinguish all channels. The result is therefore the largest period that at least a third of the
+    frames show. Frames without a visible array do not count. If no frame shows an array, the result is 1×1.
     """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
@@ -180,7 +181,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbouring pixels get the same light, so the residual of a local mean is array and noise.
+    # Neighbouring pixels get the same light, so only the array and noise remain if the local mean is subtracted.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())

@@ -19,18 +19,19 @@ from l3cli.frames.measurement import PATCHES
 from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
-DARK = 0.01  # fraction of the range of all frames below which a frame has no light
-ALIKE = 0.04  # largest relative difference between signals of one capture or of one light
+DARK = 0.01  # fraction of the range of all frames; a frame below it has no light
+ALIKE = 0.04  # largest relative difference between signals in one capture, or under one light
 CLIPPED = 0.97  # fraction of the range of all frames from which a capture counts as saturated
-SAME_RATE = 0.1  # largest relative difference between signals per second of one light
-LEAST_WHITES = 3  # exposures of one light needed for a white series
-BRIGHT_DARK, BRIGHTER = 0.05, 5.0  # fraction of the range, and multiple of the noise, that make a "dark" frame suspicious
+SAME_RATE = 0.1  # largest relative difference between signals per second under one light
+LEAST_WHITES = 3  # number of exposures under one light from which they are a white series
+# A "dark" frame is suspicious above both this fraction of the range and this multiple of the noise.
+BRIGHT_DARK, BRIGHTER = 0.05, 5.0
 Array = NDArray[np.floating]
-SAME_CHANNEL = 0.05  # largest difference between sites of one channel, as a fraction of the largest response
-LEAST_STEPS = 5  # monochromatic captures needed to guess the array
+SAME_CHANNEL = 0.05  # largest difference between the sites of a channel, as a fraction of the largest response
+LEAST_STEPS = 5  # number of monochromatic captures needed to guess the array
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # brightest captures of a series in which the chart is searched
-DIM = 0.05  # fraction of the range below which charts are too dark to be searched
+SEARCHED = 6  # number of captures of a series, brightest first, in which the chart is searched for
+DIM = 0.05  # fraction of the range; charts in darker captures are not searched for
 Corners = list[tuple[float, float]]
 NARROW_NM = 40.0  # nm, largest full width at half maximum of a line
 NEAR_NM = 5.0  # nm, largest difference between the wavelength in a name and the peak of its spectrum
@@ -44,7 +45,7 @@ class Frame:
     summary: Summary
     seconds: float | None  # s, from the file or otherwise from its name
     by_name: bool = False  # whether the exposure time comes from the name
-    count: int = 1  # number of frames in the file, all of one scene at one exposure
+    count: int = 1  # number of frames in the file, which all show one scene at one exposure
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Scale:
-    """Range of values of a folder, from all its frames."""
+    """Range of values of all frames in a folder."""
 
     black: Array  # (site) DN of the darkest frames
     bright: float  # DN, highest 90th percentile of all frames and sites
@@ -88,8 +89,8 @@ class Scale:
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
     """Return the range of values of a folder's frames.
 
-    `black` is the black level in DN that the files state. Otherwise it is the level of the darkest frame, if a name calls it
-    dark or if it is even over all sites. Otherwise it is taken as 0.
+    `black` is the black level from the metadata, in DN. If it is None, the black level is the level of the darkest frame,
+    provided that a name says "dark" or that the frame is uniform. Otherwise the black level is taken as 0.
     """
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
@@ -107,7 +108,7 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
     """Group frames into captures, in the order of their names.
 
-    `notes` gets a line for each name that its frame contradicts.
+    A line is added to `notes` for each frame that contradicts its name.
     """
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
@@ -141,7 +142,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Split frames whose names agree into groups that show the same light."""
+    """Split frames whose names agree into groups with the same light."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -158,8 +159,8 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """Rename captures of kind "plain" to white or mono.
 
-    White is the light of which there are most frames, at several exposures. A clipped capture has no usable colour, so it
-    takes the kind of the capture before it.
+    White is the light with the most frames, if it has several exposures. A clipped capture has no usable colour, so it takes
+    the kind of the capture before it.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -199,7 +200,7 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
     """Guess the array from the wavelengths to which its sites respond.
 
-    Returns None if too few captures state a wavelength, or if no site responds.
+    Returns None if the names of too few captures contain a wavelength, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
@@ -239,7 +240,7 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Find a ColorChecker in a mosaic of DN above black, each site taken as a channel.
+    """Find a ColorChecker in a mosaic of DN above black. Each site of the array counts as a channel.
 
     Returns the col, row in pixels of the outer corners of patches 1, 6, 24 and 19, or None.
     """
@@ -253,7 +254,10 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Return the corners of a chart that does not move during a series: the median over captures, or None."""
+    """Return the corners of a chart that does not move during a series, as the median over captures.
+
+    The result is None if no capture shows a chart.
+    """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
     black = float(scale.black.mean())
@@ -300,7 +304,7 @@ class Column:
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return all line spectra of the tables, in order."""
+    """Return all narrow spectra in the tables, in order."""
     columns = []
     for spectra in tables:
         if not spectra.narrow:
@@ -331,7 +335,7 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra in order to captures whose names state no wavelength, if the numbers match. Otherwise all are None."""
+    """Assign spectra, in order, to captures whose names contain no wavelength. If the numbers do not match, all are None."""
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
         notes.append(
@@ -347,7 +351,10 @@ def _in_order(
 
 
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
-    """Return the number of each capture's step. A capture that repeats a clipped one, unclipped, has its number."""
+    """Return the number of the monochromator step of each capture.
+
+    An unclipped capture after a clipped one repeats the same step.
+    """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))
 
@@ -385,8 +392,8 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
     """Find the measured light of a photo of a chart.
 
-    It is the broad spectrum whose name contains the same light or the photo's name, or otherwise the only broad spectrum.
-    The flag says whether a name decided.
+    The light is the broad spectrum whose file name contains the same light or matches the photo's name. Otherwise it is the
+    only broad spectrum. The flag is True if a name decided.
     """
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
@@ -405,7 +412,7 @@ def radiances(table: CurveTable, column: int | None) -> Array:
 
 
 def unknown_unit(table: CurveTable, column: int | None) -> bool:
-    """Whether the heading states no unit and the values are not in the usual range of photon radiances."""
+    """Whether the heading has no unit and the values are not in the usual range of photon radiances."""
     return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
 
 

@@ -1,8 +1,8 @@
-"""Estimate responsivities from the patches of a chart, and judge the light of the photo.
+"""Estimate responsivities from the patches of a chart, and the light under which the chart was photographed.
 
-The responsivities are the posterior of a Gaussian model. The same model gives the probability of each light that the
-chart may have been photographed under, and the light of the next photo that would help most
-(docs/method.md#charts-in-photographs).
+The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The model also gives the
+probability of each light under which the photo may have been taken. It finds the light under which one more photo would help
+most.
 """
 
 import functools
@@ -16,39 +16,39 @@ from numpy.typing import NDArray
 from l3cli.frames.measurement import CurveStatistics, FinishedCurves
 from l3cli.physics import spectra
 
-WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; the range that all published curves of cameras cover
+WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published curves of cameras cover this range
 ROLES = ("r", "g", "b")  # channels that all measured cameras have
 MODES = 16  # principal components of measured cameras; more do not change results
-SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # part of the variance for deviations that no measured camera shows; their scale, nm
+SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # deviations that no measured camera shows: fraction of the variance, smoothness in nm
 LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
 UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # mean, spread and smoothness (nm) of an unknown filter
 UNKNOWN_PEAK = 0.7  # standard deviation of the natural log of an unknown channel's peak
-PEAK_FLOOR = 0.25  # added in quadrature for known channels, because converter gains differ between channels
-MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # source of a prior
-WIDENING = 2.0  # factor on the spread of measured cameras, for a camera unlike them
-UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # further deviations of such a camera: fraction of the peak, smoothness in nm
+PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because converter gains differ between channels
+MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # sources of a prior
+WIDENING = 2.0  # factor by which a camera unlike the measured ones has more spread
+UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # further deviations of this camera: fraction of the peak, smoothness in nm
 # The evidence for a light is overconfident, because no prior describes a camera exactly. Dividing its logarithm by these
 # factors makes the stated probabilities match how often guesses are right (tests/studies/test_photo_study.py).
 TEMPERING = {True: 1.5, False: 6.0}  # True if one of the priors is based on measured cameras
 JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
-STEPS = 4  # linearisations of the product of curve and illumination; the third no longer changes visible results
+STEPS = 4  # number of linearisations of the product of curve and illumination; the third no longer changes visible results
 SCALE_SPREAD = 0.5  # relative standard deviation of a channel's scale about the first guess, nearly uninformative
-SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of a further shot about the first guess
+SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of each further shot about the first guess
 FARTHEST = 4.0  # largest factor by which scales and exposures may move from the first guess
 CURVATURE = 0.5  # spread of a quadratic term of the illumination relative to a linear term
-FLOOR = 0.001  # error that no model explains, as a fraction of the brightest patch
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # candidate model errors, relative (reflectances, texture)
-TERMS = 6  # terms of the illumination: constant, x, y, x², xy, y²
+FLOOR = 0.001  # unexplained error, as a fraction of the brightest patch
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors that are tried (reflectances, texture)
+TERMS = 6  # number of terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
-MOST_EVIDENCES = 1000  # size of the cache
-_EVIDENCES: dict[bytes, float] = {}  # cache by content of shots and prior; one photo needs the same lights three times
+MOST_EVIDENCES = 1000  # largest number of cached results
+_EVIDENCES: dict[bytes, float] = {}  # results by a digest of shots and prior; each photo needs the same lights three times
 IMPROBABLE = 0.02  # lights with a lower probability do not widen the band
-NOTICED = 3.0  # l3 warns if the named light is less probable than another by e to this power
+NOTICED = 3.0  # l3 warns if another light is more probable than the named light by more than this factor, as a natural log
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian distribution of a camera's curves, and of the heights of their peaks."""
+    """Gaussian distribution of the curves of a camera, and of the heights of their peaks."""
 
     mean: Array  # (channel, wavelength)
     covariance: Array  # (channel · wavelength, channel · wavelength)
@@ -72,7 +72,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera whose channels are those of the measured cameras."""
+    """Return the prior of a camera that has the same channels as the measured cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -87,7 +87,7 @@ def camera_prior(known: CurveStatistics) -> Prior:
 def unlike(prior: Prior) -> Prior:
     """Return the prior of a camera unlike the measured ones.
 
-    It has a wider spread than `prior`, plus smooth deviations that none of the measured cameras has.
+    Its spread is wider than that of `prior`, and it includes smooth deviations that no measured camera shows.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -97,7 +97,7 @@ def unlike(prior: Prior) -> Prior:
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
     """Extend a prior to a camera with more channels, or with channels in another order.
 
-    The channels at `places` follow `prior`, in its order. Nothing is known about the others.
+    The channels with the indices `places` follow `prior`, in the order of `prior`. Nothing is known about other channels.
     """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
@@ -110,9 +110,9 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 
 
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
-    """Return the priors that a camera may come from: like the measured cameras, unlike them, and merely smooth.
+    """Return the priors that a camera may come from: like the measured cameras, unlike these, and merely smooth.
 
-    Measured cameras have channels r, g and b. For a camera without these, the smooth prior is the only one.
+    Measured cameras have the channels r, g and b. If a camera lacks one of these, only the smooth prior is returned.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -122,7 +122,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels about which nothing is known, except that they are smooth and see visible light."""
+    """Return the prior of channels whose curves are smooth and respond to visible light, but are otherwise unknown."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -131,8 +131,9 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return the covariance (channel, wavelength, channel, wavelength) of modes (mode, channel, wavelength), with a smooth
-    part.
+    """Return the covariance (channel, wavelength, channel, wavelength) from modes (mode, channel, wavelength).
+
+    A part of the variance is replaced by smooth deviations.
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -152,16 +153,16 @@ def _smooth(spread: Array, correlation_nm: float) -> Array:
 
 @dataclass(frozen=True)
 class Shot:
-    """The patches of a chart under one light."""
+    """The patches of a chart in one photo, under one light."""
 
     light: Array  # (wavelength) relative photon radiance of a perfect white
     reflectance: Array  # (patch, wavelength)
-    place: Array  # (patch, 2) x and y over the chart, −1…1
+    place: Array  # (patch, 2) x and y on the chart, from −1 to 1
     values: Array  # (patch, channel) DN above black
-    deviation: Array  # (patch, channel) DN, standard deviation of a value
-    used: NDArray[np.bool_]  # (patch, channel)
-    uneven: float = 0.2  # relative spread of the illumination's terms; less if a white shot has corrected it
-    glare: float = 0.03  # spread of glare as a fraction of the brightest patch
+    deviation: Array  # (patch, channel) standard deviation of each value in DN
+    used: NDArray[np.bool_]  # (patch, channel) whether the value is used
+    uneven: float = 0.2  # relative spread of the illumination terms; smaller if a white shot has corrected the illumination
+    glare: float = 0.03  # spread of the glare as a fraction of the brightest patch
 
     @functools.cached_property
     def stimuli(self) -> Array:
@@ -175,26 +176,26 @@ class Shot:
 
     @functools.cached_property
     def brightest(self) -> Array:
-        """DN (channel) of the brightest usable patch, or 1 if there is none."""
+        """DN above black (channel) of the brightest usable patch, or 1 if there is none."""
         top = np.where(self.used, self.values, 0.0).max(axis=0)
         return np.where(top > 0, top, 1.0)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Estimate of a camera from its patches."""
+    """Estimate of a camera from the patches of its shots."""
 
-    responsivity: Array  # (channel, wavelength) in the values' unit per the light's unit; never negative
+    responsivity: Array  # (channel, wavelength) in the unit of the values per unit of the light; never negative
     covariance: Array  # (channel · wavelength, channel · wavelength) of the responsivity
     glare: Array  # (shot, channel) DN
     illumination: Array  # (shot, term)
-    error: float  # relative model error of a patch's value, in addition to its noise
+    error: float  # relative model error of patch values, in addition to noise
     evidence: float  # natural log of the probability of the values, up to a constant
-    predicted: tuple[Array, ...]  # per shot: (patch, channel) DN
+    predicted: tuple[Array, ...]  # for each shot: (patch, channel) DN
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Return the posterior of all shots, with the model error that makes the values most probable."""
+    """Return the posterior given all shots, with the model error that makes the values most probable."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
@@ -231,15 +232,15 @@ def terms(place: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Last linearisation of the model: values ≈ design @ state, with a Gaussian prior for the state."""
+    """Last linearisation of the model: values ≈ design @ state. The state has a Gaussian prior."""
 
     shots: Sequence[Shot]
     shape: tuple[int, int]  # channels, wavelengths
     design: Array  # (value, state)
     values: Array  # (value) right-hand side of the linearisation
     noise: Array  # (value) variances
-    mean: Array  # (state) of the prior
-    covariance: Array  # (state, state) of the prior
+    mean: Array  # (state) mean of the prior
+    covariance: Array  # (state, state) covariance of the prior
     state: Array  # (state) solution
     error: float
     evidence: float
@@ -304,7 +305,7 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: mean curves of the prior scaled to the first shot, even light and no glare."""
+    """Return the initial state: the mean curves of the prior, scaled to the first shot, with even light and no glare."""
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -321,14 +322,14 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return the factor (channel) by which the prior's mean fits a state best."""
+    """Return the factors (channel) with which the mean of the prior fits a state best."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
 
 
 def _before(shots: Sequence[Shot], prior: Prior, scale: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of the state's prior, at the given scale of each channel."""
+    """Return the mean and the covariance of the prior of the state, given the scale of each channel."""
     count, size = prior.mean.shape
     curves = (scale[:, None] * prior.mean).ravel()
     factors = np.repeat(scale, size)
@@ -360,7 +361,7 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Linearise the model about a state: design, right-hand side and variances of all values.
+    """Linearise the model about a state. Returns the design, the right-hand side and the variances of all values.
 
     Values are ordered by shot, channel and patch.
     """
@@ -400,7 +401,7 @@ def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array)
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Return the log-probability of the relative heights of the channels' peaks."""
+    """Return the log-probability of the relative heights of the peaks of all channels."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
@@ -415,7 +416,7 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
     shots : sequence of Shot
         All photos of the camera.
     index : int
-        Number of the shot.
+        Index of the shot.
     among : sequence of Prior
         Priors that the camera may be drawn from (`plausible`).
     candidates : mapping of str to ndarray, (wavelength)
@@ -426,7 +427,7 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
     nearest : str
         The most probable of the candidates.
     deficit : float
-        Natural logarithm of how much less probable the shot's own light is, at least 0.
+        Natural logarithm of the factor by which the light of the shot is less probable than `nearest`, at least 0.
     """
     others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
@@ -436,7 +437,7 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate light for shot `index`, given that it is one of them.
+    """Return the probability of each candidate light for shot `index`, assuming that one of the candidates is correct.
 
     Parameters are the same as for `compare`.
     """
@@ -456,8 +457,8 @@ def unsure_of_light(
 ) -> Posterior:
     """Widen the covariance of a posterior for the uncertainty of a guessed light.
 
-    The added covariance is the scatter of the curves under all candidate lights, weighted by their probabilities `likely`.
-    All curves are brought to the same overall scale. `index` is the number of the shot whose light is guessed.
+    The added covariance is the scatter of the curves under all candidate lights, weighted by the probabilities `likely`. All
+    curves are scaled to the same sum. `index` is the index of the shot whose light is guessed.
     """
     added = np.zeros_like(posterior.covariance)
     for name, probability in likely.items():
@@ -476,7 +477,7 @@ def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots, with one of them under another light."""
+    """Return the shots, with another light for the shot `index`."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
@@ -486,8 +487,8 @@ def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
     """Return the uncertainty (channel) of the responses to surfaces under a light.
 
-    It is the RMS over surfaces (surface, wavelength) of the standard deviation, relative to the largest response. Exposure
-    and white balance fix the mean response, which therefore counts as known.
+    The uncertainty is the RMS, over `surfaces` (surface, wavelength), of the standard deviation relative to the largest
+    response. The mean response counts as known, because exposure and white balance determine it.
     """
     count, size = responsivity.shape
     stimuli = surfaces * light
@@ -511,7 +512,7 @@ def next_light(
     shot : Shot
         A photo of the chart.
     posterior : Posterior
-        What is known now.
+        Estimate from the existing photos.
     candidates : mapping of str to ndarray, (wavelength)
         Lights to choose from.
     judged_under : sequence of ndarray, (wavelength)
@@ -524,7 +525,7 @@ def next_light(
     light : str
         The best candidate.
     remaining : float
-        Fraction of today's colour error that would remain.
+        Fraction of the present colour error that would remain.
     """
 
     def error(covariance: Array) -> float:

@@ -1,6 +1,6 @@
-"""Write a camera recipe and its curves from the facts that raw files, or a camera's name, provide.
+"""Write the recipe and the curves of a camera from its raw files, or from what is known about a camera of that name.
 
-Comments in the recipe mark what is assumed.
+Comments in the recipe mark assumed values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gain and read noise at the photo's ISO speed, and their source."""
+    """Gain and read noise at the ISO speed of the photo, and the source of these figures."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -38,7 +38,7 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera as its raw files describe it, or as it is known by its name."""
+    """Facts about a camera, from its raw files or from the name alone."""
 
     photo: Path | None  # None if the camera is known by its name only
     body: Body
@@ -46,7 +46,7 @@ class PhotoCamera:
     white_level: float  # DN
     stated: Stated
     wavelength: Array  # (wavelength) nm
-    curves: Array  # (channel, wavelength) per photon, scaled to a common peak of 1
+    curves: Array  # (channel, wavelength) response per photon; one scale for all channels, so that the highest peak is 1
     origin: str  # source of the curves, for the recipe's comment
     noise: SensorNoise
     white: str | None = None  # value of ‹white› for rendering the photo: the named light, or the light of its chart
@@ -54,7 +54,7 @@ class PhotoCamera:
     overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct the raw files
 
     def gain_recipe(self) -> str:
-        """Return the table [gain] of the recipe, or nothing if the photo does not state its ISO speed."""
+        """Return the table [gain] of the recipe, or an empty text if the ISO speed of the photo is unknown."""
         if self.stated.iso is None:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
@@ -71,7 +71,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Names of the facts that the recipe has to assume."""
+        """Names of the values that the recipe has to assume."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -139,7 +139,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Describe a camera that is known by its name.
+    """Describe a camera of which only the name is known, and no photo.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def without_photo(
     known : Stated
         Facts about the camera.
     curves : FinishedCurves
-        Its curves.
+        Responsivities of the camera.
     origin : str
         Source of the curves, for the recipe's comment.
     """
@@ -160,9 +160,9 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return gains relative to a raw file, and the read noise (e-) at each gain, from other files that state noise.
+    """Return gains relative to a raw file, and the read noise (e-) at each gain, from other files with noise profiles.
 
-    Only higher ISO speeds count, up to the largest gain that a camera recipe may have.
+    Only files with a higher ISO speed count, up to the largest gain that a camera recipe may have.
     """
     found: dict[float, float] = {}
     for each in others:
@@ -173,9 +173,9 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Return the noise that a raw file states, or typical noise at its ISO speed.
+    """Return the noise from the noise profile of a raw file, or else typical noise at the ISO speed.
 
-    `span` is the difference of white and black level in DN.
+    `span` is the difference between white and black level in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise

@@ -1,5 +1,6 @@
-"""Responsivities from photographs of charts, or from the colour matrices of a raw file (docs/method.md#charts-in-
-photographs).
+"""Estimate responsivities from photographs of charts, or from the colour matrices in a raw file.
+
+The method is described in docs/method.md#charts-in-photographs.
 """
 
 import functools
@@ -46,17 +47,17 @@ from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoC
 from l3cli.physics import spectra
 from l3cli.physics.mosaic import shifted_cfa
 
-UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # relative spread of the illumination without a white shot, and after correction by one
-LEAST_SHARE = 0.5  # fraction of the patches that every channel needs
+UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # relative spread of the illumination: uncorrected, and corrected with a white shot
+LEAST_SHARE = 0.5  # smallest fraction of usable patches in every channel
 LEAST_SIGNAL = 20.0  # DN, smallest acceptable value of the brightest patch
 CANDIDATES = (  # lights that a photo may have been taken under
     "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
 )  # fmt: skip
 JUDGED_UNDER = ("A", "D65", "F11")  # lights under which the uncertainty of colours is evaluated
-SURFACES_EVERY = 7  # every seventh surface of the library is evaluated
-FAR, MOST_FAR = 4.0, 4  # outliers: standard deviations from the fit, and the largest number that is left out
+SURFACES_EVERY = 7  # only every seventh surface of the library is evaluated, to save time
+FAR, MOST_FAR = 4.0, 4  # outliers: distance from the fit in standard deviations, and largest number that is left out
 Array = NDArray[np.floating]
-ERROR = 0.02  # relative error of the patch values that a colour matrix predicts, in addition to the misfit found
+ERROR = 0.02  # relative error of the patch values that a colour matrix predicts, in addition to the model error
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Photograph:
     """The measured patches of a photo."""
 
     capture: PhotoCapture
-    corners: Array  # (4, 2) col, row
+    corners: Array  # (4, 2) col and row of the corners of the chart
     values: PatchValues
     black_level: float  # DN
     white_level: float  # DN
@@ -136,7 +137,7 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if too few patches are usable, or if they do not look like the chart's."""
+    """Raise InputFileError if too few patches are usable, or if they do not look like patches of the chart."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
@@ -168,7 +169,7 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative light (patch, channel) on each patch, from a photo of an even white in the chart's place."""
+    """Return the relative light (patch, channel) on each patch, from a photo of an even white in the place of the chart."""
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
     if not values.used.all() or values.mean.min() <= 0:
@@ -193,7 +194,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     Raises
     ------
     InputFileError
-        If a photo shows no usable chart, or if there is no data sheet and the noise is not that of a sensor.
+        If a photo shows no usable chart, or if there is no data sheet and the noise does not grow with the signal.
     """
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
     among = _priors(measurements)
@@ -269,7 +270,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Return the shots. Shots of unknown light get the most probable common light."""
+    """Return the shots. If the light of a shot is unknown, it gets the most probable common light."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -289,9 +290,10 @@ def _priors(measurements: Measurements) -> list[Prior]:
 
 
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
-    """Fit again without values far off the first fit, at most MOST_FAR of them.
+    """Fit the shots, and fit again without the values that are far from the first fit.
 
-    Returns the posterior, the shots, and the values left out as (shot, patch, channel).
+    At most MOST_FAR values are left out. Returns the posterior, the shots, and the values that were left out, as (shot,
+    patch, channel).
     """
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
@@ -320,7 +322,7 @@ def _far_lines(
 
 
 def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
-    """Stack arrays per photo into (photo, patch, channel). Charts with fewer patches are padded with `fill`."""
+    """Stack one array per photo into (photo, patch, channel). Charts with fewer patches are padded with `fill`."""
     most = max(len(part) for part in parts)
     shape = (len(parts), most, parts[0].shape[1])
     result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)
@@ -333,8 +335,9 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return the sensor from the data sheet, or from the files' levels and the patches' noise. The flag is True for the
-    latter.
+    """Return the sensor, and whether its figures come from the patches.
+
+    The figures come from the data sheet. Without one, the levels come from the files, and gain and noise from the patches.
     """
     first = photographs[0]
     if measurements.datasheet is not None:
@@ -357,16 +360,16 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
 
 @dataclass(frozen=True)
 class ColourMatrix:
-    """Colours of a camera under one light, as ColorMatrix of a DNG file states them (DNG 1.7)."""
+    """Colour matrix of a camera for one light, as in the ColorMatrix tags of DNG 1.7."""
 
     light: str  # name of the light
-    values: Array  # (channel, 3) from XYZ to channels
+    values: Array  # (channel, 3) matrix from XYZ to the signals of the channels
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
     """Return the most probable relative curves, with 95 % bands, of a camera with the given colour matrices.
 
-    They are the posterior of `prior`, given the responses to a ColorChecker that the matrices predict.
+    The matrices predict the responses to a ColorChecker. The curves are the posterior of `prior` given these responses.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
@@ -396,7 +399,7 @@ def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return a chart, evenly lit and without glare, with the values that a colour matrix predicts."""
+    """Return a shot of an evenly lit chart without glare. Its values are the prediction of a colour matrix."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)

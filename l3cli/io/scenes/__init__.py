@@ -56,7 +56,7 @@ class SceneFormat:
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the fields of a file's header that l3 does not know and that may affect the values."""
+        """Return the header fields of a file that l3 does not recognise and that may affect the values."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 

@@ -305,9 +305,9 @@ class Weights:
 
 @dataclass(frozen=True)
 class WholeWeights:
-    """The transforms of a layer in fixed point, with three planes as outputs."""
+    """Fixed-point transforms of a layer with three output planes."""
 
-    taps: NDArray[np.int16]  # (class, plane, tap) in the same order
+    taps: NDArray[np.int16]  # (class, plane, tap); taps are sorted as in `Weights`
     intercept: NDArray[np.int32]  # (class, plane)
     fraction: NDArray[np.int32]  # (class) number of fractional bits
 

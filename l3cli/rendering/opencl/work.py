@@ -210,7 +210,10 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return the indices into `there` of the rows `seen`, extended by `margin` rows on both sides."""
+        """Return where in the slice `there` to find the rows `seen` and `margin` further rows on both sides.
+
+        Rows beyond the edges of the frame are mirrored.
+        """
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
     for first in range(0, rows, height):

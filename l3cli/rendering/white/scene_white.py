@@ -426,7 +426,7 @@ def implausible(what: str, white: SceneWhite) -> str:
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if the white stated in the file differs much from that of the chart in the frame, otherwise ""."""
+    """Return a warning if the white in the file's metadata is far from the white of the chart in the frame, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (

@@ -356,7 +356,7 @@ def _is_place(parts: list[str]) -> bool:
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Parse a white that does not depend on a frame.
+    """Parse a white that is given without reference to a frame.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
     Raises
     ------
     RecipeError
-        If the text has another form.
+        If the text has none of these forms.
     """
     if text is None or text == TABLE:
         return None

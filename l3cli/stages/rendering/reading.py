@@ -71,7 +71,11 @@ class FrameReader:
         self._looks_ahead = job.options.temporal and (not self._sequence.is_stream or self._sequence.part is not None)
 
     def frames(self) -> Iterator[FrameTask]:
-        """Yield the frames, read and measured."""
+        """Yield a task for each frame.
+
+        Frames that are needed are read and measured here, unless a worker is to read them. Frames that are not needed are
+        marked as finished.
+        """
         listed, ahead = itertools.tee(self._listed()) if self._looks_ahead else (self._listed(), iter(()))
         needs = needed((task.place, not task.is_finished) for task in ahead)
         for task in listed:

@@ -279,8 +279,8 @@ def fitting(
 
 
 def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Console) -> None:
-    """Report fields of scene files that l3 does not know and that may change the values."""
-    found: dict[str, Path] = {}  # field: the first file that states it
+    """Report fields of scene files that l3 does not recognise and that may affect the values."""
+    found: dict[str, Path] = {}  # unknown field → first file that contains it
     for source, paths in zip(run.recipe.scene, files, strict=True):
         for path in paths:
             for field in format_of(sources.name_of(source), path).unknown(path):

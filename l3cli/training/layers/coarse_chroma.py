@@ -1,4 +1,4 @@
-"""Measure on simulated greys the noise that coarse chroma must expect (docs/method.md#coarse-chroma)."""
+"""Measure, on simulated greys, the noise that the coarse chroma filter must allow for (docs/method.md#coarse-chroma)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
 from l3cli.training.patches import expose_patches
 
-LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # of the greys, relative to a white that fills the brightest channel
-GREY_SIDE_PIXELS = 128  # pixels, side of a grey
-CUT = 3  # blocks to ignore at the edges, where blocks have fewer neighbours
+LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # luminances of the greys, relative to a white that fills the brightest channel
+GREY_SIDE_PIXELS = 128  # pixels; side of each simulated grey
+CUT = 3  # number of blocks that are ignored at each edge, where blocks have fewer neighbours
 
 Array = NDArray[np.float64]
 
@@ -47,22 +47,22 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variances (grey, plane) of planes (plane, row, col), without their edges."""
+    """Return the variances (grey, plane) of the planes (plane, row, col) of each grey. Their edges are left out."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
     """Fit the variance of each plane by a polynomial of luminance with non-negative coefficients.
 
-    The fit minimises squared errors of the logarithm. A fit of relative errors of the variance would be too low where the
-    polynomial cannot follow: layers that fade chroma in the dark leave little noise there, and brighter areas would get
-    blotches.
+    The fit minimises squared errors of the logarithm of the variance. Layers that fade chroma in the dark leave little noise
+    there, so that the polynomial cannot follow the variance everywhere. A fit that minimised relative errors would then be
+    too low in brighter areas, which would get blotches.
 
     Parameters
     ----------
     luminance : ndarray, (grey)
     variances : ndarray, (grey, plane)
-        In squared plane steps.
+        Variances in squared plane steps.
 
     Returns
     -------

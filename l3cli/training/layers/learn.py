@@ -1,7 +1,7 @@
 """Train a refinement layer: its sums and its transforms (docs/method.md#learning-on-mosaics).
 
-As in the first layer, classes with few samples get those of neighbouring levels and strengths, and pseudo-samples of their
-parent: the mean of all structures of the level, or of the saturation case.
+As in the first layer, a class with few samples also gets the samples of neighbouring levels and strengths, and
+pseudo-samples of its parent. The parent is the mean of all structures at the level, or of the saturation case.
 """
 
 import functools
@@ -31,22 +31,22 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
-FADED_RESPONSE = 0.97  # response of a chroma plane to itself below which the plane counts as faded
-OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-patches from the level of the class; the rest come from all levels
+FADED_RESPONSE = 0.97  # a chroma plane counts as faded if its response to itself is below this value
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples from the level of the class; the others come from all levels
 
 
 @dataclass(frozen=True)
 class LayerGoal:
-    """Parameters by which the transforms of a refinement layer are solved."""
+    """Parameters for solving the transforms of a refinement layer."""
 
-    pool: tuple[float, ...]  # weights of the classes one, two… levels away
-    parent: float  # number of pseudo-patches of the parent
-    ridge: float  # relative to the mean power of a tap
-    noise_weights: tuple[float, ...]  # (output)
-    white: Array  # (plane) values of a white of Y = 1, which the layer must keep
+    pool: tuple[float, ...]  # weights of the samples of classes one, two… levels away
+    parent: float  # number of pseudo-samples of the parent
+    ridge: float  # ridge of the least squares, relative to the mean power of a tap
+    noise_weights: tuple[float, ...]  # (output) weight of the noise covariance
+    white: Array  # (plane) values of a white with Y = 1, which the layer must keep
     windows: int  # number of window taps; the taps after them are zero on flat areas
     keeps: bool = False  # whether unsaturated classes must not fade the chroma of uniform windows
-    strength_pool: float = 0.0  # weight of the classes with the same direction and the next strength
+    strength_pool: float = 0.0  # weight of the samples of classes with the same direction and the next strength
     corrects: bool = False  # whether the outputs are corrections, which are zero on white
 
 
@@ -61,7 +61,7 @@ def solve_layer(
     Parameters
     ----------
     sums : list of LayerSums
-        Sums of each canonical site.
+        Sums over the training samples of each canonical site.
     copies : list of int
         Number of CFA sites that each canonical site represents.
     rule : PlaneRule
@@ -109,11 +109,11 @@ def solve_layer(
 
 
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions of the outputs `of`, followed by their compliance (tap, output + plane).
+    """Return the Wiener solutions for the outputs with the indices `of`, and their compliance (tap, output + plane).
 
-    The compliance is the change of the taps when the response to flat areas changes. The columns of `moments` are taps,
-    intercept and outputs. The columns of `noise` are taps and, if the layer corrects outputs, outputs. There is no
-    intercept, because black must stay black.
+    The compliance describes how the taps change if the response to flat areas changes. The columns of `moments` are the
+    taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer corrects outputs, the outputs.
+    The solutions have no intercept, because black must stay black.
     """
     taps, outputs = len(member), np.array(of)
     system = moments[:taps, :taps] + noise_weight * noise[:taps, :taps]
@@ -127,10 +127,10 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the taps (tap, output) of all sites, constrained to a common response to flat areas.
+    """Return the taps (tap, output) of each site, constrained to a common response to flat areas.
 
-    Of all responses that render white as wanted, this takes the one with the least squared error. With `keeps`, a chroma
-    plane whose response would fade keeps its previous values.
+    Among all responses that render white as wanted, the response with the least squared error is chosen. If `keeps`, a
+    chroma plane that would fade is left unchanged in flat areas.
     """
     white, count = goal.white, len(of)
     wanted = np.zeros(count) if goal.corrects else white[of]
@@ -150,7 +150,7 @@ def _constrained(
 
 
 class _Parents:
-    """Mean sums per sample that thin classes are shrunk towards, for each level and each saturation case."""
+    """Mean sums per sample for each level and saturation case. Classes with few samples are shrunk towards these means."""
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
@@ -174,9 +174,9 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return the moments and noise of a class, with help from its neighbours in level and strength and from its parent.
+    """Return the moments and noise of a class, including samples of neighbouring classes and pseudo-samples of the parent.
 
-    The result is None if the parent has no samples.
+    Neighbours are classes at the next levels and strengths. The result is None if the parent has no samples.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -207,10 +207,10 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """Return the solved class whose transform each class uses.
+    """Return, for each class, the solved class whose transform it uses.
 
-    A solved class uses its own. Any other class uses the same kind at the nearest level. If there is none, it prefers a flat
-    class at the nearest level.
+    A solved class uses its own transform. Any other class uses the transform of the same kind at the nearest level. If the
+    kind is not solved at any level, the class uses the transform of flat areas at the nearest level.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
@@ -223,21 +223,21 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """Everything that all parts of the training of one refinement layer share."""
+    """Settings and previous results that all steps in training one refinement layer need."""
 
     camera: CameraModel
     rule: ClassRule  # class rule of the first layer
     fixed: FixedPoint  # transforms of the first layer to the opponent basis
     before: tuple[PlaneLayer, ...]  # refinement layers that are already trained
-    basis: NDArray[np.float64]  # (output, plane)
+    basis: NDArray[np.float64]  # (output, plane) opponent basis: the outputs that each plane stands for
     outputs: MosaicLayer | None  # the first layer, if the new layer corrects its outputs
     white_point: NDArray[np.float64]  # (output) perfect white under the training illuminant, Y = 1
-    grey: NDArray[np.float64]  # (channel) signals of that white, fractions of full scale
+    grey: NDArray[np.float64]  # (channel) signals of the perfect white, as fractions of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
-    mosaics: tuple[int, ...]  # (frame) number of mosaics
+    mosaics: tuple[int, ...]  # (frame) number of mosaics from each frame
     pictures: bool  # whether the outputs are X, Y, Z
-    exposure: float  # s
+    exposure: float  # s; mean exposure time of the training frames
     seed: int
 
     @property
@@ -251,7 +251,7 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Number of pixels on each side of a pixel that the layer reads."""
+        """Number of pixels that the layer reads on each side of a pixel."""
         return margin_of(self.recipe.side)
 
     @property
@@ -265,7 +265,7 @@ class LayerPass:
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return the random generator for a frame and a purpose."""
+        """Return the random generator for a frame. Different purposes have independent generators."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
@@ -279,7 +279,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return how windows with `side` pixels are read at every site."""
+        """Return how windows with `side` rows and columns are read at every site."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -287,7 +287,7 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of planes, or of corrected outputs, that the layer makes."""
+        """Number of planes that the layer computes. If it corrects outputs, the number of these outputs."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
@@ -296,7 +296,7 @@ class LayerPass:
 
     @property
     def turns(self) -> list[int]:
-        """Number of the orientation in which each site is trained."""
+        """For each site, the number of the orientation in which it is trained."""
         return [one.orientation for one in self._site_maps()]
 
     def _site_maps(self) -> list[SiteMap]:
@@ -321,12 +321,12 @@ def sum_layer(
     rule : PlaneRule
         Class rule of the layer to be trained.
     blocks : iterable of (int, iterable of TrainingPair)
-        Index of the first frame, and the frames, of each block.
+        For each block, the index of its first frame, and its frames.
 
     Returns
     -------
     dict of int to LayerSums
-        Sums of each canonical site.
+        Sums for each canonical site.
     """
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
@@ -345,13 +345,13 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield the mosaics of frames, starting with the frame of index `first`."""
+    """Yield the mosaics of `frames`. The index of the first frame is `first`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
-    """Add `more` to `sums` in place. The result is exact in any order."""
+    """Add `more` to `sums` in place. The addition is exact, so the order does not matter."""
     for site, part in more.items():
         add(sums[site], part)
 
@@ -365,7 +365,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums
-        Sums of each canonical site over all frames.
+        Sums for each canonical site, over all frames.
 
     Returns
     -------
@@ -413,10 +413,10 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 
 
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
-    """Return the sums of a canonical site, averaged over the orientations that leave its CFA window unchanged.
+    """Return the sums for a canonical site, averaged over the orientations that leave the CFA around the site unchanged.
 
-    An orientation also permutes the structure classes. The leaves of a tree have no such permutation, so their sums are
-    returned unchanged.
+    Turning a window also permutes the structure classes. Leaves of a tree do not permute in this way, so the sums of a tree
+    are returned unchanged.
     """
     if not isinstance(rule, StructureRule):
         return sums

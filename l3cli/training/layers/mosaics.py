@@ -1,7 +1,7 @@
 """Training mosaics for refinement layers (docs/method.md#layers).
 
-A mosaic is a piece of a training frame as the camera records it at some level, with and without noise. The previous layers
-render it, and the result is the input of the next layer.
+A mosaic is a piece of a training frame, as the camera would record it at some level. It exists with and without noise.
+The previous layers render the mosaics, and the next layer is trained on the result.
 """
 
 from collections.abc import Iterable, Iterator
@@ -27,18 +27,18 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import runs_of
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # pixels, side of the part of a frame whose mean is set to the drawn level
-SHEET = 1 << 17  # pixels that are rendered together, because large classes cost less per pixel
+LARGEST_SIDE = 156  # pixels; side of the part of a frame whose mean is set to the drawn level
+SHEET = 1 << 17  # number of pixels that are rendered together; classes with many pixels take less time per pixel
 
 
 @dataclass(frozen=True)
 class Mosaics:
-    """Pieces of frames, all of the same size and stacked vertically, each with CFA phase (0, 0)."""
+    """Pieces of frames, stacked vertically. All have the same size, and each begins at CFA site (0, 0)."""
 
-    count: int
-    values: NDArray[np.uint16]  # (row, col) DN, noisy
-    clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: as `values`
-    target: Floats  # (output, row, col) in the table's output unit
+    count: int  # number of pieces
+    values: NDArray[np.uint16]  # (row, col) DN with noise
+    clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: the same as `values`
+    target: Floats  # (output, row, col) wanted outputs, in the table's output unit
     usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
 
     @classmethod
@@ -55,20 +55,20 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """How frames become mosaics."""
+    """How mosaics are made from frames."""
 
     camera: CameraModel
     recipe: LearningRecipe
-    dark: float  # dark signal in DN of frames that the table is for
-    achromatic: float  # fraction of the mosaics that show their scene without colour
+    dark: float  # DN; dark signal of the frames that the table is made for
+    achromatic: float  # fraction of the mosaics that show the scene without colour
     noisy: bool  # whether the camera's noise is added
-    inner: int  # pixels, side of the square of training samples if the frame is large enough
-    margin: int  # pixels that are read around that square
+    inner: int  # pixels; side of the square of training samples if the frame is large enough
+    margin: int  # number of pixels that are read on each side of the square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Return the rows and columns of the mosaics of a frame.
+        """Return the rows and columns of a mosaic from a frame with `frame` rows and columns.
 
-        They are whole periods of the CFA unless the frame is smaller than one period.
+        They are multiples of the CFA period, unless the frame is smaller than one period.
         """
         most = min(*frame, LARGEST_SIDE)
         wanted = min(self.inner + 2 * self.margin, most)
@@ -77,11 +77,11 @@ class Exposed:
 
 
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
-    """Yield mosaics of a frame.
+    """Yield mosaics from a frame.
 
-    Mosaics of simulated frames are rotated and mirrored at random and shown at random levels. The last of them are without
-    colour. Mosaics of real pairs are unchanged, because their noise cannot be separated from the scene. A frame that is too
-    small for the margin has no mosaics.
+    Mosaics from simulated frames are rotated and mirrored at random and have random levels. The last mosaics have no colour.
+    Mosaics from real pairs are pieces of the unchanged frame, because its noise cannot be separated from the scene. A frame
+    that is too small for the margin gives no mosaics.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     Yields
     ------
     Mosaics
-        One mosaic at a time.
+        One mosaic each.
     """
     camera, shape = exposed.camera, exposed.shape(frame.raw.shape)
     if min(shape) <= 2 * exposed.margin:
@@ -111,7 +111,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 def _shown(
     frame: TrainingFrame, count: int, shape: tuple[int, int], exposed: Exposed, rng: np.random.Generator
 ) -> Iterator[Mosaics]:
-    """Yield mosaics of a simulated frame."""
+    """Yield mosaics from a simulated frame."""
     camera = exposed.camera
     channel = camera.channel_map(shape)
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)
@@ -135,9 +135,9 @@ def _shown(
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return the mask (1, row, col) of pixels without an ignored pixel within `margin`; None if all pixels are usable.
+    """Return the mask (1, row, col) of the usable pixels, or None if all pixels are usable.
 
-    Layers read nothing beyond the margin.
+    A pixel is usable if there is no ignored pixel within `margin`, because layers read nothing beyond the margin.
     """
     if frame.ignored is None:
         return None
@@ -147,7 +147,7 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
     """Stack successive mosaics of equal size into sheets of up to `SHEET` pixels.
 
-    Mosaics whose height is not a multiple of `period` are yielded one by one.
+    A mosaic whose height is not a multiple of the CFA period `period` makes a sheet of its own.
     """
     parts: list[Mosaics] = []
     for each in mosaics:
@@ -174,20 +174,22 @@ def _piece_of_pair(pair: TrainingPair, shape: tuple[int, int], camera: CameraMod
     return Mosaics(1, values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
-Turn = tuple[int, bool, slice, slice]  # quarter turns, whether mirrored, and rows and columns of the turned frame
+Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirrored, and rows and columns in the turned frame
 
 
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a rotated and mirrored piece of a frame, and the larger part around it whose mean is set to the drawn level.
+    """Draw a random orientation, and place a piece of a frame.
+
+    Around the piece lies a larger part of the frame, whose mean is set to the drawn level.
 
     Parameters
     ----------
     frame, shape : tuple of int
         Rows and columns of the frame and of the piece.
     place : list of float
-        Position of the piece along each axis, from 0 to 1.
+        Position of the piece along each axis of the turned frame, from 0 to 1.
     rng : numpy.random.Generator
 
     Returns
@@ -211,52 +213,54 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
     return (turned[:, :, ::-1] if mirrored else turned)[:, rows, cols]
 
 
-AT_ONCE = 1 << 10  # number of pixels whose windows fit the caches
-DARKEST_LEVEL = 1e-4  # fraction of full scale below which samples of darker pixels get no more weight
+AT_ONCE = 1 << 10  # number of pixels that are processed together, so that their windows fit into the processor cache
+DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels darker than this get no further increase in weight
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics as one or more layers render them, without the margins where these layers lack neighbours."""
+    """Mosaics that one or more layers have rendered. Margins in which these layers lack neighbours are cut off."""
 
-    count: int
-    target: Floats  # (row, col, output)
-    label: Integers  # (row, col) class of the first layer
-    brightness: Floats  # (row, col) mean of the channel means, fraction of full scale, as if none clipped
+    count: int  # number of stacked mosaics
+    target: Floats  # (row, col, output) wanted outputs
+    label: Integers  # (row, col) class in the first layer
+    brightness: Floats  # (row, col) mean of the channel means, as a fraction of full scale, corrected for clipped channels
     noisy: NDArray[np.int32]  # (plane, row, col) input of the next layer, in plane steps
-    clean: Floats | None  # (plane, row, col) without noise, with the classes of `noisy`; None: no noise
-    # (row, col, output) if layers correct outputs of the first layer: errors of these without noise, and noise
-    missing: Floats | None = None
-    spread: Floats | None = None  # None: no noise
+    clean: Floats | None  # (plane, row, col) without noise, but with the classes of `noisy`; None if there is no noise
+    missing: Floats | None = None  # (row, col, output) noise-free errors of the first layer's outputs, if they are corrected
+    spread: Floats | None = None  # (row, col, output) noise of the outputs that are corrected; None if there is no noise
     usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
 
     @property
     def light(self) -> Floats:
-        """The planes without noise."""
+        """The planes without noise. They are `noisy` if there is no noise."""
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return the indices of usable pixels that are at least `margin` pixels from the edge of their mosaic."""
+        """Return the indices of the usable pixels that are at least `margin` pixels away from the edges of their mosaic."""
         inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
         return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Return planes (…, row, col) of `count` stacked mosaics without the margin of each mosaic."""
+    """Cut off `margin` pixels on each side of every mosaic in planes (…, row, col) of `count` stacked mosaics."""
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
 
 
 def margin_of(side: int) -> int:
-    """Return how many pixels a layer with windows of `side` pixels reads on each side, including its class features."""
+    """Return how many pixels a layer with windows of `side` pixels reads on each side of a pixel.
+
+    The pixels that its class features read are included.
+    """
     return max(BORDER_PIXELS, side // 2)
 
 
 class FirstLayer:
-    """The first layer in fixed point.
+    """Renders mosaics with the first layer in fixed point.
 
-    If later layers correct its outputs, it also computes these outputs in floating point.
+    If later layers correct the outputs of the first layer, these outputs are also computed, in floating point.
 
     Parameters
     ----------
@@ -264,7 +268,7 @@ class FirstLayer:
     rule : ClassRule
     fixed : FixedPoint
     outputs : MosaicLayer, optional
-        The same layer in floating point, if its outputs are to be corrected.
+        The same layer in floating point, if its outputs are corrected later.
     """
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
@@ -277,7 +281,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Render mosaics: classes and planes."""
+        """Determine the classes of mosaics, and render their planes."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -294,14 +298,14 @@ class FirstLayer:
 
 
 class PlaneStage:
-    """A refinement layer in fixed point that is followed by another layer."""
+    """Renders mosaics with a refinement layer in fixed point that another layer follows."""
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Render mosaics with this layer."""
+        """Render mosaics that the previous layers have rendered."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -319,7 +323,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Fixed-point transforms of windows, class by class, with optional floating-point transforms beside them."""
+    """Applies fixed-point transforms to windows, class by class, and optionally floating-point transforms as well."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
@@ -327,7 +331,8 @@ class _Transforms:
             weights, self._intercept = (
                 np.concatenate(each, axis=1) for each in ((weights, exact[0]), (self._intercept, exact[1]))
             )
-        # Contiguous in every process: strides, which pickling does not always keep, may decide how products are rounded.
+        # Strides may affect how products are rounded, and pickling does not always keep strides. Contiguous arrays have the
+        # same strides in every process.
         self._weights = list(np.ascontiguousarray(np.swapaxes(weights, 1, 2), np.float64))
 
     def __call__(
@@ -338,22 +343,22 @@ class _Transforms:
         Parameters
         ----------
         noisy : ndarray, (source, row, col)
-            Integers with noise. Float64 adds them exactly.
+            Integers with noise. They are added exactly, in float64.
         clean : ndarray or None, (source, row, col)
-            The same without noise. Its planes are not rounded.
+            The mosaics without noise. The planes that are made from them are not rounded.
         side : int
             Side of the windows, in pixels.
         count : int
             Number of stacked mosaics.
         label : ndarray, (row, col)
-            Classes.
+            Class of each pixel.
 
         Returns
         -------
         planes : ndarray, (plane, row, col)
         clean_planes : ndarray or None, (plane, row, col)
         made : ndarray, (1 or 2, row, col, output)
-            Results of the floating-point transforms, with noise and, if `clean` is given, without.
+            Results of the floating-point transforms with noise and, if `clean` is given, without noise.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
@@ -370,7 +375,7 @@ class _Transforms:
             chosen = np.add(place[part, None], offset, out=taps[: flat.size - first])
             runs = [(self._weights[index], slice(start, stop)) for index, start, stop in runs_of(flat[part])]
             for source, made in zip(sources, sums[:, part], strict=True):
-                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # any other mode copies
+                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # other modes would make a copy
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
         sums += self._intercept[flat]

@@ -1,8 +1,9 @@
 """Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
 
-The tree is grown on a part of the samples, best split first. The best split is the one that lowers the squared error of
-refitted filters most. What additional filter taps alone would gain is subtracted, and the rest must be more than chance.
-All sites share one tree, but each has its own filters.
+A tree is grown on a part of the samples. Each step makes the split that lowers the squared error most, after the filters on
+both sides have been fitted again. Two filters have more taps than one, and fit better for this reason alone. This expected
+gain is subtracted, and the remaining gain must be larger than chance explains. All sites share one tree, but each site has
+filters of its own.
 """
 
 import heapq
@@ -26,16 +27,16 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-THRESHOLDS_PER_TEST = 5  # number of thresholds to try for each test, at quantiles of its quotient
-QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which these quantiles are computed
-TREE_SIDE_PIXELS = 64  # pixels, largest side of the squares that a tree is grown on; each contributes only a few samples
-SPLIT_SIDE_PIXELS = 3  # pixels, side of the windows for evaluating splits if there is no noise to average
-SAMPLES_PER_TAP = 4  # smallest number of samples per tap that a leaf needs at each site
-COLUMN_STEPS = 2.0**16  # steps per largest value of a column; sums over a million samples stay below 2^53, so exact
-# Relative to the mean power of the taps and of the outputs, which splits do not change
+THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried for each test, at quantiles of its quotient
+QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for computing these quantiles
+TREE_SIDE_PIXELS = 64  # pixels; largest side of the squares from which a tree gets samples; each contributes only a few
+SPLIT_SIDE_PIXELS = 3  # pixels; side of the windows for evaluating splits if there is no noise to average
+SAMPLES_PER_TAP = 4  # smallest number of samples per tap that a leaf must have at each site
+COLUMN_STEPS = 2.0**16  # steps up to the largest value of a column; sums over a million samples stay exact, below 2^53
+# Ridges of the least squares, relative to the mean power of the taps and of the outputs, which splits do not change
 TAP_RIDGE, OUTPUT_RIDGE = 1e-6, 1e-10
-OUTPUTS = 3
-# Standard deviations of the chance gain that a split must exceed, because the best of many is chosen
+OUTPUTS = 3  # number of outputs in the columns of a sample
+# A split must gain more than this number of standard deviations of the gain by chance, because the best of many is chosen.
 CHANCE_DEVIATIONS = 3.0
 
 Array = NDArray[np.float64]
@@ -44,12 +45,12 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class TreeSamples:
-    """Samples of one canonical site, in its orientation."""
+    """Samples at one canonical site, turned to the orientation of this site."""
 
-    # (sample, tap, then output) windows of noisy planes, and targets in the units in which errors are judged, both weighted
+    # (sample, column) weighted windows of planes with noise, then weighted targets in the unit of the evaluated errors
     columns: Floats | Array
-    numerators: Floats  # (test, sample)
-    denominators: Floats  # (denominator, sample)
+    numerators: Floats  # (test, sample) numerator of the quotient that each test compares with a threshold
+    denominators: Floats  # (denominator, sample) denominators, which several tests share
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSamples"]) -> "TreeSamples":
@@ -59,7 +60,7 @@ class TreeSamples:
     def on_grid(self) -> "TreeSamples":
         """Return the samples with each column rounded to multiples of a power of two.
 
-        Sums of products of columns are then exact, whatever the order of addition.
+        Sums of products of columns are then exact, so the order of addition does not matter.
         """
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / COLUMN_STEPS, power).astype(np.float32)
@@ -70,20 +71,20 @@ class TreeSamples:
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Return for each sample how many of the thresholds `cuts` of a test it exceeds."""
+        """Return, for each sample, how many of the thresholds `cuts` its quotient in a test exceeds."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return numerators (test, pixel) and denominators of `pixels`, turned to the orientation in which a site is trained."""
+    """Return the numerators (test, pixel) and denominators of `pixels`, turned to orientation number `turn`."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
 
 
 class Tree(NamedTuple):
-    """Nodes of a tree, as in `TreeRule`."""
+    """Nodes of a decision tree. The fields are explained in `TreeRule`."""
 
     test: NDArray[np.uint8]
     threshold: NDArray[np.float32]
@@ -105,11 +106,11 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
     Parameters
     ----------
     sites : sequence of TreeSamples
-        One per canonical site. Without samples the tree has one leaf.
+        Samples at each canonical site. If there are none, the tree has one leaf.
     leaves : int
         Largest number of leaves.
     mapped : callable
-        A replacement for `map`, which may use several threads.
+        `map`, or a replacement that uses several threads.
 
     Returns
     -------
@@ -145,7 +146,7 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
 def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
     """Return the split of a leaf that lowers the error most.
 
-    The result is None if no split gains more than chance or if too few samples would be left on a side.
+    The result is None if no split gains more than chance explains, or if one side would have too few samples.
     """
     taps = sites[0].columns.shape[1] - OUTPUTS
     if min(map(len, samples)) < 2 * SAMPLES_PER_TAP * taps:
@@ -176,9 +177,12 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return by how much each threshold (cut) lowers the error of a site, −∞ if too few samples are left on a side."""
+    """Return how much each threshold in `cuts` lowers the error at a site.
+
+    The gain is −∞ if one side would have too few samples.
+    """
     taps = site.columns.shape[1] - OUTPUTS
-    passed = site.passed(test, cuts, chosen)  # of increasing cuts
+    passed = site.passed(test, cuts, chosen)  # `cuts` increase, so this number is a rank
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, chosen.size - below])
     good = many.min(axis=0) >= SAMPLES_PER_TAP * taps
@@ -192,9 +196,10 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 
 
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
-    """Return the sums (end, column, column) of the samples before each of `ends`.
+    """Return the sums (end, column, column) of the samples before each position in `ends`.
 
-    The largest part is not summed up: its sums are `whole` less those of the other parts.
+    The ends divide the samples into parts. To save time, the largest part is not added up. Its sums are the sums of all
+    samples, `whole`, minus the sums of the other parts.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -209,13 +214,13 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the exact sums of products of columns (column, column) over the chosen samples."""
+    """Return the sums (column, column) of products of two columns over the chosen samples. They are exact."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared error that the best filters leave, from a Cholesky factor of sums (…, column, column)."""
+    """Return the squared error (…) that the best filters leave, given sums (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
     diagonal = np.einsum("...ii->...i", systems)  # a view
@@ -225,14 +230,14 @@ def _error(sums: Array) -> Array:
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS, PILOT_SIDE = 48, 72  # number over all frames, and side in pixels, of the mosaics for luminance_noise
-MAX_MEASURED_LEVEL = 0.8  # fraction of full scale up to which pixels are measured
-MIN_LEVEL_PIXELS = 1000  # smallest number of pixels for a level to be used
-LAB_SLOPES = (500.0, 116.0, 200.0)  # derivatives of a*, L* and b* by the planes of a white of 1
+PILOT_MOSAICS, PILOT_SIDE = 48, 72  # mosaics for luminance_noise: number over all frames, and side in pixels
+MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; brighter pixels are not measured
+MIN_LEVEL_PIXELS = 1000  # smallest number of pixels that a level needs to be used
+LAB_SLOPES = (500.0, 116.0, 200.0)  # derivatives of a*, L* and b* with respect to the planes at a white of 1
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Measure the noise of the luminance that the previous layers make.
+    """Measure the noise in the luminance that the previous layers render.
 
     Parameters
     ----------
@@ -246,7 +251,8 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        For each measured frame, the sum of squared noise differences between pixels two apart, and the number of pixels.
+        For each measured frame and level, the sum of the squared noise differences between pixels that are two pixels apart,
+        and the number of pixels.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
@@ -269,13 +275,13 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return the scale that gives gradients of noise a standard deviation of `structure.SIGMA`.
+    """Return the scale at which the gradients of pure noise have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
     layer : LayerPass
     noise : iterable of ndarray, (2, level)
-        From `luminance_noise` for all frames, in order.
+        Results of `luminance_noise` for all frames, in order.
 
     Returns
     -------
@@ -291,7 +297,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Return the class rule by level and structure."""
+    """Return the class rule that divides pixels by level and structure."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -318,7 +324,7 @@ def sample_tree(
     Returns
     -------
     list of dict of int to TreeSamples
-        For each frame, the samples of each canonical site.
+        For each frame, the samples at each canonical site.
     """
     side = min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
     see, reading, sampled = layer.seer(), layer.reading(side), []
@@ -357,7 +363,10 @@ def sample_tree(
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
-    """Grow a tree on the samples of all frames, in order, and return its class rule. `mapped` is as in `grow`."""
+    """Grow a tree and return its class rule.
+
+    `samples` contains the samples of all frames, in order. `mapped` is the same as for `grow`.
+    """
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
         [TreeSamples.concatenated([one[site] for one in samples if site in one]) for site in sites],
@@ -368,9 +377,9 @@ def tree_rule(
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """Return the matrix (output, 3) that converts errors of the outputs to the units in which they are evaluated.
+    """Return the matrix (output, 3) that converts errors of the outputs to the unit in which errors are evaluated.
 
-    For X, Y, Z these are L*a*b* differences near white.
+    Errors of X, Y, Z are evaluated as differences of L*, a* and b* near white. Other errors are not converted.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)

@@ -1,6 +1,6 @@
-"""Samples of a refinement layer, and their sums (docs/method.md#learning-on-mosaics).
+"""Training samples of a refinement layer, and sums over these samples (docs/method.md#learning-on-mosaics).
 
-A sample is an equation of the least squares: the taps of a window, and the outputs that a transform should make of them.
+A sample is one equation of the least squares: the taps of a window, and the outputs that the transform should give.
 """
 
 from collections.abc import Mapping
@@ -34,19 +34,19 @@ from l3cli.training.sums import (
     width_of,
 )
 
-MEAN_FLOOR = 1e-5  # squared error in output units, added so that mosaics with tiny errors get similar weights
-MEAN_ERROR = 2.0**-10  # squared error that gives weight 1; weights stay below 10 and sums of 7 million samples exact
+MEAN_FLOOR = 1e-5  # squared output unit; added to squared errors, so that mosaics with tiny errors get similar weights
+MEAN_ERROR = 2.0**-10  # squared error with weight 1; weights then stay below 10, and sums over 7 million samples are exact
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How windows are read: each site in the orientation of its canonical site."""
+    """How windows are read. At each site they are turned to the orientation of its canonical site."""
 
     canonical: Integers  # (site) canonical site of each site
-    order: Integers  # (site, tap) place of each tap in the window
-    ratio_taps: int = 0  # number of taps after the windows, the same in every orientation
-    outputs: int = PLANES
-    corrects: bool = False  # whether the outputs are corrections, which noise changes
+    order: Integers  # (site, tap) position of each tap in the window
+    ratio_taps: int = 0  # number of taps after the windows; turning a window does not change these taps
+    outputs: int = PLANES  # number of outputs
+    corrects: bool = False  # whether the outputs are corrections; noise then changes them
 
     @property
     def side(self) -> int:
@@ -65,7 +65,7 @@ class Reading:
     def offsets(self, cols: int) -> Integers:
         """Return the steps (site, tap) from a pixel to the taps of its window, in planes with `cols` columns.
 
-        They are padded with zeros to the number of columns that follow the window.
+        If more columns follow the window than it has taps, zeros are appended.
         """
         reach = np.arange(self.side) - self.side // 2
         steps = (reach[:, None] * cols + reach).ravel()[self.order]
@@ -73,17 +73,17 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Places of the columns in a sample that stores four numbers per tap.
+        """Positions of the columns in a sample. A sample stores four numbers per tap of the window.
 
-        First come the taps of each plane. The ratio taps, the constant 1 and the outputs follow, stored in every fourth
-        number.
+        The first three numbers are the taps in the three planes. The fourth numbers store the ratio taps, the constant 1 and
+        the outputs, one after another.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
 
 
 def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
-    """Return the sums of a site before any sample is added."""
+    """Return sums of zero for one site."""
     classes, width = rule.classes_per_site, reading.taps + 1 + reading.outputs
     moments, noise = (np.zeros((classes, each * (each + 1) // 2)) for each in (width, reading.noisy))
     return LayerSums(moments, noise, np.zeros(classes))
@@ -92,14 +92,14 @@ def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
     """Return the grid steps of the moments (level, pair).
 
-    If the rule joins several levels of the first layer, the darkest of them determines the step.
+    If the rule joins several levels of the first layer, the darkest level determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """Raise an L3Error if sums are so large that additions may have been rounded."""
+    """Raise L3Error if sums are so large that additions may have been rounded."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
@@ -110,18 +110,19 @@ def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) 
 def sample_weights(
     seen: Seen, basis: NDArray[np.float64], white: NDArray[np.float64], recipe: LearningRecipe, pictures: bool
 ) -> Floats:
-    """Return the weight of the sample of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
+    """Return the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    Weights are relative to the level and lower where the previous layers make large errors. The error due to noise is
-    averaged over 5 × 5 pixels. If the outputs are not a picture, the error is the mean of the whole mosaic.
+    Weights depend on the brightness, and are lower where the previous layers make large errors. The squared error due to
+    noise is averaged over 5 × 5 pixels. If the outputs are not X, Y, Z, the squared error is averaged over the whole mosaic.
 
     Parameters
     ----------
     seen : Seen
-        Mosaics as the previous layers render them.
+        Mosaics that the previous layers have rendered.
     basis : ndarray, (output, plane)
+        Opponent basis: the outputs that each plane stands for.
     white : ndarray, (output)
-        Perfect white under the training illuminant, Y = 1.
+        Outputs of a perfect white under the training illuminant, with Y = 1.
     recipe : LearningRecipe
     pictures : bool
         Whether the outputs are X, Y, Z.
@@ -149,9 +150,9 @@ def sample_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean squared error of each mosaic (mosaic), relative to `MEAN_ERROR` and above a floor.
+    """Return the mean squared error (mosaic) of each mosaic plus a floor, relative to `MEAN_ERROR`.
 
-    Outputs that are not a picture are evaluated per mosaic, as PSNR is.
+    Outputs other than X, Y, Z are evaluated per mosaic, because PSNR is also computed per image.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -161,51 +162,53 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _Samples(NamedTuple):
-    """Samples of one or more sheets of mosaics, with the planes that they are read from."""
+    """Samples from one or more sheets of mosaics, and the planes that contain their windows."""
 
-    clean: Floats  # (pixel, 4) planes in output units and a zero, because 4 numbers are read as fast as one
-    noise: Floats  # (pixel, 4) change of the planes due to noise, and a zero
-    pixel: Integers  # (sample)
-    site: Integers  # (sample)
-    label: Integers  # (sample) class within its site
+    clean: Floats  # (pixel, 4) planes in output units, then a zero; 4 numbers are read as fast as one
+    noise: Floats  # (pixel, 4) change of the planes due to noise, then a zero
+    pixel: Integers  # (sample) index of the pixel
+    site: Integers  # (sample) CFA site
+    label: Integers  # (sample) class within the site
     weight: Floats  # (sample)
-    behind: Floats  # (sample, column) ratio taps without noise, 1, outputs in the basis of the planes
+    behind: Floats  # (sample, column) ratio taps without noise, the constant 1, outputs in the basis of the planes
     noise_behind: Floats  # (sample, column) change of ratio taps and corrected outputs due to noise
 
 
 class GatheredSamples:
-    """Samples of several mosaics on their way into the sums.
+    """Gathers samples from several mosaics before it adds them to the sums.
 
-    Multiplying many samples of a class costs little more than multiplying few, and one mosaic has few of each class. The
-    grouping of samples determines how float32 products are rounded. So it may depend only on the frames of a block.
+    Multiplying many samples of a class takes little more time than multiplying a few, and one mosaic has few samples of each
+    class. How samples are grouped affects how float32 products are rounded. Therefore the grouping may depend only on the
+    frames in a block.
     """
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
         steps: NDArray[np.float64], noise: bool = True,
     ) -> None:  # fmt: skip
-        """Start without samples.
+        """Begin without samples.
 
         Parameters
         ----------
         sums : mapping of int to LayerSums
-            Sums of the canonical sites, changed in place.
+            Sums for the canonical sites, which are changed in place.
         rule : PlaneRule
         reading : Reading
         basis : ndarray, (output, plane)
+            Opponent basis: the outputs that each plane stands for.
         steps : ndarray, (level, pair)
             Grid steps of the moments.
         noise : bool
-            Whether to sum up the noise, too.
+            Whether to add up the noise, too.
         """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
         self._sheets: list[_Samples] = []
-        self._cols = 0  # columns of the sheets
+        self._cols = 0  # number of columns of the gathered sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Gather the samples of `pixels`, given the class and the weight of every pixel (row, col)."""
-        if seen.label.shape[1] != self._cols:  # frames of another size
+        """Gather the samples at the indices `pixels`. `label` and `weight` (row, col) are given for every pixel."""
+        if seen.label.shape[1] != self._cols:  # the frames have another size
             self.add_up()
             self._cols = seen.label.shape[1]
         planes = seen.light
@@ -225,12 +228,12 @@ class GatheredSamples:
         self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return the ratio taps (pixel, tap) of planes (plane, row, col)."""
+        """Return the ratio taps (pixel, tap) at the indices `pixels` of planes (plane, row, col)."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
-        """Add the gathered samples to the sums, and start again without any."""
+        """Add the gathered samples to the sums, and begin again without samples."""
         if not self._sheets:
             return
         starts = np.cumsum([0, *(len(sheet.clean) for sheet in self._sheets)])
@@ -243,7 +246,7 @@ class GatheredSamples:
             self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
-        """Add the samples with the indices `order`, sorted by class, to the sums of a site."""
+        """Add samples to the sums for a site. `order` contains their indices, sorted by class."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
@@ -261,16 +264,16 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Return planes (plane, row, col) in output units as (pixel, 4). The fourth number is zero."""
+    """Convert planes (plane, row, col) to output units, as (pixel, 4). The fourth number is zero."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted samples (sample, 4 · tap) of windows (sample · tap, 4).
+    """Return weighted samples (sample, 4 · tap) from windows (sample · tap, 4), which are overwritten.
 
-    Every fourth number holds `behind` (sample, column).
+    The fourth numbers store `behind` (sample, column).
     """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
