@@ -18,18 +18,18 @@ The pictures are compared with methods that do not learn:
 
 * *basic* interpolates each channel separately, corrects the white balance and applies a colour matrix.
 * *Malvar* and *Menon* are demosaicing methods for arrays with the layout of a Bayer array.
-* *long*, *short*, *high gain* and *low gain* are *basic*, applied only to the pixels with one exposure or one gain.
+* *long*, *short*, *high gain* and *low gain* are the *basic* pipeline, applied only to the pixels with that exposure or that gain.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
 
 | Original size. Upper row: raw frame, ideal. Lower row: l3, basic. |
 |---|
-| ![{title}: raw and ideal, below them l3 and basic](gallery/{name}.jpg) |
+| ![{title}. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}.jpg) |
 
 | A part of the pictures above, enlarged 4 times |
 |---|
-| ![{title}, enlarged: raw and ideal, below them l3 and basic](gallery/{name}_crop.png) |
+| ![{title}, enlarged. Top: raw and ideal. Bottom: l3 and basic](gallery/{name}_crop.png) |
 """
 
 

@@ -221,8 +221,8 @@ class Optics:
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
     """Raise ValueError if the size, the bit depth or the levels (DN) of a sensor are impossible."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
-        limits = f"above zero, and at most {most_pixels()} pixels and {MAX_BITS} bits"
-        raise ValueError(f"rows {rows}, cols {cols} and bits {bits} must be {limits}")
+        given = f"the sensor has {rows} rows, {cols} columns and {bits} bits"
+        raise ValueError(f"{given}; each must be above zero, with at most {most_pixels()} pixels and {MAX_BITS} bits")
     if not 0 <= black_level < white_level <= 2**bits - 1:
         raise ValueError(f"black level {black_level:g} and white level {white_level:g} do not lie in 0…{2**bits - 1}")
 

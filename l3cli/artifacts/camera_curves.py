@@ -150,7 +150,7 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
     missing = gaps(grid, curves, WIDEST_GAP)
     if grid.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
-        raise InputFileError(f"{table.path} has a gap{where}; give curves at least every {WIDEST_GAP:g} nm")
+        raise InputFileError(f"{table.path} has a gap{where}; sample the curves at least every {WIDEST_GAP:g} nm")
     if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
         raise InputFileError(
             f"{table.path} has {grid[0]:g}…{grid[-1]:g} nm, but responsivity.wavelength_nm asks for "

@@ -35,7 +35,7 @@ class GradientScale:
     def __post_init__(self) -> None:
         check(self)
         if self.gradient_factor.max(initial=0) > FACTORS[1] or self.gradient_shift.max(initial=0) > MAX_SHIFT:
-            raise ValueError(f"gradient_factor exceeds {FACTORS[1]}, or gradient_shift {MAX_SHIFT}")
+            raise ValueError(f"gradient_factor must be at most {FACTORS[1]}, and gradient_shift at most {MAX_SHIFT}")
 
     @staticmethod
     def of(scale: NDArray[np.float64]) -> "GradientScale":
@@ -91,11 +91,11 @@ class PlaneClasses(GradientScale):
     def check_fits(self, sites: int, first: ClassRule) -> None:
         """Raise ValueError unless the rule fits an array with this number of sites, and the rule of the first layer."""
         if len(self.turns) != sites:
-            raise ValueError(f"turns holds {len(self.turns)} sites, the CFA {sites}")
+            raise ValueError(f"turns has {len(self.turns)} sites, but the CFA has {sites}")
         if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
             raise ValueError(
-                f"a refinement layer is for {len(self.gradient_factor)} levels and {self.cases} saturation cases, "
-                f"the first has {first.levels} and {first.lost_cases}"
+                f"a refinement layer has {len(self.gradient_factor)} levels and {self.cases} saturation cases, but the first "
+                f"layer has {first.levels} and {first.lost_cases}"
             )
 
     def level_of(self, first: Any) -> Any:
@@ -145,11 +145,11 @@ class StructureRule(PlaneClasses):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.level_step < 1 or self.cases < 1 or not 0 <= self.coherence <= 64:
-            raise ValueError("level_step and cases must be at least 1, coherence within 0…64")
+            raise ValueError("level_step and cases must be at least 1, and coherence must be between 0 and 64")
         if self.turns.shape[1:] != (2,) or (np.abs(self.turns) != 1).any():
-            raise ValueError("turns must be two signs a site")
+            raise ValueError("turns must contain two signs (+1 or -1) per site")
         if (np.diff(self.strength_edges.astype(np.int64)) <= 0).any():
-            raise ValueError("strength_edges do not increase")
+            raise ValueError("strength_edges must increase")
 
     @property
     def levels(self) -> int:
@@ -191,18 +191,18 @@ class TreeRule(PlaneClasses):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.cases < 1 or self.turns.max(initial=0) >= ORIENTATIONS or self.test.max(initial=0) >= TESTS:
-            raise ValueError(f"cases must be at least 1, turns below {ORIENTATIONS}, tests below {TESTS}")
+            raise ValueError(f"cases must be at least 1, turns must be below {ORIENTATIONS}, and test below {TESTS}")
         size = np.abs(self.threshold[self.threshold != 0])
         if size.size and not SMALLEST <= size.min() <= size.max() <= LARGEST:
-            raise ValueError(f"thresholds must be zero, or of a size within {SMALLEST:g}…{LARGEST:g}")
+            raise ValueError(f"every threshold must be 0 or have an absolute value between {SMALLEST:g} and {LARGEST:g}")
         inner = np.flatnonzero(self.branch)
         every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
         if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
-            raise ValueError("branch is not a tree: every node but the first must be a branch of one before it")
+            raise ValueError("branch is not a tree: every node except the first must be a branch of exactly one earlier node")
         if self.structures > MAX_LEAVES:
-            raise ValueError(f"the tree has {self.structures} leaves, more than {MAX_LEAVES}")
+            raise ValueError(f"the tree has {self.structures} leaves; at most {MAX_LEAVES} are allowed")
         if self.depth > MAX_DEPTH:
-            raise ValueError(f"the tree is {self.depth} tests deep, more than {MAX_DEPTH}")
+            raise ValueError(f"the tree is {self.depth} tests deep; at most {MAX_DEPTH} are allowed")
 
     @property
     def levels(self) -> int:

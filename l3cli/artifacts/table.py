@@ -153,7 +153,7 @@ class TransformTable(Artifact):
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
         lights, noises = (dict.fromkeys(part) for part in zip(*there, strict=True))
         if there != list(itertools.product(lights, noises)):
-            raise ValueError("conditions must list every light in turn, each with the same noises")
+            raise ValueError("conditions must be grouped by light, with the same noise levels for every light")
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
         """Raise ValueError if a layer does not fit the levels, saturation cases and sites of the first layer."""

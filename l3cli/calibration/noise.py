@@ -138,8 +138,8 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
         chosen = [level for level, usable in zip(levels, used[:, channel], strict=True) if usable]
         if len({level.exposure for level in chosen}) < 2:
             raise InputFileError(
-                f"channel {name} has {len({level.exposure for level in chosen})} white exposures below saturation; "
-                "give two or more, shorter ones"
+                f"channel {name} needs at least two white exposures below saturation, but has "
+                f"{len({level.exposure for level in chosen})}; add shorter exposures"
             )
         lines.append(_transfer_line(chosen, mean[used[:, channel], channel], channel))
     gain, error = np.array(lines).T

@@ -146,7 +146,7 @@ class Task:
         if pattern.shape is None:
             given = [self.numbered(rows) for rows in pattern.arrays]
             if wrong := [shown(cfa, self.names) for cfa in given if not self.allowed(np.unique(cfa).tolist())]:
-                raise RecipeError(f"{where}: {listed(wrong)} has {shortage}")
+                raise RecipeError(f"{where}: {listed(wrong)} {'has' if len(wrong) == 1 else 'have'} {shortage}")
             return given
         filters, counts = self.choice(pattern)
         every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []

@@ -420,7 +420,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
             frame.scene, frame.raw, camera.black_level, camera.white_level, dark=camera.dark_signal(frame.dark_time)
         )
     except ValueError as error:
-        raise InputFileError(f"frame {index} of the training set, {error}; make the training set again") from error
+        raise InputFileError(f"frame {index} of the training set: {error}; simulate the training set again") from error
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:

@@ -74,13 +74,13 @@ def edge_sharpness(plane: Array) -> Sharpness:
     slope = np.abs(np.diff(plane, axis=1))
     rows, place = np.arange(len(plane)), np.arange(slope.shape[1]) + 0.5
     if not slope.sum(axis=1).min() > 0:
-        raise EdgeError("no edge crosses every row of the plane")
+        raise EdgeError("no edge crosses every row of the picture")
     line, reach = np.array([0.0, slope.sum(axis=0) @ place / slope.sum()]), np.inf
     for _ in range(4):
         weight = np.where(np.abs(place - np.polyval(line, rows)[:, None]) < reach, slope, 0.0)
         crossed = weight.any(axis=1)
         if crossed.sum() < len(rows) / 2:
-            raise EdgeError("no straight edge crosses the rows of the plane")
+            raise EdgeError("no straight edge crosses the rows of the picture")
         at = (weight[crossed] @ place) / weight[crossed].sum(axis=1)
         line, reach = np.polyfit(rows[crossed], at, 1), SEARCHED
     angle = np.arctan(line[0])
@@ -94,7 +94,8 @@ def edge_sharpness(plane: Array) -> Sharpness:
     count = np.bincount(number, minlength=PROFILE_BINS)
     if not count.min():
         raise EdgeError(
-            f"the plane does not extend {HALF_PROFILE_PIXELS:g} pixels beyond the edge on both sides in every phase"
+            f"the picture must extend at least {HALF_PROFILE_PIXELS:g} pixels to both sides of the edge at every sub-pixel "
+            "position, and it does not"
         )
     profile = np.bincount(number, plane[: len(rows)][inside], PROFILE_BINS) / count
     ends = np.minimum(np.arange(1, PROFILE_BINS), np.arange(1, PROFILE_BINS)[::-1]) / (TAPER * BINS_PER_PIXEL)

@@ -140,10 +140,10 @@ def refuse_one_name(sources: Sequence[Path]) -> None:
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
-            raise RecipeError("stdin is one clip; render it alone")
+            raise RecipeError("stdin cannot be combined with other inputs; render it on its own")
         other = named.setdefault(name_of(source), source)
         if other != source:
-            raise RecipeError(f'{other} and {source} would both become "{name_of(source)}"; render them apart')
+            raise RecipeError(f'{other} and {source} would both become "{name_of(source)}"; render them separately')
 
 
 def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, warn: Callable[[str], None]) -> list[Path]:

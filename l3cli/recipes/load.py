@@ -21,7 +21,9 @@ def parse_recipe(text: str, recipe: type[R], name: str) -> R:
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
     if given and recipe.title in KIND_KEYS and recipe.title not in given:
-        raise RecipeError(f"{name} is {' and '.join(sorted(given))}; give {recipe.title}")
+        kinds = sorted(given)
+        fault = f"is {kinds[0]}" if len(kinds) == 1 else f"contains keys of {' and of '.join(kinds)}"
+        raise RecipeError(f"{name} {fault}; give {recipe.title}")
     found, faults = typed(content, recipe)
     if found is None or faults:
         message, (key, *_) = faults[0]

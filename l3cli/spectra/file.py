@@ -465,7 +465,7 @@ def _text_curves(content: str, path: Path) -> CurveTable:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path}: give at most {MOST_ROWS} wavelengths, within 0…{LONGEST_NM} nm")
+        raise InputFileError(f"{path}: use at most {MOST_ROWS} wavelengths, all between 0 and {LONGEST_NM} nm")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
@@ -551,7 +551,7 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
         raise InputFileError(f"{path}: wavelengths must increase, and every value must be a number within ±{MAX_NUMBER:g}")
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
-        raise InputFileError(f"{path}: give at most {MOST_ROWS} wavelengths, within 0…{LONGEST_NM} nm{column}")
+        raise InputFileError(f"{path}: use at most {MOST_ROWS} wavelengths, all between 0 and {LONGEST_NM} nm{column}")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:

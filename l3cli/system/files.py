@@ -285,7 +285,8 @@ def refuse_protected(output: Path | int) -> None:
         return
     source = _protected[key]
     name, other = "stdout" if isinstance(output, int) else str(output), "stdin" if source == STDIN else str(source)
-    raise RecipeError(f"{name} is an input{'' if name == other else f', {other}'}; name another output")
+    same = "" if name == other else f" (the same file as {other})"
+    raise RecipeError(f"{name} is an input{same}; name another output")
 
 
 def identity(file: Path | int) -> Identity | None:

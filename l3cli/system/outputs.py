@@ -77,7 +77,7 @@ class OutputGuard(contextlib.ExitStack):
         """Refuse an output that would replace an input or another output, and remember it for inputs named later."""
         _refuse_protected(path, globs)
         if any(path.resolve() == other.resolve() for other, _ in self._guarded):
-            raise RecipeError(f"{path} is named for two outputs; name two files")
+            raise RecipeError(f"{path} is given for two outputs; give a different file for each")
         self._guarded.append((path, globs))
 
 

@@ -298,7 +298,7 @@ def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
             if number == 1
             else ""
         )
-        lines.append(f"layer {number}: {layer['classes_per_site']} classes a site of {layer['taps']} taps{how}")
+        lines.append(f"layer {number}: {layer['classes_per_site']} classes per site, {layer['taps']} taps{how}")
     if "table_bytes" in classes:
         size = size_text(classes["table_bytes"])
         lines.append(f"for {classes['camera']}: {classes['sites']} sites; a table of three outputs has up to {size}")

@@ -79,7 +79,7 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     into, clips = tmp_path / "into" / f"{raw.stem}.exr", (raw.parent, "-o", tmp_path / "clips", "--format", "mp4")
     assert "for a single frame" in refused(2, *command[:2], *clips, "--uncertainty", into)
     for output in (into, into.parent):
-        assert "named for two outputs" in refused(2, *command[:3], "-o", output, "--format", "exr", "--uncertainty", into)
+        assert "given for two outputs" in refused(2, *command[:3], "-o", output, "--format", "exr", "--uncertainty", into)
     np.save(tmp_path / "small.npy", l3.read_raw(raw, table).values[:30])
     assert "smaller than 32×32" in refused(2, *command[:2], tmp_path / "small.npy", *command[3:], tmp_path / "u.exr")
     assert not list(tmp_path.glob("p.png"))

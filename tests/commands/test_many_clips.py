@@ -151,7 +151,7 @@ def test_two_clips_of_one_name_or_one_that_is_there_are_refused_before_work(
     shutil.copy(shots / "v.mkv", tmp_path / "other/v.mkv")
     call = ("render", table, shots / "fold", "-o", tmp_path / "out", *FAST)
     assert 'would both become "v"' in refused(2, *call, shots / "v.mkv", tmp_path / "other/v.mkv")
-    assert "stdin is one clip" in refused(2, *call, "-")
+    assert "stdin cannot be combined with other inputs" in refused(2, *call, "-")
     (tmp_path / "out").mkdir()
     (tmp_path / "out/still.png").write_text("mine")
     assert "still.png exists" in refused(1, *call, shots / "still.npy")

@@ -205,7 +205,7 @@ def test_a_wrong_recipe_is_one_line(
         (["400,1", "410,nan", "420,1"], "every value"),
         (["400,1", "410,,", "420,1"], "row of numbers"),
         (["420,1", "410,1", "430,1"], "increase"),
-        ([f"{nm},1" for nm in range(450, 620, 10)], "still shines"),
+        ([f"{nm},1" for nm in range(450, 620, 10)], "still has power"),
         ([f"{nm},{500 - nm}" for nm in range(400, 710, 10)], "negative"),
     ],
 )

@@ -156,7 +156,7 @@ def test_a_tone_curve_of_stills_and_of_video(l3: L3, desk: Path, tmp_path: Path,
 def test_a_tone_curve_is_refused_for_linear_values(desk: Path, tmp_path: Path, file: str, refused: Refused) -> None:
     name, *options = file.split()
     call = ("render", desk / "table.h5", desk / "frame.npy", "--tone", "aces", "-o", tmp_path / name, *options)
-    assert "--tone is not for linear values" in refused(2, *call)
+    assert "--tone applies only to display images" in refused(2, *call)
 
 
 @pytest.mark.parametrize("file", ["a.exr", "a.tif"])
@@ -229,7 +229,7 @@ def test_exr_has_the_chromaticities_of_its_space(l3: L3, desk: Path) -> None:
         ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
         ("x.png", ("--bits", 32), "x.png: .png has 8 or 16 bits per value, not 32; use .tif or .exr"),
         ("x.mp4", ("--bits", 32), "name a .tif or .exr"),
-        ("x.mp4", ("--space", "rec2020"), "videos are sRGB; leave --space out"),
+        ("x.mp4", ("--space", "rec2020"), "videos are always sRGB; leave --space out"),
         ("x.exr", ("--white", "A"), "--space"),
         ("x.png", ("--space", "sRGB"), 'did you mean "srgb"?'),
     ],

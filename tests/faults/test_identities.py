@@ -90,14 +90,14 @@ def test_a_stream_from_a_file_is_not_replaced(desk: Path, output: str) -> None:
     stored = contents(desk)
     code, answer = streamed("render table.h5 - --size 20x28 --force", f"-o {output} < clip.raw")
     assert (code, answer.count("\n")) == (2, 1), answer
-    assert f"{'link.mkv' if output[0] == 'l' else 'out/000003.png'} is an input, stdin;" in answer
+    assert f"{'link.mkv' if output[0] == 'l' else 'out/000003.png'} is an input (the same file as stdin);" in answer
     assert contents(desk) == stored
 
 
 def test_a_stream_is_not_written_behind_what_is_read(desk: Path) -> None:
     stored = contents(desk)
     code, answer = streamed("render table.h5 clip.raw --size 20x28", "-o - >> clip.raw")
-    assert (code, answer) == (2, "l3: stdout is an input, clip.raw; name another output\n")
+    assert (code, answer) == (2, "l3: stdout is an input (the same file as clip.raw); name another output\n")
     assert contents(desk) == stored
 
 

@@ -381,7 +381,7 @@ def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
     with pytest.raises(InputFileError, match="all dark frames have the same exposure"):
         noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
     captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
-    with pytest.raises(InputFileError, match="channel r has 1 white exposures below saturation"):
+    with pytest.raises(InputFileError, match="channel r needs at least two white exposures below saturation, but has 1"):
         noise.photon_transfer([measure_level(capture, body, no_defects()) for capture in captures], body, DARK)
 
 

@@ -185,7 +185,7 @@ def test_lights_of_other_classes_are_refused() -> None:
     for message, fields in (
         ("conditions/1 has 1 layers, the table 2", {"later": ()}),
         ("conditions/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
-        ("conditions must list every light", {"light": warm.light}),
+        ("conditions must be grouped by light", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(table, conditions=(warm, dataclasses.replace(cool, **fields)))

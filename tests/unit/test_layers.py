@@ -64,7 +64,7 @@ def test_trees_come_back_and_have_the_first_layers_levels_and_sites(tmp_path: Pa
         with pytest.raises(ValueError, match="a layer has either a structure rule or a tree"):
             dataclasses.replace(layer, structure=structure, tree=tree)
     longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
-    for fields, why in ((longer, "for 8 levels"), ({"turns": np.zeros(3, np.uint8)}, "weights holds|turns holds 3 sites")):
+    for fields, why in ((longer, "has 8 levels"), ({"turns": np.zeros(3, np.uint8)}, "weights holds|turns has 3 sites")):
         with pytest.raises(ValueError, match=why):
             dataclasses.replace(table, later=(dataclasses.replace(layer, tree=dataclasses.replace(layer.tree, **fields)),))
 
@@ -78,7 +78,7 @@ def test_layers_agree_in_what_they_share() -> None:
     with pytest.raises(ValueError, match="taps"):
         dataclasses.replace(TABLE, later=(dataclasses.replace(one, side=5), two))
     longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
-    with pytest.raises(ValueError, match="for 8 levels"):
+    with pytest.raises(ValueError, match="has 8 levels"):
         dataclasses.replace(
             TABLE, later=(dataclasses.replace(two, structure=dataclasses.replace(structure_of(two), **longer)),)
         )

@@ -260,7 +260,7 @@ def test_a_training_set_that_is_replaced_during_it_is_noticed(bayer: CameraModel
         execution = Execution(pool, remote=False, console=Silent())
         first_pass(run, execution)
         other.rename(training)
-        with pytest.raises(InputFileError, match="replaced while it was trained on"):
+        with pytest.raises(InputFileError, match="was replaced during training"):
             first_pass(run, execution)
 
 

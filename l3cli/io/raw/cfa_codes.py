@@ -32,7 +32,7 @@ LETTERS = "RGBCMYW"  # letters of the codes 0…6 of CFAPattern: red, green, blu
 NAMES = ("red", "green", "blue", "cyan", "magenta", "yellow", "white")
 FREE_CODE = len(LETTERS)  # first code without a colour in TIFF/EP
 LARGEST = 16  # largest number of rows or columns of a pattern in a file
-CURE = "give the table of this camera, or the site of the first pixel with ‹phase› ROW,COL"
+CURE = "give the table of this camera, or the row and column of the first pixel in the table's array with ‹phase› ROW,COL"
 
 
 def code_of(name: str) -> int | None:
@@ -89,8 +89,8 @@ def find_phase(name: str, pattern: NDArray[np.integer], sensor: FilterArray) -> 
         )
     if any((ours[phase] != ours[fitting[0]]).any() for phase in fitting):
         raise InputFileError(
-            f"{name}: its colour filter array {_written(pattern)} fits several sites of the table's; "
-            "give that of the first pixel with ‹phase› ROW,COL"
+            f"{name}: its colour filter array {_written(pattern)} fits the table's array at several positions; "
+            "give the row and column of the first pixel in the table's array with ‹phase› ROW,COL"
         )
     return fitting[0]
 

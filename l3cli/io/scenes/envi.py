@@ -376,14 +376,16 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
     if to_radiance is not None:
         if white is not None and holds == "reflectance":
             raise header.wrong(
-                "reflectance scale factor", "and data gain values both scale the data", "remove one of them, or set holds"
+                "reflectance scale factor",
+                "and data gain values both scale the data",
+                'remove one of them, or set holds = "radiance" in the recipe',
             )
         return *to_radiance, None
     if to_reflectance is not None:
         raise header.wrong(
             "data reflectance gain values",
             f"convert the data to reflectance, not to {holds}",
-            "leave holds out of the recipe",
+            "leave the key `holds` out of the recipe",
         )
     return np.ones(bands), np.zeros(bands), white
 

@@ -186,7 +186,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
     """Return the options of the backend."""
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     if engine and options.backend != "opencl":
-        raise RecipeError(f"‹{next(iter(engine))}› is for the opencl backend; leave it or ‹backend› {options.backend} out")
+        raise RecipeError(f"‹{next(iter(engine))}› applies only to the opencl backend; leave it or ‹backend› {options.backend} out")
     return engine
 
 
@@ -209,23 +209,26 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
     space, exposure = options.space, options.exposure
     if not has_display(destination, options):
         if exposure.factor is not None or exposure.stops or options.white is not None:
-            raise RecipeError("floating-point files contain the unchanged outputs; ‹exposure› and ‹white› require a ‹space›")
+            raise RecipeError("floating-point files contain the unchanged outputs; ‹exposure› and ‹white› also need ‹space›")
         if options.deflicker:
             raise RecipeError(
-                "‹deflicker› changes exposures, but floating-point files contain the unchanged outputs; name a ‹space›"
+                "‹deflicker› changes the exposure, but floating-point files contain the unchanged outputs; choose a ‹space›, "
+                "or leave ‹deflicker› out"
             )
     if options.tone is not None and (destination.linear or destination.raw):
-        raise RecipeError("‹tone› is not for linear values; leave it out, or name a .png")
+        raise RecipeError("‹tone› applies only to display images, and this output is linear; leave it out, or write a .png")
     if space not in (None, "srgb") and not destination.one_by_one:
-        raise RecipeError("videos are sRGB; leave ‹space› out, or name pictures")
+        raise RecipeError("videos are always sRGB; leave ‹space› out, or write pictures")
     if space is not None and destination.raw:
         raise RecipeError("a DNG file has its own colour space; leave ‹space› out")
     if options.remosaic is not None and not destination.raw:
-        raise RecipeError("‹remosaic› is for raw developers; name a .dng")
+        raise RecipeError("‹remosaic› applies only to DNG files; leave it out, or write a .dng")
     if options.resume and destination.kind == "stream":
-        raise RecipeError("‹resume› continues files, but the output is stdout; leave it out, or name a file")
-    if options.uncertainty is not None and (options.uncertainty.suffix.lower() != ".exr" or options.temporal):
-        raise RecipeError("‹uncertainty› is written as .exr, without ‹temporal›; name such a file")
+        raise RecipeError("‹resume› cannot continue an output to stdout; leave it out, or write a file")
+    if options.uncertainty is not None and options.uncertainty.suffix.lower() != ".exr":
+        raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; give a name that ends in .exr")
+    if options.uncertainty is not None and options.temporal:
+        raise RecipeError("‹uncertainty› cannot be computed with ‹temporal›; leave one of them out")
 
 
 # ------------------------------------------------------------------------------------------------------------- inputs
@@ -275,7 +278,7 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     """
     number, shards = shard
     if sequence.count is None:
-        raise RecipeError(f"{sequence.what} does not state its number of frames; name those of all shards with ‹frames›")
+        raise RecipeError(f"{sequence.what} does not state its number of frames; give the frames of all shards together with ‹frames›")
     count = sequence.count - sequence.lost
     if count < shards:
         raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")
@@ -298,16 +301,16 @@ def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
 def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
     """Raise RecipeError or InputFileError if an option does not fit the frames, or if frames are missing."""
     if options.deflicker and sequence.stills and destination.pictures:
-        raise RecipeError(f"‹deflicker› is for sequences; {sequence.what} is not a sequence")
+        raise RecipeError(f"‹deflicker› applies only to sequences, and {sequence.what} is not a sequence; leave it out")
     if options.uncertainty is not None:
         if sequence.count != 1:
-            raise RecipeError("‹uncertainty› is for a single frame; name one, or leave it out")
+            raise RecipeError("‹uncertainty› needs a single frame; give one frame, or leave it out")
         from l3cli.rendering.uncertainty import require_known_noise  # imported here, because few runs need it
 
         require_known_noise(table)
         for each in sequence.frames:
             if options.uncertainty.resolve() == destination.file(each.number, each.stem).resolve():
-                raise RecipeError(f"{options.uncertainty} is named for two outputs; name two files")
+                raise RecipeError(f"{options.uncertainty} is given for two outputs; give a different file for each")
     if options.temporal:
         require_noise(table.camera)
     if sequence.missing and not options.skip_bad:

@@ -27,7 +27,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
     """Return the table with transforms for each condition in the recipe: every combination of light and noise."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
-        execution.console.info(f"transforms for {name}: {len(of_light.patches)} frames")
+        execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
         pass_ = first_pass(of_light, replace(execution, console=Silent()))  # for white and light; its rule is replaced
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
         usual = learn_refinement_layers(of_light, learn_first(of_light, pass_, execution), execution, like=table)
@@ -45,7 +45,7 @@ def _with_noises(
     """Return a trained table with transforms for each other noise in the recipe."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
-        execution.console.info(f"transforms for {noise}")
+        execution.console.info(f"training transforms for {noise}")
         made.append(learn_refinement_layers(run, learn_first(run, each, execution), execution, like=like))
     return with_noises(usual, made, run.recipe.learning.noises)
 
@@ -65,8 +65,8 @@ def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
     named = ", ".join(str(source.path) for source in run.training)
     if run.head.outputs[:3] != XYZ or run.head.target_light is not None:
         raise InputFileError(
-            f"{named}: learning.lights is for targets in X, Y, Z under the light of each frame; leave it out, or "
-            "simulate without [target] illuminant"
+            f"{named}: learning.lights needs XYZ targets that were computed under the illuminant of each frame; leave it "
+            "out, or remove `illuminant` from [target] in the scene recipe and simulate again"
         )
     frames, mireds = _frames_by_light(run, named)
     for light in lights:

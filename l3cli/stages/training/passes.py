@@ -54,7 +54,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     features = "".join(f" × {feature.size} values of {feature.name}" for feature in rule.feature_list)
     classes = f"{rule.levels} levels × {rule.contrasts} contrasts{features} × {kinds}"
-    execution.console.info(f"{len(run.patches)} frames, {classes} a site")
+    execution.console.info(f"{len(run.patches)} frames, {classes} per site")
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, _first_number(run), exposure, light)
 
 

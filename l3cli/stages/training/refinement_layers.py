@@ -90,7 +90,7 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         with threaded(execution.pool.size) as mapped:  # processes of the pool have nothing to do meanwhile
             rule = rules.tree_rule(layer, scale, samples, mapped)
         classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
-    execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} a site")
+    execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} per site")
     return rule
 
 

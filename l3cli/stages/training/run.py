@@ -172,7 +172,7 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
 
 def _require_in_place(source: TrainingSource) -> None:
     if stamp(source.path) != source.stamp:
-        raise InputFileError(f"{source.path} has been replaced while it was trained on; train again")
+        raise InputFileError(f"{source.path} was replaced during training; train again")
 
 
 def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[TrainingPair]:
