@@ -18,7 +18,7 @@ The pictures are compared with methods that do not learn:
 
 * *basic* interpolates each channel separately, corrects the white balance and applies a colour matrix.
 * *Malvar* and *Menon* are demosaicing methods for arrays with the layout of a Bayer array.
-* *long*, *short*, *high gain* and *low gain* are the *basic* pipeline, applied only to the pixels with that exposure or that gain.
+* *long*, *short*, *high gain* and *low gain* are *basic* pipelines that read only the pixels with that exposure or gain.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)

@@ -94,8 +94,8 @@ class PlaneClasses(GradientScale):
             raise ValueError(f"turns has {len(self.turns)} sites, but the CFA has {sites}")
         if (len(self.gradient_factor), self.cases) != (first.levels, first.lost_cases):
             raise ValueError(
-                f"a refinement layer has {len(self.gradient_factor)} levels and {self.cases} saturation cases, but the first "
-                f"layer has {first.levels} and {first.lost_cases}"
+                f"a refinement layer has {len(self.gradient_factor)} levels and {self.cases} saturation cases, but the "
+                f"first layer has {first.levels} and {first.lost_cases}"
             )
 
     def level_of(self, first: Any) -> Any:
@@ -198,7 +198,9 @@ class TreeRule(PlaneClasses):
         inner = np.flatnonzero(self.branch)
         every = np.concatenate([[0], self.branch[inner], self.branch[inner] + 1])
         if (self.branch[inner] <= inner).any() or not np.array_equal(np.sort(every), np.arange(len(self.branch))):
-            raise ValueError("branch is not a tree: every node except the first must be a branch of exactly one earlier node")
+            raise ValueError(
+                "branch is not a tree: every node except the first must be a branch of exactly one earlier node"
+            )
         if self.structures > MAX_LEAVES:
             raise ValueError(f"the tree has {self.structures} leaves; at most {MAX_LEAVES} are allowed")
         if self.depth > MAX_DEPTH:

@@ -431,7 +431,9 @@ def check_measured(curve: Curve, name: str) -> None:
     missing = gaps(wavelength, curve[1], WIDEST_GAP)
     if wavelength.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
-        raise InputFileError(f"{name} has a gap{where}; sample the spectrum at least every {WIDEST_GAP:g} nm where it has power")
+        raise InputFileError(
+            f"{name} has a gap{where}; sample the spectrum at least every {WIDEST_GAP:g} nm where it has power"
+        )
     if power.min() < 0:
         raise InputFileError(
             f"{name} is negative at {wavelength[power.argmin()]:g} nm by more than {NOISE:.0%} of its peak; subtract the "
@@ -439,7 +441,9 @@ def check_measured(curve: Curve, name: str) -> None:
         )
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
         if visible and power[end] > INCOMPLETE_FRACTION * power.max():
-            raise InputFileError(f"{name} ends at {wavelength[end]:g} nm, where the light still has power; measure 400–700 nm")
+            raise InputFileError(
+                f"{name} ends at {wavelength[end]:g} nm, where the light still has power; measure 400–700 nm"
+            )
 
 
 def read_curve(path: Path, role: str) -> Curve:

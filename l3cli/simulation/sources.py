@@ -511,7 +511,9 @@ def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
-        raise ValueError("all of its pixels are marked as missing; give a cube with valid data, or correct the key `ignored`")
+        raise ValueError(
+            "all of its pixels are marked as missing; give a cube with valid data, or correct the key `ignored`"
+        )
     rows, cols = distance_transform_edt(ignored, return_distances=False, return_indices=True)
     reflectance[ignored] = reflectance[rows[ignored], cols[ignored]]
 

@@ -134,7 +134,9 @@ def _existing(lock: Path) -> int | None:
     except FileNotFoundError:
         return None
     except PermissionError as error:
-        raise L3Error(f"{lock} belongs to another user; remove it if that user has no run in progress, or name another output") from error
+        raise L3Error(
+            f"{lock} belongs to another user; remove it if that user has no run in progress, or name another output"
+        ) from error
     except OSError as error:
         raise L3Error(f"{lock} is not a lock file of l3; remove it, or name another output") from error
 

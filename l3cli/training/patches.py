@@ -190,7 +190,9 @@ def sample_pair(
         places.append(place)
         takes.append(place[:, None] + offset[site_map.permutation])
     if not places:
-        raise InputFileError(f"the picture of pair {pair.scene} is too small to contain a patch at each site; give a larger picture")
+        raise InputFileError(
+            f"the picture of pair {pair.scene} is too small to contain a patch at each site; give a larger picture"
+        )
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
     span = np.float32(camera.white_level - camera.black_level)
     signal = (values - np.float32(camera.black_level)) / span

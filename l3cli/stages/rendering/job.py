@@ -186,7 +186,9 @@ def _engine(options: RenderOptions) -> dict[str, str]:
     """Return the options of the backend."""
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     if engine and options.backend != "opencl":
-        raise RecipeError(f"‹{next(iter(engine))}› applies only to the opencl backend; leave it or ‹backend› {options.backend} out")
+        raise RecipeError(
+            f"‹{next(iter(engine))}› applies only to the opencl backend; leave it or ‹backend› {options.backend} out"
+        )
     return engine
 
 
@@ -212,7 +214,7 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
             raise RecipeError("floating-point files contain the unchanged outputs; ‹exposure› and ‹white› also need ‹space›")
         if options.deflicker:
             raise RecipeError(
-                "‹deflicker› changes the exposure, but floating-point files contain the unchanged outputs; choose a ‹space›, "
+                "‹deflicker› changes the exposure, but floating-point files contain the unchanged outputs; choose a ‹space› "
                 "or leave ‹deflicker› out"
             )
     if options.tone is not None and (destination.linear or destination.raw):
@@ -278,7 +280,9 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     """
     number, shards = shard
     if sequence.count is None:
-        raise RecipeError(f"{sequence.what} does not state its number of frames; give the frames of all shards together with ‹frames›")
+        raise RecipeError(
+            f"{sequence.what} does not state its number of frames; give the frames of all shards together with ‹frames›"
+        )
     count = sequence.count - sequence.lost
     if count < shards:
         raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")

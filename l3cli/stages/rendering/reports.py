@@ -99,7 +99,9 @@ def report_times(job: Job, look: Look, tally: Tally) -> None:
         return
     elif sequence.unit is None and not sequence.stills:
         tally.frame_times = LOST
-        console.warn(f"{sequence.what}: the numbers in its file names are not consecutive frame numbers; the video shows {rate}")
+        console.warn(
+            f"{sequence.what}: the numbers in its file names are not consecutive frame numbers; the video shows {rate}"
+        )
     elif pacing.first_gap is None:
         tally.frame_times = EVEN
     else:
