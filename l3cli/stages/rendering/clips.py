@@ -180,7 +180,7 @@ def _refuse_folder(folder: Path, options: RenderOptions) -> None:
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
         raise RecipeError(f"{folder} is for one clip; name a folder, and give the type of its files with ‹format›")
     if options.uncertainty is not None:
-        raise RecipeError("‹uncertainty› is for a single frame; name one, or leave it out")
+        raise RecipeError("‹uncertainty› needs a single frame; give one frame, or leave it out")
     destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
     refuse_unwritable(folder)
 
