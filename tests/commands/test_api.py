@@ -75,7 +75,7 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     table = l3.Renderer(pipeline / "table.h5").table
     command = ("render", pipeline / "table.h5", raw, "-o", tmp_path / "p.png", "--uncertainty")
     assert ".exr" in refused(2, *command, tmp_path / "u.tif")
-    assert "needs a single frame" in refused(2, *command[:3], raw, "-o", tmp_path / "all", "--uncertainty", tmp_path / "u.exr")
+    assert "a single frame" in refused(2, *command[:3], raw, "-o", tmp_path / "all", "--uncertainty", tmp_path / "u.exr")
     into, clips = tmp_path / "into" / f"{raw.stem}.exr", (raw.parent, "-o", tmp_path / "clips", "--format", "mp4")
     assert "needs a single frame" in refused(2, *command[:2], *clips, "--uncertainty", into)
     for output in (into, into.parent):
