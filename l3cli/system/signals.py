@@ -56,7 +56,7 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator: signals wait until this callback of a C library has returned."""
+    """Decorator: signals wait until this function has returned, which calls a C library or is called by one."""
     _callbacks.add(callback.__code__)
     return callback
 

@@ -156,8 +156,8 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: L3, desk: Path) -
     [
         ("x.dng", ("--space", "srgb"), "leave --space out"),
         ("x.dng", ("--bits", 32), "leave --bits out"),
-        ("x.png", ("--remosaic", "bayer"), "name a .dng"),
-        ("x.mp4", ("--remosaic", "bayer"), "name a .dng"),
+        ("x.png", ("--remosaic", "bayer"), "write a .dng"),
+        ("x.mp4", ("--remosaic", "bayer"), "write a .dng"),
         ("x.dng", ("--remosaic", "xtrans"), "bayer"),
     ],
 )

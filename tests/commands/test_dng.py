@@ -82,7 +82,7 @@ REFERENCE = ("--backend", "reference", "--force")
 
 
 def files(made: Path) -> list[Path]:
-    return sorted((made / "d").iterdir())
+    return sorted((made / "d").glob("[!.]*"))
 
 
 def test_one_file_a_frame_rendered_to_the_same_pixels(l3: L3, made: Path, frames: list[np.ndarray]) -> None:

@@ -76,7 +76,7 @@ def test_make_leads_from_recipes_to_a_picture_and_a_report(made: tuple[Path, str
     assert f"{folder}/report.html" in out
     picture, _ = read_image(folder / "picture.png")
     assert picture.shape == (96, 144, 3)
-    assert {path.name.split("_")[-1] for path in (folder / "unseen").iterdir()} == {"raw.tif", "ideal.png"}
+    assert {path.name.split("_")[-1] for path in (folder / "unseen").glob("[!.]*")} == {"raw.tif", "ideal.png"}
 
 
 def test_a_second_make_has_nothing_to_do(workplace: Workplace, folder: Path) -> None:
@@ -279,7 +279,7 @@ def test_make_leaves_no_picture_of_an_earlier_recipe(workplace: Workplace, folde
     (folder / "unseen.toml").write_text(SMALL["unseen"].replace("seed = 5", "seed = 6"))
     _, calls = workplace.do(folder, "make picture.png -o training.h5 -o table.h5 JOBS=1")
     assert calls == ["simulate .unseen.h5", "render picture.png"]
-    assert sorted(path.name for path in (folder / "unseen").iterdir()) == [
+    assert sorted(path.name for path in (folder / "unseen").glob("[!.]*")) == [
         "00000_composition-6-0_ideal.png", "00000_composition-6-0_raw.tif",
     ]  # fmt: skip
     assert not list(folder.glob(".unseen*"))

@@ -83,7 +83,7 @@ def test_what_another_writer_calls_infrared() -> None:
         (RGB, X_TRANS, PATTERN, r"rg/gb, the table gb"),
         (RGB, PATTERN, np.array([[0, 1], [2, 1]]), r"rg/bg"),
         (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table rg/wb"),
-        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several sites.*‹phase›"),
+        (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several positions.*‹phase›"),
         (RGB, PATTERN, np.zeros((17, 2), int), r"17×2"),
     ],
 )

@@ -21,6 +21,7 @@ from l3cli.io.tags import SHOT, shot_entries
 from l3cli.physics.spaces import SRGB
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 from l3cli.system.files import atomic_output, write_whole
+from l3cli.system.signals import held_back_in
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
 # Noise is hardly compressible. The strongest compression takes seven times as long and saves only a tenth of the size.
@@ -125,6 +126,7 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return encoded("picture.jpg", spec, picture)
 
 
+@held_back_in  # interrupted, the libraries print messages of their own
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     """Return the bytes of a file. Raises L3Error if it cannot be encoded.
 
