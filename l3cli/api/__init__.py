@@ -8,7 +8,8 @@
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
 A stage takes paths or artifacts, writes the same bytes as the command of its name, and returns what it wrote. Stages print
-nothing unless you pass a `console` (`l3cli.system.console.Console`).
+nothing. What the command warns about is a Python warning (UserWarning), unless you pass a `console`
+(`l3cli.system.console.Console`), which then receives all messages.
 
 All errors are subclasses of `L3Error`, in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError for an
 unusable file, DeviceError for OpenCL. Messages name a parameter as ‹force›.

@@ -2,7 +2,6 @@
 
 import functools
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -29,6 +28,7 @@ from l3cli.rendering.temporal.chunks import AnyOrder, Chunks, filters
 from l3cli.rendering.uncertainty import Uncertainty, uncertainty
 from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.rendering.white.source import WhiteSource, given_white
+from l3cli.system.console import PythonWarnings, warn_caller
 from l3cli.system.files import sha256
 from l3cli.system.locks import ThreadLock
 from l3cli.system.text import NoSuchNumber, Quantity
@@ -177,12 +177,9 @@ def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
 
 def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
-    name: str = "the array", level: int = 3,
+    name: str = "the array",
 ) -> RawFrame:  # fmt: skip
-    """Return the frame of an array after checking it.
-
-    A warning about values beyond the converter's range points `level` calls up the stack, at the caller's line.
-    """
+    """Return the frame of an array after checking it. Warn if values are beyond the range of the converter."""
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
@@ -190,7 +187,7 @@ def _of_array(
         )
     frame = frame_of(name, {"values": array, **content}, sensor, known)  # type: ignore[typeddict-item]
     if isinstance(sensor, TransformTable) and (text := beyond_converter(frame, sensor)):
-        warnings.warn(f"{frame.name}: {text}", stacklevel=level)
+        warn_caller(f"{frame.name}: {text}")
     return frame
 
 
@@ -288,6 +285,12 @@ class Renderer:
             If an argument does not fit, or if the outputs of the table are neither Y alone nor begin with X, Y, Z.
         InputFileError
             If the frame does not fit the table, or if the white cannot be measured in the frame.
+
+        Warns
+        -----
+        UserWarning
+            If `white` is far from the illuminants of the training, or if a channel of the camera collects more than 1 % of
+            its electrons where the spectrum of this illuminant is not known.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -310,7 +313,7 @@ class Renderer:
         ndarray, (row, col, 3)
             The picture of the next frame.
         """
-        renderer, shown = self._pictures, shown_as(self._pictured, exposure, white, space, bits)
+        renderer, shown = self._pictures, self._shown_as(exposure, white, space, bits)
         for place, each in enumerate(frames):
             frame = self._frame(each)
             if self.table.lights and place == 0:
@@ -348,7 +351,7 @@ class Renderer:
             If `temporal` is set and the table does not contain the noise of its camera.
         """
         how = (exposure, white, space, bits)
-        shown, starting = shown_as(self._pictured, *how), ThreadLock()
+        shown, starting = self._shown_as(*how), ThreadLock()
         temporal_filter = Chunks(filters(self._backend, self.table, **self._chosen)) if temporal else None
 
         def begin(renderer: NoiseRenderer) -> tuple[NoiseRenderer, Rendition, Following]:
@@ -424,6 +427,17 @@ class Renderer:
         with self._alone:
             return self._renderer.labels(self._frame(frame))
 
+    def _shown_as(
+        self, exposure: float | None, white: str | None, space: str, bits: int
+    ) -> tuple[Rendition, WhiteSource | None]:
+        """Return the rendition and the source of the white, and warn about a white as `l3 render` does."""
+        rendition, source = shown_as(self._pictured, exposure, white, space, bits)
+        if white is not None and source is None and (given := given_white(white, self._pictured)) is not None:
+            from l3cli.stages.rendering.job import warn_of_white  # imported here, because few callers name a white
+
+            warn_of_white(white, given, self._pictured, PythonWarnings())
+        return rendition, source
+
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
         """Return the renderer with the transforms for the given white, or for the white measured in the frame."""
         found = source.white(frame) if source else given_white(white, self._pictured)
@@ -443,7 +457,7 @@ class Renderer:
     def _frame(self, given: RawFrame | NDArray[np.uint16]) -> RawFrame:
         if isinstance(given, RawFrame):
             return given
-        return _of_array(given, self.table, RawOverrides(), {}, level=4)
+        return _of_array(given, self.table, RawOverrides(), {})
 
 
 PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)

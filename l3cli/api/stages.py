@@ -24,6 +24,7 @@ from l3cli.options.commands import CalibrateOptions, EvaluateOptions, SimulateOp
 from l3cli.options.option import Declaration, Given, Options, declarations
 from l3cli.options.render import RenderOptions
 from l3cli.recipes.builtin import find_recipe
+from l3cli.system.console import PythonWarnings
 from l3cli.system.text import a
 
 Name = str | PathLike[str]
@@ -239,7 +240,7 @@ class by_keyword(Generic[P, O]):
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
             for name in named.keys() - declared.keys() - {"console"}:
                 raise TypeError(f'{function.__name__} has no option "{name}"; {suggestion(name, declared)}')
-            options = self._options(**named)
+            options = self._options(**{"console": PythonWarnings(), **named})
             with threadpool_limits(1, user_api="blas"):
                 return function(*given, options)
 
@@ -444,7 +445,7 @@ def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOption
     table : str, path or TransformTable
         Table to evaluate.
     frames : str or path
-        Training set (.h5) of the same camera. A warning goes to `console` if the table was trained on it.
+        Training set (.h5) of the same camera. l3 warns if the table was trained on it.
 
     Returns
     -------

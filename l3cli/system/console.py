@@ -2,7 +2,9 @@
 
 import os
 import stat
+import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -44,6 +46,24 @@ class Silent:
 
     def report(self, message: str) -> None:
         pass
+
+
+class PythonWarnings(Silent):
+    """A console that turns warnings and reports into Python warnings, and discards everything else."""
+
+    def warn(self, message: str) -> None:
+        warn_caller(message)
+
+    def report(self, message: str) -> None:
+        warn_caller(message)
+
+
+def warn_caller(message: str) -> None:
+    """Issue a Python warning (UserWarning) that points to the line outside l3 from which l3 was called."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "l3cli":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, stacklevel=level)
 
 
 class Passing:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import l3cli
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_curves import column_faults
 from l3cli.artifacts.camera_recipe import load_camera
@@ -28,6 +30,7 @@ from l3cli.simulation.light import make_target, output_weights
 from l3cli.simulation.sources import Cube, scene_of, source_faults
 from l3cli.spectra.file import read_table
 from l3cli.stages import evaluation
+from l3cli.system.console import Gathering, Silent
 from tests.helpers.calls import L3
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.tables import colorimetric_table
@@ -396,6 +399,37 @@ def test_every_command_that_takes_a_light_says_where_it_is_not_known(
         (warning,) = warnings(*call)
         require_stated(warning, camera, "F2")
     assert warnings(*render, "--white", "A", "--force") == []
+
+
+def test_python_warns_of_lights_as_the_commands_do(tmp_path: Path) -> None:
+    """Stages without a console, and a renderer, which takes the white by name: one warning at the line of the caller."""
+    camera = infrared_camera(tmp_path)
+    table = colorimetric_table(camera)
+    (tmp_path / "scenes.toml").write_text(LIT)
+    save(table, tmp_path / "table.h5")
+    values = np.full((camera.rows, camera.cols), 900, np.uint16)
+    np.save(tmp_path / "raw.npy", values)
+    renderer = l3cli.Renderer(table, backend="reference")
+    files = tmp_path / "table.h5", tmp_path / "raw.npy", tmp_path / "a.png"
+    calls: list[Callable[[], object]] = [
+        lambda: l3cli.simulate(tmp_path / "scenes.toml", tmp_path / "camera.toml", tmp_path / "set.h5"),
+        lambda: l3cli.render(*files, white="F2", backend="reference"),
+        lambda: renderer.picture(values, white="F2"),
+        lambda: list(renderer.pictures([values, values], white="F2")),
+        lambda: renderer.sequence(None, white="F2")(values),
+    ]
+    for call in calls:
+        with pytest.warns(UserWarning, match="F2") as told:
+            call()
+        (warning,) = [each for each in told if "light F2" in str(each.message)]
+        require_stated(str(warning.message), camera, "F2")
+        assert warning.filename == __file__
+    heard = Gathering(Silent(), 9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        l3cli.render(*files, white="F2", backend="reference", force=True, console=heard)
+        renderer.picture(values, white="A")
+    assert any("light F2" in each for each in heard.warnings)
 
 
 def test_files_that_end_where_a_channel_sees_are_said(tmp_path: Path, l3: L3) -> None:

@@ -380,7 +380,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     require_xyz(table.outputs)
     given = given_white(white, table)
     if white is not None and given is not None:
-        _warn_of_white(white, given, table, options.console)
+        warn_of_white(white, given, table, options.console)
     exposure = options.exposure
     rendition = Rendition(
         usual_balance(table) if given is None else given.balance, exposure.factor, options.bits,
@@ -394,7 +394,7 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)
 
 
-def _warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
+def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
     """Warn if a white is far from the training illuminant, or has light at wavelengths where the camera is not known."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
