@@ -1,14 +1,15 @@
-"""Chroma: the colour of a neighbourhood without saturated pixels (docs/method.md#chroma).
+"""Chroma: the colour of a patch in which no pixel near the centre is saturated (docs/method.md#chroma).
 
     chroma = the first k that minimises Σ clamp((S · round(65536 / n) >> 12) − chroma_black_level, 0…65535) · weight[k]
 
-The sum is over the channels. Let f be the channel means above black, divided by their sum, and q a chroma centre. The
-distance |f − q|² is smallest where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is
-needed.
+S is the sum of the values of a channel in the patch, and n the number of its pixels. Σ is the sum over the channels.
 
-A rule may dither between chromas (docs/method.md#dither). Midway between two chroma centres, about half of the CFA sites
-take the other chroma. The nearer the colour is to one of the centres, the fewer sites take the other chroma. Colours then
-change smoothly, because later layers average over the sites.
+Let f be the channel means above black, divided by their sum, and q a chroma centre. The distance |f − q|² is smallest
+where |q|² Σ f − 2 Σ f q is smallest. The weights are therefore |q|² − 2 q, and no division is needed.
+
+A class rule may dither between chromas (docs/method.md#dither). Midway between two chroma centres, about half of the CFA
+sites use the second nearest centre instead of the nearest. The closer the colour is to the nearest centre, the fewer
+sites use the second nearest. Colours then change smoothly, because later layers average over the sites.
 """
 
 import warnings
@@ -24,17 +25,17 @@ from l3cli.classes.statistics import Statistics, truncation
 from l3cli.classes.windows import Integers, Neighbourhoods
 
 CHROMA_FRACTION = 4  # number of fractional bits of a channel mean in the chroma scores
-MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores stay within 32 bits
-STARTS = 4  # number of k-means starts; one start in ten ends at centres that increase S-CIELAB by a tenth
+MAX_CHROMA_INPUT = 2**16 - 1  # channel means are clamped to this value, so that the scores fit into 32 bits
+STARTS = 4  # number of k-means runs; one run in ten finds centres that increase the S-CIELAB error by a tenth
 WIDTH_FRACTION = 8  # number of fractional bits of the dither widths
-DITHERED = 0.6  # dither width relative to the squared distance to the next centre; with 1, the palest paint gets a cast
-TWINS = 2e-3  # smallest squared distance of two centres that are dithered, relative to the mean channel
-TURN = 159  # 256 times the golden section, so that the thresholds of any few consecutive sites are evenly spread
+DITHERED = 0.6  # dither width, relative to the squared distance to the next centre; a width of 1 tints the palest paints
+TWINS = 2e-3  # centres are not dithered if their squared distance, times the squared number of channels, is smaller
+TURN = 159  # 256 times the golden ratio conjugate, so that the dither thresholds of consecutive sites are evenly spread
 SNIPPET = "features/chroma.cl"
 
 
 def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site: int) -> NDArray[np.float64]:
-    """Return the channel means (patch, channel) of patches, as fractions of their sum.
+    """Return the channel means of each patch, divided by their sum.
 
     Parameters
     ----------
@@ -44,6 +45,11 @@ def channel_shares(signal: NDArray[np.float32], neighbours: Neighbourhoods, site
         Windows of the CFA.
     site : int
         CFA site at the centre of the patches.
+
+    Returns
+    -------
+    ndarray, (patch, channel)
+        Fractions, which sum to 1 for each patch.
     """
     member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
     means = signal.astype(np.float64) @ member
@@ -58,13 +64,13 @@ def choose_chromas(
     Parameters
     ----------
     shares : ndarray, (patch, channel)
-        Channel means as fractions of their sum.
+        Channel means of each patch, divided by their sum.
     count : int
         Number of centres.
     seed : int
         Seed of the random starts.
     white : ndarray, (channel,), optional
-        Signals of a white, which becomes the last centre.
+        Channel values of a white. If it is given, its colour becomes the last centre.
 
     Returns
     -------
@@ -86,23 +92,29 @@ def _means(shares: NDArray[np.float64], count: int, seed: int) -> NDArray[np.flo
     if len(distinct) <= count:
         return distinct
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # k-means warns about empty clusters, which are dropped below
+        warnings.simplefilter("ignore", UserWarning)  # k-means warns about empty clusters, which are removed below
         rng = np.random.default_rng([seed, 2])
         tried = [kmeans2(shares, count, iter=30, minit="++", rng=rng) for _ in range(STARTS)]
     centres, member = min(tried, key=lambda each: float(((shares - each[0][each[1]]) ** 2).sum()))
-    return np.asarray(centres[np.unique(member)])  # drops centres that are not nearest to any sample
+    return np.asarray(centres[np.unique(member)])  # without centres that are not nearest to any sample
 
 
 def chroma_weights(centres: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the integer weights (chroma, channel) for which the nearest of `centres` has the lowest score."""
+    """Return integer weights with which the nearest of the chroma centres gets the lowest score.
+
+    Both arrays have the shape (chroma, channel).
+    """
     weights = (centres**2).sum(axis=1, keepdims=True) - 2 * centres
     return np.rint(weights * CHROMA_SCALE).astype(np.int32)
 
 
 def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
-    """Return the chroma centres q (chroma, channel) of a rule, computed from its integer weights |q|² − 2 q.
+    """Return the chroma centres of a class rule, computed from its integer weights |q|² − 2 q.
 
-    Each row has sum 1. If the rule has a single chroma, all channels have equal fractions.
+    Returns
+    -------
+    ndarray, (chroma, channel)
+        Channel means divided by their sum. If the rule has a single chroma, all channels have the same value.
     """
     weights = rule.chroma_weights / CHROMA_SCALE
     if rule.chromas == 1:
@@ -112,12 +124,12 @@ def chroma_centres(rule: ClassRule) -> NDArray[np.float64]:
 
 
 def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the dither width (chroma) of each chroma.
+    """Return the dither width of each chroma.
 
-    No site takes the second-best chroma if its score exceeds the best score by more than the width. The width is DITHERED
-    times the squared distance from the centre to the nearest other centre. Its unit is 1/256 of a score, divided by the sum
-    of the channels. It is 0 for rules without dither, and for pairs of very close centres, between which greys would
-    flicker.
+    A pixel uses the second nearest chroma centre only if its score exceeds the lowest score by less than the dither
+    width. The width is DITHERED times the squared distance from the centre to the nearest other centre, in units of
+    1/256 of a score divided by the sum of the channels. The widths are 0 if the rule does not dither. A width is also 0
+    if the nearest other centre is very close, because greys would flicker between the two.
     """
     centres = chroma_centres(rule)
     distance = ((centres[:, None] - centres[None]) ** 2).sum(axis=2)
@@ -129,14 +141,14 @@ def chroma_widths(rule: ClassRule) -> NDArray[np.int32]:
 
 
 def stored_black_level(camera: CameraModel, shift: int) -> int:
-    """Return the black level for the channel means in the rule, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
+    """Return the black level for the channel means in the class rule, in units of (DN >> shift) / 2^CHROMA_FRACTION."""
     return int(np.rint((camera.black_level - truncation(shift)) / 2**shift * 2**CHROMA_FRACTION))
 
 
 def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the chroma (…) of pixels, including saturated pixels."""
+    """Return the chroma of each pixel. Saturated pixels get a chroma, too, although their class does not depend on it."""
     above_black = np.clip((statistics.scaled >> (16 - CHROMA_FRACTION)) - rule.chroma_black_level, 0, MAX_CHROMA_INPUT)
-    # The scores are below 2⁵³ and therefore exact in float64, for which BLAS is fast.
+    # Scores below 2⁵³ are exact in float64, and BLAS multiplies float64 matrices faster than numpy multiplies integers.
     scores = above_black.astype(np.float64) @ rule.chroma_weights.T.astype(np.float64)
     nearest = np.argmin(scores, axis=-1)
     if not (widths := chroma_widths(rule)).any():
@@ -151,18 +163,17 @@ def chromas(rule: ClassRule, statistics: Statistics) -> Integers:
 
 
 def entry(table: TransformTable, chroma: int) -> dict[str, Any]:
-    """Return the number of a chroma and its centre, as a fraction for each channel, for reports and JSON."""
+    """Describe a chroma for reports and JSON: its number, and the fraction of each channel at its centre."""
     shares = chroma_centres(table.first.rule)[chroma].tolist()
     return {"chroma": chroma, "shares": dict(zip(table.channels, shares, strict=True))}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row, such as "1: r 0.30 g 0.45 b 0.25"."""
+    """Return the label of a chroma in the first column of a table, such as "1: r 0.30 g 0.45 b 0.25"."""
     return f"{entry['chroma']}: " + " ".join(f"{name} {share:.2f}" for name, share in entry["shares"].items())
 
 
 def name(table: TransformTable, chroma: int) -> str:
-    """Return a name such as "chroma 5"."""
     return f"chroma {chroma}"
 
 
@@ -179,9 +190,9 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the array that chroma.cl reads: one row per chroma, and a last row with equal weights.
+    """Return the array that chroma.cl reads. It has one row per chroma and a last row with equal weights.
 
-    Its shape is (chroma + 1, 2 + pair of channels).
+    Each row contains a start value, the dither width, and the weights of all channels, packed in pairs of 16 bits.
     """
     weights = np.concatenate([rule.chroma_weights, np.ones((1, rule.channels), np.int32)])
     pairs = np.zeros((len(weights), (rule.channels + 1) // 2, 2), np.int16)  # weights fit into 16 bits

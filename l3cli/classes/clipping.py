@@ -1,11 +1,12 @@
-"""Smooth rendering of uniform areas where channels begin to clip (docs/method.md#plain-clipped-areas).
+"""Smooth rendering of uniform areas in which channels begin to clip (docs/method.md#plain-clipped-areas).
 
-Classes change abruptly where channels clip. In uniform areas, the outputs are therefore replaced by a smooth function of the
-channel means.
+The class of a pixel changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In
+such areas, a smooth function of the channel means therefore replaces the outputs.
 
-The means are computed in blocks. A block consists of whole periods of the CFA, with sides of at least 4 pixels. Four maps
-are computed for each block: the fraction of the outputs that is replaced, and the three outputs that replace it. The maps
-are interpolated between blocks, with the same value for all pixels of a quad (2 × 2 pixels).
+The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long.
+Each block has four values: the fraction of the outputs that is replaced, and the values that are added to X, Y and Z
+instead. These values are interpolated between the blocks. All pixels of a quad (2 × 2 pixels) get the same interpolated
+values.
 """
 
 from dataclasses import dataclass
@@ -15,58 +16,60 @@ from numpy.typing import NDArray
 
 SMALLEST_BLOCK = 4  # pixels; shortest permitted side of a block
 QUAD = 2  # pixels; side of a quad
-# A channel begins to count as clipped at the first mean, and counts fully at the second (fractions of full scale).
+# The degree to which a channel clips rises from 0 to 1 between these two channel means (fractions of full scale).
 BEGINS, CLIPS = 0.6, 0.985
-# Replacement begins at the first mean of the brightest channel, and is complete at the second (fractions of full scale).
-KEPT, REPLACED = 0.85, 0.975
-# A block is uniform up to the first range of a channel within 3 × 3 blocks, and textured from the second (fractions of full
+# The replaced fraction of the outputs rises from 0 to 1 between these two means of the brightest channel (fractions of full
 # scale).
+KEPT, REPLACED = 0.85, 0.975
+# A block counts as uniform if the values of each channel in 3 × 3 blocks differ by at most PLAIN, and as textured if they
+# differ by TEXTURED or more (fractions of full scale).
 PLAIN, TEXTURED = 0.12, 0.3
-WHITE_FROM = 1.25  # luminance relative to the clipped white; brighter pixels are rendered white
+WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
 MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
-MAPS = 4  # number of maps: the fraction of the outputs that is replaced, and the values added to X, Y and Z
+MAPS = 4  # values per block: the fraction of the outputs that is replaced, and the values added to X, Y and Z
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A mosaic and its levels, as a table expects them."""
+    """A raw mosaic on the scale of the table, with its CFA and its black and white levels."""
 
     values: NDArray[np.uint16]  # (row, col) DN
-    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channels, as seen from the first pixel of the mosaic
+    cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site, beginning with the site of the first pixel
     black_level: float  # DN
-    white_level: float
+    white_level: float  # DN
 
 
 def block_sides(cfa: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the rows and columns of a block, which are whole periods of the CFA."""
+    """Return the height and width of a block in pixels. Both are multiples of the CFA period."""
     rows, cols = (-(-SMALLEST_BLOCK // period) * period for period in cfa.shape)
     return rows, cols
 
 
 def first_bright(black_level: float, white_level: float) -> int:
-    """Return the lowest DN with which a pixel makes its block count as bright."""
+    """Return the lowest raw value, in DN, that makes the block of a pixel count as bright."""
     return int(np.ceil(black_level + BEGINS * (white_level - black_level)))
 
 
 def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
-    """Limit outputs (output, row, col) to the luminance of a white. The first three outputs are X, Y and Z.
+    """Limit the luminance of the outputs to the luminance of the clipped white.
 
-    Where all channels clip, the brightness of a pixel is unknown, and classes estimate it differently. Without a limit,
-    uniform white areas would look grey beside brighter pixels along edges. The colour of a pixel fades to that of the white
-    as its luminance rises from the limit to WHITE_FROM times the limit.
+    If all channels clip, the raw values do not contain the brightness of the pixel, and different classes estimate
+    different values. Without the limit, uniform white areas would look grey next to brighter pixels along edges. As the
+    luminance rises from the limit to WHITE_FROM times the limit, the colour of the pixel fades to the colour of the
+    white.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
-        Rendered outputs, in the table's output unit.
-    clipped_white : ndarray, (3)
+        Rendered outputs, in the table's output unit. The first three outputs are X, Y and Z.
+    clipped_white : ndarray, (3,)
         XYZ of the darkest white that clips every channel (`TransformTable.clipped_white`).
 
     Returns
     -------
     ndarray, (output, row, col)
-        The outputs. Pixels that are not brighter than the white are unchanged.
+        The limited outputs. Pixels that are not brighter than the white are unchanged.
     """
     limit = clipped_white[1]
     luminance = np.maximum(outputs[1], limit)
@@ -76,25 +79,28 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Replace the outputs of uniform areas where channels clip.
+    """Replace the outputs in uniform areas where channels clip.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
         Rendered outputs.
     mosaic : Mosaic
-        The mosaic from which they were rendered.
+        The mosaic from which the outputs were rendered.
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
-        Signals of a white.
+        Channel values of a white.
     """
     share, added = np.split(clipping_maps(mosaic, response, white), [1])
     return np.asarray((1 - share) * outputs + added)
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Return the maps (map, row, col) at every pixel. The parameters are the same as for `replaced`."""
+    """Compute the fraction of the outputs that is replaced, and the values that are added, at every pixel.
+
+    The parameters are described in `replaced`. The result has the shape (map, row, col).
+    """
     means, spread = block_means(mosaic, len(response) - 1)
     maps, shape = block_maps(means, spread, response, white), mosaic.values.shape
     for axis, (length, side) in enumerate(zip(shape, block_sides(mosaic.cfa), strict=True), 1):
@@ -107,21 +113,23 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
 
 
 def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
-    """Return the means and ranges of the channels in the blocks of a mosaic.
+    """Return the mean of each channel in the blocks of a mosaic, and the largest range of a channel.
 
-    The last blocks lie completely within the mosaic and may overlap their neighbours.
+    If the mosaic does not consist of whole blocks, the last blocks overlap their neighbours, so that every block lies
+    within the mosaic.
 
     Returns
     -------
     means : ndarray, (channel, block row, block col)
-        Channel means as fractions of full scale. They are 0 in blocks that contain no bright pixels or lack a channel.
+        Channel means as fractions of full scale. All means of a block are 0 if it contains no bright pixel or lacks a
+        channel.
     spread : ndarray, (block row, block col)
-        Largest range of a channel, as a fraction of full scale.
+        Largest difference between two values of one channel, as a fraction of full scale.
     """
     sides, shape = block_sides(mosaic.cfa), mosaic.values.shape
     values = mosaic.values
     for axis, (length, side) in enumerate(zip(shape, sides, strict=True)):
-        if length > side and (begin := length - side) % side:  # the last block is moved back and its sites are reordered
+        if length > side and (begin := length - side) % side:  # move the last block back, and sort its pixels by CFA site
             index = np.append(np.arange(length // side * side), begin + (np.arange(side) - begin) % side)
             values = values.take(index, axis)
     blocks, count = tuple(-(-length // side) for length, side in zip(shape, sides, strict=True)), np.zeros(channels, int)
@@ -143,8 +151,8 @@ def block_means(mosaic: Mosaic, channels: int) -> tuple[Array, Array]:
 def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, Array, Array]:
     """Return the blocks that may be uniform.
 
-    Textured blocks and dark blocks are left out. Dark blocks have means of 0, so that a bright block beside a dark block
-    differs from it by at least TEXTURED.
+    The result contains neither dark blocks nor textured blocks. A bright block next to a dark block does not count as
+    uniform, because the means of a dark block are 0.
 
     Parameters
     ----------
@@ -156,11 +164,11 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
     Returns
     -------
     numbers : ndarray, (block,)
-        Indices of the blocks, row by row.
+        Indices of the blocks, counted row by row.
     signal : ndarray, (channel, block)
-        Smoothed means.
+        Channel means, smoothed over 3 × 3 blocks.
     plain : ndarray, (block,)
-        1 for uniform blocks, decreasing to 0 for textured blocks.
+        Uniformity of each block, from 1 for a uniform block to 0 for a textured block.
     share : ndarray, (block,)
         Fraction of the outputs that is replaced.
     """
@@ -179,7 +187,9 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Compute the maps (map, block row, block col) from the means and ranges of the blocks."""
+    """Compute the fraction that is replaced, and the added values, for every block. `replaced` and `block_means`
+    describe the parameters. The result has the shape (map, block row, block col).
+    """
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)
     grey = np.minimum(level * white[:, None], 1.0)
@@ -191,10 +201,22 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def grey_level(signal: Array, white: Array) -> Array:
-    """Estimate the brightness (…) of signals (channel, …) as if they were grey. A white has brightness 1.
+    """Estimate the brightness of each signal as if it were grey.
 
-    The result is a weighted mean of the estimates of all channels. The more a channel clips, the lower is its weight. If all
-    channels clip, the result is the largest estimate. `white` (channel) are the signals of a white.
+    The result is a weighted mean of the estimates of all channels. The more a channel clips, the lower is its weight. If
+    all channels clip, the result is the largest estimate.
+
+    Parameters
+    ----------
+    signal : ndarray, (channel, …)
+        Channel means as fractions of full scale.
+    white : ndarray, (channel,)
+        Channel values of a white of brightness 1.
+
+    Returns
+    -------
+    ndarray, (…)
+        Brightness, relative to the white.
     """
     level = np.stack([each / one for each, one in zip(signal, white, strict=True)])
     clipped = smooth_step(signal, BEGINS, CLIPS)
@@ -204,16 +226,26 @@ def grey_level(signal: Array, white: Array) -> Array:
 
 
 def added_terms(signal: Array) -> Array:
-    """Return the terms (clipped, signal, …) from which a response computes a correction of the outputs.
+    """Return the terms of the linear regression that corrects the outputs where channels clip.
 
-    Each channel that can clip has one group of terms: the signals of all channels and 1, multiplied by how far the channel
-    clips. `signal` is (channel, …).
+    Each channel has one group of terms: the means of all channels and the constant 1, multiplied by the degree to which
+    the channel clips.
+
+    Parameters
+    ----------
+    signal : ndarray, (channel, …)
+        Channel means as fractions of full scale.
+
+    Returns
+    -------
+    ndarray, (channel, channel + 1, …)
+        Terms of each clipping channel.
     """
     terms = np.concatenate([signal, np.ones_like(signal[:1])])
     return np.asarray(smooth_step(signal, BEGINS, CLIPS)[:, None] * terms)
 
 
 def smooth_step(values: Array, low: float, high: float) -> Array:
-    """Return 0 up to `low`, 1 from `high` on, and a smooth transition between them."""
+    """Rise smoothly from 0 at `low` to 1 at `high`. The result is constant outside this interval."""
     part = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(part * part * (3 - 2 * part))

@@ -1,7 +1,7 @@
-"""Coarse chroma: the mean chroma of similar pixels over an area much larger than a window (docs/method.md#coarse-chroma).
+"""Coarse chroma: the mean chroma of similar pixels in an area much larger than a window (docs/method.md#coarse-chroma).
 
-The planes are averaged over blocks of 4 × 4 pixels. The blocks are smoothed in four edge-avoiding steps, with spacings of 1,
-2, 4 and 8 blocks. The resulting change in chroma is interpolated between the blocks and added to each pixel.
+The opponent planes are averaged over blocks of 4 × 4 pixels. Four edge-avoiding steps then smooth the blocks, with
+spacings of 1, 2, 4 and 8 blocks. The change in chroma is interpolated between the blocks and added to each pixel.
 """
 
 import numpy as np
@@ -12,41 +12,46 @@ from l3cli.classes.planes import CHROMA, LUMINANCE
 
 BLOCK = 4  # pixels; side of a block
 SPACINGS = (1, 2, 4, 8)  # spacing of each step, in blocks
-REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; pixels at a larger distance have no influence
-ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity in each step, in standard deviations of noise
-POWER = 8  # exponent of (1 − u / POWER), which approximates exp(−u) but reaches zero
+REACH = BLOCK * (sum(SPACINGS) + 2)  # pixels; more distant pixels do not influence the result
+ALIKE = np.array([3.0, 4.0, 5.0, 6.0])  # width of the similarity function in each step, in standard deviations of the noise
+POWER = 8  # exponent of (1 − u / POWER), an approximation of exp(−u) that reaches zero
 STEP_WEIGHTS = np.array([1.0, 2.0, 1.0]) / 4
 Array = NDArray[np.float64]
 
 
 def scales_of(chroma: CoarseChroma, share: float = 1.0) -> Array:
-    """Return the squared differences up to which blocks count as similar.
+    """Return the scales by which the similarity function divides squared differences between blocks.
 
     Parameters
     ----------
     chroma : CoarseChroma
         The coarse chroma of a table.
     share : float
-        Noise variance of the frame, as a fraction of the camera's.
+        Noise variance of the frame, divided by the noise variance of the camera.
 
     Returns
     -------
     ndarray, (step, plane, power of luminance)
-        Coefficients of polynomials in the luminance, in squared steps of a plane.
+        Coefficients of polynomials in the luminance, for planes in their integer units.
     """
     steps = chroma.variance * (share / PLANE_STEP**2) * PLANE_STEP ** np.arange(chroma.variance.shape[-1])
     return steps * (4 * POWER * ALIKE**2)[:, None, None]
 
 
 def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
-    """Return the change (chroma, row, col) that coarse chroma adds to the chroma planes, in steps of a plane.
+    """Return the change that coarse chroma adds to the two chroma planes, in their integer units.
 
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Planes of the previous layer.
+        Opponent planes from the previous layer.
     scales : ndarray
         Result of `scales_of`.
+
+    Returns
+    -------
+    ndarray, (chroma plane, row, col)
+        Change of each chroma plane.
     """
     before = blocks = blocks_of(planes)
     for spacing, scale in zip(SPACINGS, scales, strict=True):
@@ -58,14 +63,24 @@ def coarse_change(planes: NDArray[np.int32], scales: Array) -> Array:
 
 
 def blocks_of(planes: NDArray) -> Array:
-    """Return the block means (plane, row, col) of planes. Incomplete blocks are completed by repeating the last pixels."""
+    """Return the block means of opponent planes. The last pixels are repeated to complete blocks at the border."""
     rows, cols = planes.shape[1:]
     whole = np.pad(planes, ((0, 0), (0, -rows % BLOCK), (0, -cols % BLOCK)), mode="edge")
     return np.asarray(whole.reshape(3, -(-rows // BLOCK), BLOCK, -(-cols // BLOCK), BLOCK).mean(axis=(2, 4)))
 
 
 def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
-    """Average the similar blocks among 3 × 3 blocks with the given spacing, and return the means (plane, row, col)."""
+    """Average each block with the similar blocks among its 3 × 3 neighbours at the given spacing.
+
+    Parameters
+    ----------
+    blocks : ndarray, (plane, row, col)
+        Block means of the planes.
+    spacing : int
+        Distance between neighbours, in blocks.
+    scale : ndarray, (plane, power of luminance)
+        Scales of this step from `scales_of`.
+    """
     _, rows, cols = blocks.shape
     least = _at(scale, blocks[LUMINANCE])
     padded = np.pad(blocks, ((0, 0), (spacing, spacing), (spacing, spacing)))
@@ -82,12 +97,15 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return the block before each pixel along an axis, and the weight of the block after it. Block 0 lies outside."""
+    """Return, for each pixel along an axis, the index of the block before it and the weight of the block after it.
+
+    Index 0 stands for a block outside the frame.
+    """
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK
 
 
 def _at(scale: Array, luminance: Array) -> Array:
-    """Return the scale (plane, row, col) at a luminance (row, col). Negative luminances count as zero."""
+    """Evaluate the scale of each plane at every luminance. Negative luminances count as zero."""
     above = np.maximum(luminance, 0)
     return np.asarray(np.einsum("pn,nrc->prc", scale, np.stack([np.ones_like(above), above, above**2])))

@@ -1,7 +1,7 @@
-"""Contrast: the variation in a neighbourhood, relative to the noise at its level (docs/method.md#contrast).
+"""Contrast: how much the values in a patch vary, relative to the noise at their level (docs/method.md#contrast).
 
-For each channel, let n be the count, S the sum, Q the sum of squares and M = S · round(65536 / n) >> 16 the mean. (M is
-exact in uint32, because v has 12 bits.)
+For each channel, let n be the number of its pixels in the patch, S the sum of their values, Q the sum of the squared
+values and M = S · round(65536 / n) >> 16 the mean. (M is exact in uint32, because values have 12 bits.)
 
     variance    V = min((Q − M (2 S − n M)) · round(512 / n), cap)   cap = (2³² − 1) // channels
     contrast    number of contrast edges (at the pixel's level) that are below Σ V over the channels
@@ -20,20 +20,39 @@ from l3cli.classes.statistics import Statistics
 from l3cli.classes.windows import VARIANCE_FRACTION, Integers
 from l3cli.errors import RecipeError
 
-MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down. It matters where noise is below 1 DN.
+MEAN_TRUNCATED = 1 / 3  # DN²; mean increase of V because M is rounded down, which matters if the noise is below 1 DN
 SNIPPET = "features/contrast.cl"
 
 
 def check_edges(recipe: BasicKeys) -> None:
     """Raise RecipeError unless the contrast edges are positive and increase."""
     if tuple(sorted(set(recipe.contrasts))) != recipe.contrasts or any(edge <= 0 for edge in recipe.contrasts):
-        raise RecipeError("contrasts must be positive and increase")
+        raise RecipeError(f'"contrasts" is {list(recipe.contrasts)}; write positive numbers in increasing order')
 
 
 def stored_edges(
     recipe: BasicKeys, levels: NDArray[np.float64], camera: CameraModel, shift: int, dark: float
 ) -> NDArray[np.uint32]:
-    """Compute the contrast edges (edge, level) of a rule from the camera's noise at `levels` (see `noise_of_grey`)."""
+    """Compute the contrast edges of a class rule from the noise of the camera.
+
+    Parameters
+    ----------
+    recipe : BasicKeys
+        Keys of the class recipe.
+    levels : ndarray, (level,)
+        Signal in the middle of each level, as in `noise_of_grey`.
+    camera : CameraModel
+        The camera.
+    shift : int
+        Number of bits by which values are shifted right before they are added.
+    dark : float
+        Dark signal, in DN, that was subtracted from the frame.
+
+    Returns
+    -------
+    ndarray, (contrast edge, level)
+        Edges of the summed variance of the channels.
+    """
     channels = len(camera.channels)
     variance = noise_of_grey(levels, camera, dark) / 4**shift + (1 / 12 if shift else 0.0) + MEAN_TRUNCATED
     limit = 2.0**32 - 1 - channels
@@ -42,7 +61,7 @@ def stored_edges(
 
 
 def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float) -> NDArray[np.floating]:
-    """Return the noise variance (level) of greys in DN², as the mean over the channels. Clipped channels have no noise.
+    """Return the noise variance of greys in DN², averaged over the channels. Clipped channels count as free of noise.
 
     Parameters
     ----------
@@ -62,7 +81,7 @@ def noise_of_grey(levels: NDArray[np.float64], camera: CameraModel, dark: float)
 
 
 def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integers:
-    """Return the contrast (…) of pixels at `level` (…)."""
+    """Return the contrast of each pixel, given the level of each pixel."""
     if statistics.squares is None:
         return np.zeros(level.shape, np.int64)
     neighbours, site, sums = statistics.neighbours, statistics.site, statistics.sums
@@ -74,17 +93,15 @@ def contrasts(rule: ClassRule, statistics: Statistics, level: Integers) -> Integ
 
 
 def entry(table: TransformTable, contrast: int) -> dict[str, Any]:
-    """Return the entry that describes a contrast in reports and JSON: its number."""
+    """Describe a contrast for reports and JSON. The only entry is its number."""
     return {"contrast": contrast}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row, which is its number."""
     return str(entry["contrast"])
 
 
 def name(table: TransformTable, contrast: int) -> str:
-    """Return a name such as "contrast 0"."""
     return f"contrast {contrast}"
 
 
@@ -94,5 +111,5 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint32]:
-    """Return the edges (contrast edge, level) that contrast.cl reads."""
+    """Return the contrast edges, with the shape (contrast edge, level), which contrast.cl reads."""
     return rule.contrast_edges

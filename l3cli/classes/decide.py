@@ -1,6 +1,6 @@
-"""Decides the class of a pixel from the statistics of its neighbourhood, in integers.
+"""Computes the class of a pixel from the statistics of its patch, in integers.
 
-This is the reference with which every renderer is compared in tests.
+All renderers must assign every pixel to the same class as this reference. The tests compare them.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, neighbourh
 
 
 def labels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the class (…) of every pixel, as an index among the classes of its CFA site."""
+    """Return the class of every pixel, as an index among the classes of its CFA site."""
     levels = level.levels(rule, statistics)
     contrasts = contrast.contrasts(rule, statistics, levels)
     kinds = rule.kind(chroma.chromas(rule, statistics), saturation.cases(rule, statistics.code))
@@ -61,24 +61,50 @@ def label_patches(
     site: int,
     order: TapOrder | None = None,
 ) -> Integers:
-    """Return the class (patch) of each of `patches` (patch, tap), in DN, as an index among the classes of `site`.
+    """Return the class of each patch, as an index among the classes of one CFA site.
 
-    `order` is the `tap_order` of the site, if it was computed before.
+    Parameters
+    ----------
+    patches : ndarray, (patch, tap)
+        Raw values in DN.
+    rule : ClassRule
+        The class rule.
+    neighbours : Neighbourhoods
+        Windows of the CFA.
+    site : int
+        CFA site at the centre of the patches.
+    order : TapOrder, optional
+        Result of `tap_order` for the site. [default: computed]
     """
     order = order or tap_order(rule, neighbours, site)
     return label_sums(patch_statistics(patches.T[order.taps].astype(np.uint32), rule, order), rule, neighbours, site)
 
 
 def label_sums(seen: PatchSums, rule: ClassRule, neighbours: Neighbourhoods, site: int) -> Integers:
-    """Return the class (patch) of each patch, given its sums, as an index among the classes of `site`."""
+    """Return the class of each patch from its sums, as an index among the classes of one CFA site."""
     return labels(rule, _statistics(seen, neighbours, site))
 
 
 def observe_patches(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the statistics (patch, …) that each feature takes from the pilot's patches (patch, tap) of DN, by
-    module.
+    """Collect the statistics of the pilot patches that the additional features need to choose their constants.
+
+    Parameters
+    ----------
+    patches : ndarray, (patch, tap)
+        Raw values in DN.
+    rule : ClassRule
+        The class rule.
+    neighbours : Neighbourhoods
+        Windows of the CFA.
+    site : int
+        CFA site at the centre of the patches.
+
+    Returns
+    -------
+    dict of ndarray, (patch, …)
+        Statistics of each additional feature, by its name.
     """
     if not rule.feature_list:
         return {}

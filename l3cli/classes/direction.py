@@ -1,12 +1,14 @@
-"""Direction: the axis along which a neighbourhood varies most, how strongly, and whether it varies only along this axis.
+"""Direction: the axis along which the values of a patch change most, and the strength and coherence of this change.
 
-The formulas are in docs/method.md#direction. Coherence is used only if the recipe asks for it. Rising and falling brightness
-along an axis count as the same direction, because transforms are linear.
+docs/method.md#direction contains the formulas. A change is coherent if the values hardly change across the axis.
+Coherence is used only if the class recipe sets it. Increasing and decreasing brightness along an axis count as the same
+direction, because transforms are linear.
 
-If a patch is mirrored or rotated, its axis changes (`turned`). Rotation by 90° exchanges axes 0 and 2 as well as 1 and 3.
-Transposition exchanges 0 and 2. Strength and coherence do not change. The boxes are placed symmetrically, so this is exact
-except for ties. Sites that share their training as mirror images therefore exchange classes according to the new direction
-(training/symmetry). Sums are averaged only over orientations that leave every direction unchanged.
+If a patch is mirrored or rotated, its axis changes (`turned`). A rotation by 90° exchanges axis 0 with axis 2 and axis 1
+with axis 3. Transposition exchanges axis 0 with axis 2. Strength and coherence do not change. The boxes are placed
+symmetrically, so these rules are exact unless two axes change equally. Sites that are mirror images of each other are
+trained together, and their classes are exchanged according to these rules (training/symmetry). Sums are averaged only
+over orientations that do not change any direction.
 """
 
 import math
@@ -24,35 +26,39 @@ from l3cli.errors import RecipeError
 from l3cli.recipes.toml import Recipe, Share
 
 SNIPPET = "features/direction.cl"
-SCALE = 64  # value of the larger of the two multipliers m
+SCALE = 64  # the larger of the two multipliers that make differences along the axes comparable
 SHARES = 16  # coherence is stored in units of 1/SHARES
-HEAD = 5  # number of constants before the edges: m of axes 0 and 2, m of axes 1 and 3, orientations, strengths, coherence
+# Number of constants before the strength edges: multiplier of axes 0 and 2, multiplier of axes 1 and 3, number of
+# orientations, number of strengths, coherence.
+HEAD = 5
 
 
 class DirectionKeys(Recipe):
-    """[classes.direction] of a recipe."""
+    """The section [classes.direction] of a class recipe."""
 
     orientations: Literal[4, 8] = 4
-    strengths: tuple[float, ...] = (4.0,)  # edges between strengths: largest difference divided by its noise
-    # An edge is coherent if the difference across the axis is at most this fraction of the difference along it. Default:
-    # coherence is not used.
+    strengths: tuple[float, ...] = (4.0,)  # edges between strengths, as the largest difference divided by its noise
+    # A change is coherent if the difference across the axis is at most this fraction of the difference along the axis. By
+    # default, coherence is not used.
     coherence: Share | None = None
 
 
 def fits(camera: CameraModel, patch: int) -> bool:
-    """Return whether patches are large enough for boxes of one CFA period at different positions."""
+    """Return whether patches are larger than one CFA period, so that boxes of one period fit at different positions."""
     return math.lcm(*camera.cfa.shape) < patch
 
 
 def make_feature(
     keys: DirectionKeys, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
 ) -> Feature:
-    """Return the windows, multipliers and strength edges for a camera, as `features.FeatureModule.make_feature` describes.
+    """Compute the windows, multipliers and strength edges for a camera. See `features.FeatureModule.make_feature`.
 
-    Raises RecipeError if the strengths are not positive and increasing.
+    Raises RecipeError if the strengths are not positive or do not increase.
     """
     if not keys.strengths or tuple(sorted(set(keys.strengths))) != keys.strengths or keys.strengths[0] <= 0:
-        raise RecipeError("classes.direction.strengths must be one or more positive numbers that increase")
+        raise RecipeError(
+            f"classes.direction.strengths is {list(keys.strengths)}; write one or more positive numbers in increasing order"
+        )
     period = math.lcm(*camera.cfa.shape)
     span = rule.patch - period
     inner = inner_span(span)
@@ -67,14 +73,18 @@ def make_feature(
 
 
 def inner_span(span: int) -> int:
-    """Return the distance, in rows and in columns, of two symmetric boxes on a diagonal that are about `span` apart."""
+    """Return the distance between the two boxes of a diagonal, in rows and in columns.
+
+    The distance along the diagonal is then close to `span`, and both boxes are equally far from the centre of the patch.
+    """
     return max(2 - span % 2, span - 2 * round((span - span / math.sqrt(2)) / 2))
 
 
 def boxes(patch: int, period: int, inner: int) -> tuple[Window, ...]:
     """Return the boxes of the four differences.
 
-    If a box cannot be placed exactly in the middle, both neighbouring positions are used.
+    If the middle between two pixels would be the right position for a box, boxes at both neighbouring positions are
+    used.
     """
     span = patch - period
     inner_edge, outer_edge = (span - inner) // 2, (span + inner) // 2
@@ -96,7 +106,10 @@ def _strength_edges(
     rule: ClassRule,
     dark: float,
 ) -> Integers:
-    """Return the strength edges (strength edge, level) of G, as multiples of the RMS value that noise alone causes."""
+    """Return the edges between strengths, with the shape (strength edge, level).
+
+    The edges are multiples of the RMS difference that noise alone causes.
+    """
     counts = np.zeros((4, rule.patch, rule.patch))
     for window in windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -110,7 +123,7 @@ def _strength_edges(
 
 
 def check(feature: Feature, rule: ClassRule) -> None:
-    """Raise ValueError if the stored constants of the feature do not fit its formula."""
+    """Raise ValueError if the stored constants do not fit the formula of the feature."""
     if len(feature.constants) < HEAD or feature.sums != 4:
         raise ValueError(f"{len(feature.constants)} constants and {feature.sums} window sums")
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
@@ -122,12 +135,24 @@ def check(feature: Feature, rule: ClassRule) -> None:
 
 
 def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-    """Return an array without columns, because the edges depend on the camera's noise and not on the pilot."""
+    """Return an array without columns. The edges depend on the noise of the camera and not on the pilot patches."""
     return np.empty((*level.shape, 0))
 
 
 def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-    """Return the direction (…), given the four differences (…, axis) and `level` (…)."""
+    """Return the direction of each pixel.
+
+    Parameters
+    ----------
+    feature : Feature
+        The stored feature.
+    rule : ClassRule
+        The class rule.
+    sums : ndarray, (…, axis)
+        The four differences between boxes.
+    level : ndarray, (…)
+        Level of each pixel.
+    """
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     size = np.abs(sums) * np.array([straight, diagonal, straight, diagonal])
     steepest = size.argmax(axis=-1)
@@ -145,7 +170,7 @@ def values(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -
 
 
 def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-    """Return the feature with strength edges for frames with the given fraction of the noise variance."""
+    """Scale the strength edges for frames in which only the given fraction of the noise variance is left."""
     constants = feature.constants.copy()
     edges = constants[HEAD:] * np.sqrt(np.resize(noise_fraction, constants.size - HEAD))
     constants[HEAD:] = np.minimum(np.rint(edges), 2**31 - 1)
@@ -153,7 +178,7 @@ def with_less_noise(feature: Feature, noise_fraction: float | NDArray[np.float64
 
 
 def turned(feature: Feature, transposed: bool, turns: int) -> Integers:
-    """Return what each direction becomes if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
+    """Return what each direction becomes if rot90(patch.T if transposed else patch, turns) replaces the patch."""
     orientations = int(feature.constants[2])
     quarter = orientations // 2
     orientation = np.arange(orientations)
@@ -182,17 +207,19 @@ def _feature_of(table: TransformTable) -> Feature:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Return the number of a direction and its axis, for reports and JSON. The axis is an angle clockwise from the row."""
+    """Describe a direction for reports and JSON: its number, and its axis as an angle, measured clockwise from the
+    horizontal.
+    """
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row, such as "3: along 90°"."""
+    """Return the label of a direction in the first column of a table, such as "3: along 90°"."""
     return f"{entry['direction']}: {entry['varies']}"
 
 
 def name(table: TransformTable, index: int) -> str:
-    """Return a name such as "flat" or "along 45° strength 2"."""
+    """Return the name of a direction, such as "flat" or "along 45° strength 2"."""
     return _described(_feature_of(table), index)
 
 

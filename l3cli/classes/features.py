@@ -1,11 +1,11 @@
 """The features of a class rule, and the interface of their modules.
 
-Every rule has the basic features level, contrast, saturation and chroma. Training and kernels treat them individually: a
-level borrows from neighbouring levels, chromas have common parents, saturated classes are trained on greys, and a single
-loop compares levels and selects contrast edges. Any number of other features can be added. A recipe activates such a feature
-with a table of its name (`ClassRecipe`).
+Every class rule has the basic features level, contrast, saturation and chroma. Training and the kernels contain special
+code for these four. For example, a level with few patches also uses the patches of neighbouring levels, and saturated
+classes are trained on greys.
 
-An additional feature is implemented by a module with the functions of `FeatureModule`. A table of transforms stores it as a
+A recipe can add any number of other features. To add a feature, the recipe contains a table with the name of the feature
+(`ClassRecipe`). A module with the functions of `FeatureModule` implements the feature. A transform table stores it as a
 `class_rule.Feature`, which the functions receive as `feature`.
 """
 
@@ -26,51 +26,52 @@ from l3cli.errors import InputFileError
 
 
 class DescribedFeature(Protocol):
-    """Common interface of the modules of all features."""
+    """Functions that the modules of all features have."""
 
     SNIPPET: str  # file with the formula, below opencl/
 
     def entry(self, table: TransformTable, index: int) -> dict[str, Any]:
-        """Return a description of the value with number `index`, for reports and JSON."""
+        """Describe one value of the feature for reports and JSON. `index` is the number of the value."""
 
     def heading(self, entry: dict[str, Any]) -> str:
-        """Return a result of `entry` as the first cell of a table row."""
+        """Return the label of a value in the first column of a table. `entry` is a result of the function `entry`."""
 
     def name(self, table: TransformTable, index: int) -> str:
-        """Return the name of the value with number `index`."""
+        """Return the name of one value of the feature. `index` is the number of the value."""
 
 
 class BasicFeatureModule(DescribedFeature, Protocol):
-    """Interface of the modules of level, contrast, saturation and chroma."""
+    """Interface of the modules level, contrast, saturation and chroma."""
 
     def macros(self, rule: ClassRule) -> dict[str, int]:
-        """Return the macros that the snippet is compiled with."""
+        """Return the macros with which the OpenCL snippet of the feature is compiled."""
 
     def kernel_array(self, rule: ClassRule) -> NDArray[Any]:
-        """Return the constants that the snippet reads."""
+        """Return the constants that the OpenCL snippet of the feature reads."""
 
 
 class FeatureModule(DescribedFeature, Protocol):
-    """Interface of the module of an additional feature, which a recipe activates.
+    """Interface of the module of an additional feature, which a class recipe enables.
 
-    The value of the feature depends on integer sums over windows of the patch, on the level, and on constants that are
-    computed when the rule is made. The snippet defines the function
+    The value of the feature depends on integer sums over windows of the patch, on the level, and on constants. The
+    constants are computed when the class rule is made. Window sums are sums of DN >> shift, and their absolute values
+    are below 2²⁰. The OpenCL snippet defines the function
 
         INLINE uints NAME_of(const ints *sum, uints level, __global const int *constants)
 
-    which returns the same as `values`. Window sums are sums of v = DN >> shift. Their absolute values are below 2²⁰.
+    which must return the same results as `values`.
     """
 
     def fits(self, camera: CameraModel, patch: int) -> bool:
-        """Return whether patches with side `patch` are large enough for the feature on a camera's CFA.
+        """Return whether patches of this size are large enough for the feature on the CFA of the camera.
 
-        If they are not, rules are made without the feature.
+        If they are too small, the class rule does not contain the feature. `patch` is the side of the patches in pixels.
         """
 
     def make_feature(
         self, keys: Any, camera: CameraModel, rule: ClassRule, dark: float, observed: NDArray[np.float64] | None
     ) -> Feature:
-        """Return the feature as stored in a table of transforms.
+        """Compute the windows and constants of the feature for a camera.
 
         Parameters
         ----------
@@ -79,11 +80,11 @@ class FeatureModule(DescribedFeature, Protocol):
         camera : CameraModel
             The camera.
         rule : ClassRule
-            The rule without this feature.
+            The class rule without this feature.
         dark : float
-            Dark signal, in DN, that was subtracted from frames.
+            Dark signal, in DN, that was subtracted from the frames.
         observed : ndarray, (patch, …), or None
-            Statistics from the pilot, or None before the pilot.
+            Statistics of the pilot patches, or None if there are no pilot patches yet.
 
         Raises
         ------
@@ -92,58 +93,79 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def check(self, feature: Feature, rule: ClassRule) -> None:
-        """Raise ValueError if the number or range of the stored constants does not suit the formula."""
+        """Raise ValueError if the number or the range of the stored constants does not fit the formula of the feature."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics (patch, …) of the pilot's patches that `make_feature` needs. They may have no columns."""
+        """Return the statistics of the pilot patches that `make_feature` needs, with one row per patch. If the feature
+        needs no statistics, the result has no columns.
+        """
 
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
-        """Return the value (…) of the feature, given window sums (…, sum) and `level` (…)."""
+        """Return the value of the feature for each pixel.
+
+        Parameters
+        ----------
+        feature : Feature
+            The stored feature.
+        rule : ClassRule
+            The class rule.
+        sums : ndarray, (…, sum)
+            Window sums of the feature.
+        level : ndarray, (…)
+            Level of each pixel.
+        """
 
     def with_less_noise(self, feature: Feature, noise_fraction: float | NDArray[np.float64]) -> Feature:
-        """Return the feature for frames in which only the given fraction of the noise variance is left.
+        """Adapt the feature to frames with less noise than the camera.
 
-        `noise_fraction` is one number, or one number for each signal level of the class rule.
+        `noise_fraction` is the remaining fraction of the noise variance. It is a single number or one number per level.
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Return the new value for each value if a patch is replaced by rot90(patch.T if transposed else patch, turns)."""
+        """Return what each value of the feature becomes if rot90(patch.T if transposed else patch, turns) replaces the
+        patch.
+        """
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:
-        """Return the macros that the snippet is compiled with."""
+        """Return the macros with which the OpenCL snippet of the feature is compiled."""
 
 
-# The order in which snippets are joined and arrays are passed to kernels.
+# Snippets are joined, and arrays are passed to kernels, in this order.
 BASIC: tuple[BasicFeatureModule, ...] = (level, contrast, saturation, chroma)
-FEATURES: Mapping[str, FeatureModule] = {  # name of the recipe table that activates a feature → its module
+# The module of each additional feature, by the name of the recipe table that enables the feature.
+FEATURES: Mapping[str, FeatureModule] = {
     "direction": direction,
 }
 
 
 class ClassRecipe(BasicKeys):
-    """Recipe of the classes into which pixels are sorted (configs/classes). A table activates the feature of its name."""
+    """The section [classes] of a class recipe. Each table below it enables the additional feature of the same name."""
 
     direction: DirectionKeys | None = None
 
 
 def module_of(feature: Feature, rule: ClassRule) -> FeatureModule:
-    """Return the module of one of a rule's additional features.
+    """Return the module of an additional feature of a class rule.
 
     Raises
     ------
     InputFileError
-        If this version of l3 does not know the feature, or its constants do not fit.
+        If this version of l3 does not support the feature, or if the stored constants do not fit its formula.
     """
     module = FEATURES.get(feature.name)
     if module is None:
-        raise InputFileError(f'the class rule has the feature "{feature.name}", which this l3 does not know; upgrade l3cli')
+        raise InputFileError(
+            f'the class rule contains the feature "{feature.name}", which this version of l3 does not support; upgrade l3cli'
+        )
     try:
         module.check(feature, rule)
     except ValueError as error:
-        raise InputFileError(f"the class rule's {feature.name} is damaged: {error}; train the table again") from error
+        raise InputFileError(
+            f'the feature "{feature.name}" of the class rule is damaged ({error}); train the table again'
+        ) from error
     return module
 
 
 def features_of(rule: ClassRule) -> tuple[tuple[FeatureModule, Feature], ...]:
-    """Return the additional features of a rule with their modules. Raises InputFileError like `module_of`."""
+    """Return the additional features of a class rule with their modules. Raises InputFileError like `module_of`."""
     return tuple((module_of(feature, rule), feature) for feature in rule.feature_list)

@@ -1,8 +1,8 @@
-"""Level: the brightness of a neighbourhood (docs/method.md#level).
+"""Level: the brightness of a patch (docs/method.md#level).
 
     level = number of level edges ≤ Σ (S · round(65536 / n) >> 8)
 
-The sum is over the channels. n is the count and S the sum of a channel.
+S is the sum of the values of a channel in the patch, and n the number of its pixels. Σ is the sum over the channels.
 """
 
 from typing import Any
@@ -23,23 +23,24 @@ SNIPPET = "features/level.cl"
 
 
 def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the level edges that a recipe asks for.
+    """Return the level edges that a class recipe defines.
 
     Parameters
     ----------
     recipe : BasicKeys
+        Keys of the class recipe.
     reach : float
         Signal of a grey that clips all channels, as a fraction of the full scale of the most sensitive channel.
 
     Returns
     -------
     ndarray, (level edge,)
-        Signals of greys, as fractions of the full scale of the most sensitive channel, increasing.
+        Signals of greys in increasing order, as fractions of the full scale of the most sensitive channel.
 
     Raises
     ------
     RecipeError
-        If the edges do not increase or lie outside of 0…1.
+        If the edges do not increase, or if an edge is not between 0 and 1.
     """
     if recipe.level_edges is not None:
         edges = np.array(recipe.level_edges)
@@ -53,12 +54,14 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the centre of each level as a fraction of full scale, given the level edges `shares` and `reach`."""
+    """Return the signal in the middle of each level as a fraction of full scale. `edge_shares` describes `shares` and
+    `reach`.
+    """
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
 
 def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean over the channels of a grey's signal, each channel clipped at 1 (docs/method.md#exposures).
+    """Return the mean of a grey over the channels if every channel clips at 1 (docs/method.md#exposures).
 
     Parameters
     ----------
@@ -73,10 +76,10 @@ def clipped_mean(share: NDArray[np.floating], sensitivity: NDArray[np.float64]) 
 
 
 def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]) -> NDArray[np.floating]:
-    """Return the mean over the channels that a grey would have without clipping.
+    """Return the mean of a grey over the channels if no channel clipped.
 
-    If the sensitive channels clip, the result follows from the other channels. If all channels are equally sensitive, the
-    result equals `mean`.
+    If the more sensitive channels clip, the result is computed from the other channels. If all channels are equally
+    sensitive, the result equals `mean`.
 
     Parameters
     ----------
@@ -87,15 +90,15 @@ def unclipped_level(mean: NDArray[np.floating], sensitivity: NDArray[np.float64]
     """
     if (sensitivity == 1).all():
         return mean
-    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear between them
+    knots = np.append(0.0, np.unique(1 / sensitivity))  # signals at which a channel clips; the mean is linear in between
     shares = np.interp(mean, clipped_mean(knots, sensitivity), knots)
     return np.where(mean < 0, mean, shares * sensitivity.mean())
 
 
 def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -> NDArray[np.uint32]:
-    """Convert level edges to the integers of a rule.
+    """Convert level edges to the integers that a class rule stores.
 
-    The edges `shares` are signals of a grey in the most sensitive channel, as fractions of full scale.
+    `shares` contains signals of greys in the most sensitive channel, as fractions of full scale.
     """
     span = camera.white_level - camera.black_level
     means = clipped_mean(shares, camera.sensitivity)
@@ -104,44 +107,46 @@ def stored_edges(shares: NDArray[np.float64], camera: CameraModel, shift: int) -
 
 
 def levels(rule: ClassRule, statistics: Statistics) -> Integers:
-    """Return the level (…) of pixels."""
+    """Return the level of each pixel."""
     total = (statistics.scaled >> (16 - LEVEL_FRACTION)).sum(axis=-1)
     return np.searchsorted(rule.level_edges, total, side="right")
 
 
 def level_of_mean(rule: ClassRule, total: float) -> int:
-    """Return the level of a uniform area, given the sum of its channel means in DN. The sum need not be an integer."""
+    """Return the level of a uniform area. `total` is the sum of its channel means in DN, which need not be an integer."""
     return int(np.searchsorted(rule.level_edges, total * 2**LEVEL_FRACTION / 2**rule.shift))
 
 
 def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDArray[np.float64]:
-    """Return the lower bound of each level except the darkest, as a fraction of full scale.
+    """Return the lower bound of every level except the darkest level, as a fraction of full scale.
 
-    The black and white levels are in DN.
+    `black_level` and `white_level` are in DN.
     """
     in_dn = rule.level_edges * 2.0**rule.shift / (2**LEVEL_FRACTION * rule.channels)
     return (in_dn - black_level) / (white_level - black_level)
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
-    """Return the bounds (level + 1) of the levels as fractions of full scale, from 0 to 1."""
+    """Return the bounds of the levels in increasing order, as fractions of full scale. The first bound is 0 and the last
+    is 1.
+    """
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
 
 
 def entry(table: TransformTable, level: int) -> dict[str, Any]:
-    """Return the number and bounds of a level, as fractions of full scale, for reports and JSON."""
+    """Describe a level for reports and JSON: its number, and its bounds as fractions of full scale."""
     lower, upper = bounds(table)[level : level + 2].tolist()
     return {"level": level, "from": lower, "to": upper}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row, such as "3: 0.0020–0.0031"."""
+    """Return the label of a level in the first column of a table, such as "3: 0.0020–0.0031"."""
     return f"{entry['level']}: {entry['from']:.4f}–{entry['to']:.4f}"
 
 
 def name(table: TransformTable, level: int) -> str:
-    """Return a name such as "level 3 (0.002–0.003 of full scale)"."""
+    """Return the name of a level, such as "level 3 (0.002–0.003 of full scale)"."""
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     lower = "0" if level == 0 else f"{inner[level - 1]:.3g}"
     upper = f"{inner[level]:.3g}" if level < len(inner) else "1"
@@ -154,5 +159,7 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return the highest level sum below each level edge, for comparison in kernels. No sum reaches 2³¹."""
+    """Return, for each level edge, the largest channel sum that is still below the edge. Kernels compare sums with these
+    integers, which are limited to 2³¹ − 1 because no sum reaches 2³¹.
+    """
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

@@ -8,7 +8,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes import chroma, contrast, level, saturation, structure
 from l3cli.classes.features import FEATURES, DescribedFeature, features_of
 
-# features by their names in reports and JSON
+# module of each feature, by the name of the feature in reports and JSON
 EVERY_FEATURE: dict[str, DescribedFeature] = {
     "level": level,
     "contrast": contrast,
@@ -19,12 +19,12 @@ EVERY_FEATURE: dict[str, DescribedFeature] = {
 
 
 def heading(feature: str, entry: dict[str, Any]) -> str:
-    """Return the first cell of a table row for an entry of this feature."""
+    """Return the label of a feature value in the first column of a table. `entry` describes the value."""
     return EVERY_FEATURE[feature].heading(entry)
 
 
 def feature_headings(entry: dict[str, Any]) -> list[str]:
-    """Return one phrase per added feature in a class's entry, such as "direction 3: along 90°"."""
+    """Return a phrase such as "direction 3: along 90°" for each additional feature in the description of a class."""
     return [f"{name} {module.heading(entry)}" for name, module in FEATURES.items() if name in entry]
 
 
@@ -38,7 +38,7 @@ def class_name(table: TransformTable, index: int) -> str:
 
 
 def class_words(table: TransformTable, index: int) -> dict[str, str]:
-    """Describe a class of the first layer: the value of each feature in words."""
+    """Describe a class of the first layer in words: the value of each feature, by the name of the feature."""
     rule = table.first.rule
     place = rule.split(index)
     case = int(rule.case(place.kind))
@@ -57,7 +57,7 @@ def class_words(table: TransformTable, index: int) -> dict[str, str]:
 
 
 def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> dict[str, str]:
-    """Describe a class of a refinement layer: the value of each feature in words."""
+    """Describe a class of a refinement layer in words: the value of each feature, by the name of the feature."""
     rule, place = layer.rule, layer.rule.split(index)
     case = int(rule.case(place.kind))
     words = {}
@@ -77,7 +77,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:
-    """Return a number among `count` numbers in words, with a remark for the first and the last."""
+    """Return "2 of 0…9". For the first and the last number, the corresponding one of the words `ends` is added."""
     if count == 1:
         return "not distinguished"
     words = {0: f", the {ends[0]}", count - 1: f", the {ends[1]}"}.get(index, "")
@@ -85,12 +85,12 @@ def _of(index: int, count: int, ends: tuple[str, str]) -> str:
 
 
 def feature_names(table: TransformTable, combination: int) -> list[str]:
-    """Return the name of each feature's value, in order."""
+    """Return the name of the value of each additional feature, given the number of their combination."""
     values = table.first.rule.split_features(combination)
     return [module.name(table, value) for (module, _), value in zip(features_of(table.first.rule), values, strict=True)]
 
 
 def kind_name(table: TransformTable, kind: int) -> str:
-    """Return "chroma K", or "saturated A+B" with the most typical pattern of channels of the saturation case."""
+    """Return the name of a kind, such as "chroma 5" or "saturated r+g"."""
     case = int(table.first.rule.case(kind))
     return saturation.name(table, case) if case else chroma.name(table, kind)

@@ -1,4 +1,4 @@
-"""Class rules in the form that OpenCL kernels need: source files, macros for sizes, and arrays of values."""
+"""Converts class rules to the source files, macros and arrays that the OpenCL kernels need."""
 
 import bisect
 
@@ -12,12 +12,20 @@ from l3cli.classes import contrast, tree
 from l3cli.classes.features import BASIC, features_of
 from l3cli.classes.structure import NOISE_TRACE
 
-PART_LEAVES = 16  # largest number of leaves in a part of a tree; all tests of a part are evaluated at once
-UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold stored for leaves; no value exceeds it
+PART_LEAVES = 16  # largest number of leaves in a subtree whose tests are all evaluated together
+UNREACHABLE_THRESHOLD = np.finfo(np.float32).max  # threshold of leaves, which no value exceeds
 
 
 def rule_snippets(rule: PlaneRule) -> tuple[str, dict[str, str]]:
-    """Return the file with the formula of a rule, and for each variant the file with its kernel `structures`."""
+    """Return the OpenCL files of a refinement layer's class rule.
+
+    Returns
+    -------
+    formula : str
+        File with the formula of the class rule.
+    kernels : dict
+        File with the kernel `structures` for each variant ("processor" and "graphics").
+    """
     if isinstance(rule, StructureRule):
         return "common/structure.cl", {"processor": "cpu/structures.cl", "graphics": "gpu/structures.cl"}
     return "common/tree.cl", {"processor": "cpu/trees.cl", "graphics": "gpu/trees.cl"}
@@ -40,23 +48,23 @@ def rule_macros(rule: PlaneRule) -> dict[str, int]:
 
 
 def rule_constants(rule: PlaneRule, variant: str) -> tuple[NDArray[np.uint32], ...]:
-    """Return the constants of the formula, in the order of the arguments of a variant's kernels."""
+    """Return the constants that the kernels of a variant need, in the order of the kernel arguments."""
     if isinstance(rule, StructureRule):
         return (rule.strength_edges,)
     return (_tests(rule),) if variant == "processor" else (_nodes(rule), rule.leaf.astype(np.uint32))
 
 
 def _tests(rule: TreeRule) -> NDArray[np.uint32]:
-    """Return the tests of a tree, grouped by its parts, in the layout that cpu/trees.cl describes."""
+    """Return the tests of a tree in the layout that cpu/trees.cl describes."""
     first, end = _parts(rule), _leaf_ends(rule).tolist()
     words = -(-len(first) // 32)
     groups: list[list[tuple[int, int, int]]] = [[] for _ in range(words + len(first))]
     leaf, asked = rule.leaf.tolist(), _asked(rule, 8).tolist()
     for node in np.flatnonzero(rule.branch).tolist():
         part, next_leaf = bisect.bisect_right(first, leaf[node]) - 1, leaf[rule.branch[node] + 1]
-        if end[node] <= [*first, rule.structures][part + 1]:  # a test inside a part excludes leaves
+        if end[node] <= [*first, rule.structures][part + 1]:  # the test is inside a part and excludes leaves
             chosen = {words + part: range(leaf[node] - first[part], next_leaf - first[part])}
-        else:  # a test above the parts excludes parts
+        else:  # the test is above the parts and excludes parts
             parts = range(part, bisect.bisect_left(first, next_leaf))
             chosen = {
                 word: range(max(parts.start - 32 * word, 0), min(parts.stop - 32 * word, 32))
@@ -72,7 +80,7 @@ def _tests(rule: TreeRule) -> NDArray[np.uint32]:
 def _parts(rule: TreeRule) -> list[int]:
     """Return the first leaf of each part of a tree, from left to right.
 
-    Parts are the largest branches with at most PART_LEAVES leaves.
+    Parts are the largest subtrees with at most PART_LEAVES leaves.
     """
     leaf, end = rule.leaf, _leaf_ends(rule)
     first, above = [], [0]
@@ -86,15 +94,15 @@ def _parts(rule: TreeRule) -> list[int]:
 
 
 def _leaf_ends(rule: TreeRule) -> NDArray[np.int64]:
-    """Return the number of the leaf that follows the last leaf below each node."""
+    """Return, for each node, the number of the first leaf to the right of its subtree."""
     end = rule.leaf + 1
-    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # in reverse, because branches have higher numbers than nodes
+    for node in np.flatnonzero(rule.branch)[::-1].tolist():  # in reverse, because children have higher numbers than parents
         end[node] = end[rule.branch[node] + 1]
     return end
 
 
 def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
-    """Return the nodes (node, word) of a tree in the layout of trees_by_item.cl."""
+    """Return the nodes of a tree, with two words per node, in the layout that gpu/trees.cl describes."""
     leaf = rule.branch == 0
     threshold = np.where(leaf, UNREACHABLE_THRESHOLD, rule.threshold).astype(np.float32)
     node = np.where(leaf, np.arange(len(leaf)), rule.branch).astype(np.uint32)
@@ -102,21 +110,24 @@ def _nodes(rule: TreeRule) -> NDArray[np.uint32]:
 
 
 def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
-    """Return the numerator (node) of each test, with its denominator stored from bit `place` on."""
+    """Return the numerator of each node's test. The index of the denominator is stored from bit `place` on."""
     denominator = np.array([test.denominator for test in tree.EVERY], np.uint32)
     return np.asarray(rule.test | denominator[rule.test] << np.uint32(place), np.uint32)
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the files below opencl/ with the formulas of a rule's features. `joined` and rule.cl follow them."""
+    """Return the OpenCL files with the formulas of a class rule's features. The source files include them before
+    rule.cl.
+    """
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
 
 def joined(rule: ClassRule) -> str:
-    """Return OpenCL source that combines the features that a recipe adds, for rule.cl.
+    """Return OpenCL source that combines the values of the additional features. rule.cl includes this source.
 
-    It defines COMBINATIONS, the number of combinations of values; WINDOW_SUMS, the number of sums; EACH_WINDOW, which lists
-    the windows; and the function `combination_of`. If all windows have the same size, BOX_ROWS and BOX_COLUMNS give it.
+    The source defines the number of combinations (COMBINATIONS), the number of window sums (WINDOW_SUMS), the list of
+    windows (EACH_WINDOW) and the function `combination_of`. If all windows have the same size, BOX_ROWS and BOX_COLUMNS
+    are defined, too.
     """
     windows = [f"add({w.sum}, {w.top}, {w.left}, {w.rows}, {w.columns}, {'+' if w.sign > 0 else '-'})" for w in rule.windows]
     lines = [f"#define COMBINATIONS {rule.combinations}", f"#define WINDOW_SUMS {max(1, rule.window_sums)}"]
@@ -129,9 +140,10 @@ def joined(rule: ClassRule) -> str:
 
 
 def combination_function(rule: ClassRule) -> str:
-    """Return the OpenCL function `combination_of`, which calls the functions of the features' snippets.
+    """Return the source of the OpenCL function `combination_of`, which calls the functions in the snippets of the
+    features.
 
-    Values beyond the end of a feature are replaced by its last value.
+    If the value of a feature is too large, the last value of the feature is used.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",
@@ -149,17 +161,17 @@ def combination_function(rule: ClassRule) -> str:
 
 
 def kernel_macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros for the snippets of the features and for rule.cl."""
+    """Return the macros for rule.cl and for the snippets of the features."""
     basic = {key: value for module in BASIC for key, value in module.macros(rule).items()}
     added = {key: value for module, feature in features_of(rule) for key, value in module.macros(feature, rule).items()}
     return basic | added | {"KINDS": rule.kinds}
 
 
 def kernel_arrays(rule: ClassRule, *others: ClassRule) -> tuple[NDArray, ...]:
-    """Return the constants of the features, in the order of the arguments of the kernels.
+    """Return the constants of the features, in the order of the kernel arguments.
 
-    `others` are rules that differ only in what depends on noise: contrast edges and constants of features. Their values
-    follow those of `rule`.
+    `others` are class rules that differ only in constants that depend on the noise. These are the contrast edges and the
+    constants of the additional features. They follow the constants of `rule`.
     """
     basic = [
         np.concatenate([contrast.kernel_array(each) for each in (rule, *others)])

@@ -1,7 +1,9 @@
-"""Layers in fixed-point arithmetic. Their planes are integers, which are equal on every device (docs/method.md#planes).
+"""Layers in fixed-point arithmetic. Their output planes are integers and are the same on every device
+(docs/method.md#planes).
 
-The weights of each channel are rounded so that their sum equals the rounded sum. Otherwise, rounding would tint uniform
-areas differently at every site. Weights fit into 16 bits, which processors multiply twice as fast as floats.
+The weights of each channel are rounded so that their sum is rounded to the nearest integer. If each weight were rounded
+on its own, uniform areas would be tinted differently at every CFA site. Weights fit into 16 bits, because processors
+multiply 16-bit integers twice as fast as floats.
 """
 
 import functools
@@ -19,26 +21,27 @@ from l3cli.errors import InputFileError
 
 MAX_FRACTION = 16
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 2, 2.0**31 - 2**MAX_FRACTION  # limits before rounding, which adds less than 1 to a weight
-COARSE, COARSE_TOP = 5, 2**15 - 1  # intermediate layers drop this number of bits, and clamp planes to this absolute value
-CLASSES_AT_ONCE = 256  # number of classes converted at once, so that they fit into the processor cache
+# Intermediate layers read planes from which COARSE bits have been dropped and which are clamped to ±COARSE_TOP.
+COARSE, COARSE_TOP = 5, 2**15 - 1
+CLASSES_AT_ONCE = 256  # number of classes that are converted together, so that they fit into the processor cache
 LUMINANCE, CHROMA = 1, [0, 2]  # index of the luminance plane Y, and indices of the chroma planes
 
 
 @dataclass(frozen=True)
 class FixedPoint:
-    """The transforms of a layer to planes, as integers."""
+    """The transforms from the input of a layer to its output planes, as integers."""
 
     weights: NDArray[np.int16]  # (class, plane, tap) W
     intercept: NDArray[np.int64]  # (class, plane) B
     fraction: NDArray[np.int32]  # (class) number F of fractional bits
 
     def planes(self, sums: Integers, label: Integers) -> NDArray[np.int32]:
-        """Return the planes (plane, …) of pixels.
+        """Return the output planes of pixels.
 
         Parameters
         ----------
         sums : ndarray, (plane, …)
-            Σ W · DN + B. In refinement layers, coarse planes take the place of DN.
+            Σ W · DN + B. Refinement layers use coarse planes instead of raw values.
         label : ndarray, (…)
             Class of each pixel.
         """
@@ -48,14 +51,17 @@ class FixedPoint:
 
 
 def opponent_basis(white_point: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the basis (output, plane) that converts X, Y, Z to planes X − aY, Y, Z − bY: planes = outputs @ basis."""
+    """Return the matrix that converts X, Y, Z to the opponent planes X − aY, Y, Z − bY, which are (0, Y, 0) for greys.
+
+    The matrix has the shape (output, plane): planes = outputs @ matrix.
+    """
     basis = np.eye(3)
     basis[LUMINANCE, 0], basis[LUMINANCE, 2] = -white_point[0] / white_point[1], -white_point[2] / white_point[1]
     return basis
 
 
 def planes_basis(table: TransformTable) -> NDArray[np.float64]:
-    """Return the basis (output, plane) with which the outputs of a table's first layer become planes."""
+    """Return the matrix, with the shape (output, plane), that converts the outputs of a table's first layer to planes."""
     return opponent_basis(table.white_point) if table.components is None else table.components.basis
 
 
@@ -68,13 +74,15 @@ def fixed_point(table: TransformTable) -> FixedPoint:
 
 
 def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedPoint:
-    """Convert a refinement layer that is not the last to integers. Raises InputFileError if its transforms are too large."""
+    """Convert an intermediate refinement layer to integers. Raises InputFileError if its transforms are too large."""
     plane = np.repeat(np.arange(len(basis)), layer.side**2)
     return _fixed_point(layer.weights, layer.intercept, basis, BETWEEN, [(slice(0, len(layer.weights)), plane)])
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the planes with fewer bits and clamped, which is the input of all layers between the first and the last."""
+    """Reduce the number of bits of planes and clamp them. All layers between the first and the last layer read such
+    planes.
+    """
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
 
@@ -85,15 +93,15 @@ def raw_middle(bits: int) -> int:
 
 @dataclass(frozen=True)
 class _Read:
-    """The number format of the input of a layer."""
+    """The number format of the values that a layer reads."""
 
-    step: float  # input value for which weights are defined
-    zero: float  # input value without signal
+    step: float  # input at a signal of 1, multiplied by PLANE_STEP
+    zero: float  # input without signal
     largest: float  # largest absolute value that kernels read
-    farthest: float  # absolute value of `zero` as read by kernels
+    farthest: float  # absolute value that kernels read where there is no signal
 
 
-BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes as input of intermediate layers
+BETWEEN = _Read(step=2.0**-COARSE, zero=0.0, largest=COARSE_TOP, farthest=0.0)  # planes that intermediate layers read
 
 
 def _raw(bits: int, black_level: float, white_level: float) -> _Read:
@@ -109,7 +117,8 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the largest factor (class) on the transforms with which their planes still fit into integers.
+    """Return the largest factor by which the transforms of each class could be multiplied without overflow of their
+    integers.
 
     If the factor is below 1, the transforms are too large.
 
@@ -123,13 +132,20 @@ def room_for(
         Bits of the raw values.
     black_level, white_level : float
         Levels of the raw values in DN.
+
+    Returns
+    -------
+    ndarray, (class,)
+        Largest factor of each class.
     """
     read = _raw(bits, black_level, white_level)
     return _room(weights.transpose(2, 1, 0) / read.step, intercept.T / PLANE_STEP, read)
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the same factor (class) as `room_for`, for a refinement layer that is not the last."""
+    """Return the largest factor by which the transforms of an intermediate refinement layer could be multiplied without
+    overflow of their integers, for each class. `room_for` describes the parameters.
+    """
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -137,10 +153,7 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Convert transforms, which are weights (class, output, tap) and intercepts (class, output), to integers.
-
-    Each of `layouts` is a range of classes with the channels of their taps.
-    """
+    """Convert transforms to integers. `layouts` contains ranges of classes, with the channel of each of their taps."""
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
     made = FixedPoint(
@@ -152,7 +165,7 @@ def _fixed_point(
         distinct, like = _distinct(weights[classes], intercept[classes])
         for start in range(0, len(distinct), CLASSES_AT_ONCE):
             block = distinct[start : start + CLASSES_AT_ONCE] + classes.start
-            # Classes are the last axis, because numpy sums over the first axis several times faster.
+            # Classes are the last axis, because numpy sums over the first axis several times faster than over the last.
             exact = np.moveaxis(_to_planes(weights[block].transpose(1, 2, 0)[:, order], basis), 0, 1) / read.step
             fraction = _fraction(_room(exact, offset[:, block], read))
             scale = 2.0**fraction
@@ -167,10 +180,17 @@ def _fixed_point(
 
 
 def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Group classes with equal transforms. Return the first class of each group, and the index of the group of each class.
+    """Group classes with equal transforms, which then need to be converted only once.
 
-    Classes without patches of their own have the transform of a neighbour. With many channels, these are half of all
-    classes.
+    Classes without training patches use the transform of a neighbouring class. With many channels, half of all classes
+    do so.
+
+    Returns
+    -------
+    first : ndarray, (group,)
+        First class of each group.
+    like : ndarray, (class,)
+        Group of each class.
     """
     rows = np.concatenate([weights.reshape(len(weights), -1), intercept], axis=1)
     _, first, like = np.unique(
@@ -180,27 +200,32 @@ def _distinct(weights: NDArray[np.float32], intercept: NDArray[np.float32]) -> t
 
 
 def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read) -> NDArray[np.float64]:
-    """Return the largest factor (class) on weights (tap, plane, class) and offsets (plane, class) that fits."""
+    """Return, for each class, the largest factor by which weights and offsets could be multiplied without overflow.
+
+    Weights have the shape (tap, plane, class), and offsets have the shape (plane, class).
+    """
     size = np.abs(weights)
     offset = np.abs(offset) + read.farthest * np.abs(weights.sum(axis=0))
     sums = (size.sum(axis=0) * read.largest + offset).max(axis=0)
-    rounding = 2 * len(weights) * read.largest  # largest change of sum and offset due to rounding
+    rounding = 2 * len(weights) * read.largest  # largest error of the sum and the offset due to rounding
     return np.minimum(MAX_WEIGHT / (size.max(axis=(0, 1)) + 1e-30), (MAX_SUM - rounding) / (sums + 1e-30))
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the number of fractional bits F (class) of transforms that could be larger by the factor `room` (class)."""
+    """Return the number of fractional bits for each class, if its transforms could be multiplied by `room` without
+    overflow.
+    """
     fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
-        raise InputFileError("transforms of a layer are too large for the next; train the table again")
+        raise InputFileError("the transforms of a layer do not fit into fixed-point numbers; train the table again")
     return fraction.astype(np.int32)
 
 
 def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float64]:
-    """Round weights (tap, …) up or down, so that the sum over each channel is rounded to the nearest integer.
+    """Round weights up or down so that the sum over the taps of each channel is rounded to the nearest integer.
 
-    The taps of a channel lie between two of the `ends`. The weights with the largest fractional parts are rounded up. If
-    fractional parts are equal, the first weights are rounded up.
+    The weights with the largest fractional parts are rounded up. If fractional parts are equal, the weights that come
+    first are rounded up. `ends` contains the index at which the taps of each channel end.
     """
     whole = np.floor(weights)
     loss = whole - weights
@@ -221,7 +246,9 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert (output, …) to (plane, …). Products are added one by one, so that every machine rounds in the same way."""
+    """Convert outputs to planes along the first axis. The products are added in a fixed order, so that every machine
+    gets the same rounding errors.
+    """
     exact = values.astype(np.float64)
 
     def plane(column: NDArray[np.float64]) -> NDArray[np.float64]:

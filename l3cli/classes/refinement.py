@@ -1,4 +1,7 @@
-"""Classes of a refinement layer in whole frames, computed from planes and first-layer classes (docs/method.md#structure)."""
+"""Classes of refinement layers, computed for whole frames from the planes and the first layer's classes.
+
+docs/method.md#structure contains the formulas.
+"""
 
 import functools
 from dataclasses import replace
@@ -16,8 +19,8 @@ from l3cli.classes.structure import BORDER_PIXELS, structures
 from l3cli.classes.windows import Integers
 from l3cli.frames.frame import mirrored_indices
 
-RATIO_DARKEST = 2**9  # steps of a plane; lowest mean luminance in the denominator of a ratio
-ROWS_AT_ONCE = 64  # number of rows processed at once, few enough to stay in the processor cache
+RATIO_DARKEST = 2**9  # smallest mean luminance by which chroma is divided, in integer units of a plane
+ROWS_AT_ONCE = 64  # number of rows that are processed together, so that their values fit into the processor cache
 
 
 def label_planes(
@@ -28,7 +31,7 @@ def label_planes(
     Parameters
     ----------
     planes : ndarray, (plane, row, col)
-        Planes that the first layer has rendered.
+        Planes that the previous layer has rendered.
     first : ndarray, (row, col)
         Classes of the first layer.
     rule : PlaneRule
@@ -36,8 +39,8 @@ def label_planes(
     first_rule : ClassRule
         Class rule of the first layer.
     *others : PlaneRule
-        Rules of additional sets of transforms, which differ only in the scale of gradients. The sets are numbered
-        consecutively, as if each had its own sites.
+        Class rules of additional sets of transforms, which differ only in the scale of the gradients. The classes of all
+        sets are numbered consecutively, as if each set had its own CFA sites.
 
     Returns
     -------
@@ -51,14 +54,16 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return a rule that combines the sites and the scales of gradients of all sets of transforms."""
+    """Return a class rule that contains the orientations of the sites and the scales of gradients of all sets of
+    transforms.
+    """
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)
 
 
 def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule: PlaneRule) -> Integers:
-    """Return the structure or the leaf (row, col) of pixels, as if nothing were saturated."""
+    """Return the structure or the leaf of each pixel. Saturation is not considered."""
     if isinstance(rule, StructureRule):
         luminance = mirrored(planes[LUMINANCE].astype(np.int32), BORDER_PIXELS)
         return structures(luminance, mirrored(level, BORDER_PIXELS - 1), site, rule)
@@ -68,7 +73,7 @@ def _structure(planes: NDArray[np.int32], level: Integers, site: Integers, rule:
 def plane_evidence(
     planes: NDArray[np.int32], level: Integers, factor: NDArray[np.uint8], shift: NDArray[np.uint8]
 ) -> tree.Evidence:
-    """Return the quantities that are compared in the tests of a tree.
+    """Return the numerators and denominators of all tests of a tree at every pixel.
 
     Parameters
     ----------
@@ -77,7 +82,7 @@ def plane_evidence(
     level : ndarray, (row, col)
         Levels in the first layer.
     factor, shift : ndarray, (level,)
-        Scale of gradients.
+        Gradients are multiplied by `factor` and shifted right by `shift`.
     """
     place = mirrored(level, tree.BORDER_PIXELS - 1)
     return tree.evidence(
@@ -86,15 +91,16 @@ def plane_evidence(
 
 
 def mirrored(planes: NDArray, margin: int) -> NDArray:
-    """Return planes (…, row, col) with a margin of `margin` pixels, mirrored about the outermost pixels."""
+    """Add a margin of mirrored pixels to the last two axes of an array. The outermost pixels are not repeated."""
     rows, cols = (mirrored_indices(length, margin, 1) for length in planes.shape[-2:])
     return planes[..., rows[:, None], cols]
 
 
 def window_means(planes: NDArray, side: int) -> NDArray:
-    """Return the means (…, row, col) over side × side windows of planes that have a margin of side // 2 pixels.
+    """Return the means over side × side windows of planes that have a margin of side // 2 pixels.
 
-    Whole planes are added, first along rows and then along columns, which takes a tenth of the time of a strided view.
+    Shifted copies of the planes are added, first along rows and then along columns. This takes a tenth of the time of a
+    sum over a strided view.
     """
     rows, cols = (length - side + 1 for length in planes.shape[-2:])
     across = functools.reduce(np.add, [planes[..., first : first + cols] for first in range(side)])
@@ -102,11 +108,12 @@ def window_means(planes: NDArray, side: int) -> NDArray:
 
 
 def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> NDArray[np.uint64]:
-    """Return a 64-bit word for each class (class) of the first layer, in the layout of opencl/common/gradient.cl.
+    """Return a 64-bit word for each class of the first layer, in the layout of opencl/common/gradient.cl.
 
-    The lower half contains the factor of gradients, the shift (from bit 8) and the orientation of the site (from bit 14).
-    The upper half contains the first class of the site and level. If saturation decides the class, the upper half contains
-    this class, and bit 31 is set. `others` is the same as in `label_planes`.
+    The lower half contains the factor of the gradients, their shift (from bit 8) and the orientation of the site (from
+    bit 14). The upper half contains the first class of the site and level in the refinement layer. If the class depends
+    on saturation, the upper half contains that class instead, and its highest bit is set. `label_planes` describes
+    `others`.
     """
     every = _of_all_sets(rule, others)
     place = first.split(np.arange(len(every.turns) * first.classes_per_site))
@@ -125,12 +132,15 @@ def first_label_words(rule: PlaneRule, first: ClassRule, *others: PlaneRule) -> 
 
 
 def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
-    """Return the deviation of chroma (chroma, row, col) that brightness alone would cause, in steps of a plane.
+    """Return the deviation of the chroma of a pixel from its surroundings that a change of brightness alone would cause.
 
-    This is the difference between the chroma planes of a pixel and their means over a side × side window if the whole window
-    had the same colour:
+    If a side × side window shows a surface of one colour, the chroma planes are proportional to the luminance Y. A
+    chroma plane C of the pixel then differs from its mean in the window by
 
         C̄ · ρ        ρ = clamp((Y − Ȳ) / max(Ȳ, RATIO_DARKEST), ±1)
+
+    where a bar denotes a mean over the window. The result has the shape (chroma plane, row, col) and is in the units of
+    `planes`.
     """
     exact = planes.astype(np.float64)
     first, luminance, second = window_means(mirrored(exact, side // 2), side)
@@ -139,12 +149,15 @@ def shaded_chroma(planes: NDArray, side: int) -> NDArray[np.float64]:
 
 
 def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
-    """Return the difference between the chroma of similar pixels and the chroma of a pixel, in steps of a plane.
+    """Return the mean chroma of similar pixels in a side × side window, minus the chroma of the pixel itself.
 
-    The result is (chroma, row, col). It is a mean over the pixels q of a side × side window, weighted by their similarity in
-    all planes p:
+    Pixels q of the window are weighted by their similarity to the central pixel in all planes p. The change of a chroma
+    plane C is
 
         Σ w_q (C_q − C) / Σ w_q        w_q = max(0, d̄ + RATIO_DARKEST² − d_q)²        d_q = Σ_p (p_q − p)²
+
+    where d̄ is the mean of d_q over the window. The result has the shape (chroma plane, row, col) and is in the units of
+    `planes`.
     """
     planes = planes.astype(np.result_type(planes, np.float32))  # float32 stays float32, as in training
     padded, (_, rows, cols) = mirrored(planes, side // 2), planes.shape
@@ -161,9 +174,21 @@ def bilateral_change(planes: NDArray, side: int) -> NDArray[np.floating]:
 
 
 def taps_behind(planes: NDArray, side: int, count: int) -> NDArray[np.floating]:
-    """Return the additional taps (tap, row, col) of a last layer, after the taps of the windows, in steps of a plane.
+    """Return the additional taps of a last layer, which follow the taps of its windows.
 
-    Their number `count` is one of RATIO_TAPS.
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+        Planes of the previous layer.
+    side : int
+        Side of the windows in pixels.
+    count : int
+        Number of additional taps, one of RATIO_TAPS.
+
+    Returns
+    -------
+    ndarray, (tap, row, col)
+        Values of the taps, in the units of `planes`.
     """
     kinds = (shaded_chroma, bilateral_change)[: RATIO_TAPS.index(count)]
     return np.concatenate([np.empty((0, *planes.shape[1:])), *(kind(planes, side) for kind in kinds)])

@@ -1,4 +1,4 @@
-"""Makes the class rule of a camera from a recipe. The classes are all combinations of the values of the features."""
+"""Makes the class rule of a camera from a class recipe. Each combination of feature values is a class."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,12 +16,12 @@ from l3cli.errors import RecipeError
 
 
 def switched_on(recipe: ClassRecipe) -> dict[str, Any]:
-    """Return the keys of the features that a recipe activates, by name, in the order of FEATURES."""
+    """Return the keys of the additional features that a class recipe enables, by the name of the feature."""
     return {name: keys for name in FEATURES if (keys := getattr(recipe, name)) is not None}
 
 
 def left_out(recipe: ClassRecipe, camera: CameraModel) -> list[str]:
-    """Return the names of requested features for which the patches are too small on a camera's CFA."""
+    """Return the names of the enabled features that need larger patches on the CFA of this camera."""
     return [name for name in switched_on(recipe) if not FEATURES[name].fits(camera, recipe.patch)]
 
 
@@ -34,31 +34,32 @@ def make_rule(
     observed: Mapping[str, NDArray[np.float64]] | None = None,
     spared_cases: int = 0,
 ) -> ClassRule:
-    """Return the class rule of a camera (docs/method.md#classes).
+    """Make the class rule of a camera (docs/method.md#classes).
 
     Parameters
     ----------
     recipe : ClassRecipe
+        Class recipe.
     camera : CameraModel
-        The camera, whose levels and noise determine the edges.
+        The camera. Its black level, white level and noise determine the edges.
     case_of_code : ndarray, (code,)
-        Saturation case of each pattern of saturated channels.
+        Saturation case of each saturation code. Bit c of a code is set if channel c clips.
     chroma_centres : ndarray, (chroma, channel), optional
-        Channel means as fractions of their sum. Without centres, there is a single chroma.
+        Channel means of each chroma centre, divided by their sum. Without centres, the rule has a single chroma.
     dark : float
         Dark signal, in DN, that was subtracted from the frames.
     observed : mapping, optional
-        Statistics of the pilot for each feature, or None before the pilot.
+        Statistics of the pilot patches for each additional feature. None if there are no pilot patches yet.
     spared_cases : int
-        See ClassRule.
+        Number of cases after case 0 in which every colour filter has a channel that does not clip.
 
     Raises
     ------
     RecipeError
-        If the recipe is impossible for this camera, for example with more levels than raw values.
+        If the recipe is impossible for this camera, for example because it has more levels than there are raw values.
     """
     if recipe.patch % 2 == 0 or not 1 <= recipe.patch <= MAX_PATCH:
-        raise RecipeError(f"classes.patch is {recipe.patch}, not an odd number up to {MAX_PATCH}")
+        raise RecipeError(f"classes.patch is {recipe.patch}; write an odd number from 1 to {MAX_PATCH}")
     channels = len(camera.channels)
     neighbourhoods(camera.cfa, recipe.patch, channels)
     contrast.check_edges(recipe)
@@ -94,10 +95,11 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the saturation radius of the recipe, limited to the patch, but so large that every site includes every channel.
+    """Return the saturation radius of the recipe, increased until every site includes every channel, but limited to the
+    patch.
 
-    With a smaller radius, sites would assign different cases to the same clipped area, and most of these cases would never
-    be trained on clipped greys (docs/method.md#saturation-cases).
+    If the radius were smaller, different sites of a clipped area could get different saturation cases, and most of these
+    cases would never be trained on clipped greys (docs/method.md#saturation-cases).
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

@@ -1,8 +1,10 @@
-"""Saturation: the channels that clip near the centre of a neighbourhood (docs/method.md#saturation-cases).
+"""Saturation cases: which channels clip near the centre of a patch (docs/method.md#saturation-cases).
 
     case = case_of_code[code]
 
-Bit c of the code is set if a pixel of channel c within the saturation radius is at or above `saturation`, in DN.
+The code is a bit pattern. Bit c is set if a pixel of channel c within the saturation radius has a raw value of at least
+`saturation` DN. Several codes can share a case, because most combinations of clipped channels are too rare to train
+transforms for them.
 """
 
 from collections.abc import Sequence
@@ -17,30 +19,30 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.keys import BasicKeys
 from l3cli.classes.windows import Integers, Neighbourhoods, TapOrder, tap_order
 
-MIN_FRACTION = 2e-4  # fraction of the training patches; rarer patterns join the nearest case
+MIN_FRACTION = 2e-4  # saturation codes that occur in a smaller fraction of the training patches get no case of their own
 SNIPPET = "features/saturation.cl"
 
 
 def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[int] | None = None) -> NDArray[np.uint16]:
-    """Choose the saturation cases of a rule.
+    """Choose the saturation cases of a class rule and assign each saturation code to a case.
 
-    Code 0 is case 0. The most frequent other codes become cases. Every remaining code joins the nearest case, which is
-    chosen by these criteria in turn:
+    Code 0, in which no channel clips, is case 0. The most frequent other codes become cases. Every remaining code joins
+    the nearest case. These criteria decide which case is nearest, in this order:
 
-    1. Code and case agree in whether they have lost a filter, which means that all channels of a filter clip.
-    2. The case differs from the code in the fewest channels.
-    3. The case clips all channels that the code clips.
+    1. The case and the code agree on whether all channels of some colour filter clip.
+    2. The case differs from the code in as few channels as possible.
+    3. The case contains all clipped channels of the code.
 
-    Codes join case 0 only if there is no other case.
+    If no code except code 0 is frequent, all codes join case 0.
 
     Parameters
     ----------
     occurrences : ndarray, (code,)
-        Number of occurrences of each pattern of saturated channels.
+        Number of training patches with each saturation code.
     most : int
-        Largest number of cases, including case 0.
+        Largest permitted number of cases, including case 0.
     filters : sequence of int, optional
-        Colour filter of each channel. [default: every channel has its own filter]
+        Index of the colour filter of each channel. [default: every channel has its own filter]
 
     Returns
     -------
@@ -64,35 +66,53 @@ def choose_cases(occurrences: NDArray[np.int64], most: int, filters: Sequence[in
 
 
 def spared_cases(case_of_code: NDArray[np.uint16], filters: Sequence[int]) -> int:
-    """Return the number of consecutive cases, starting at case 1, in which no filter has lost all of its channels."""
+    """Count the cases after case 0 in which every colour filter still has a channel that does not clip.
+
+    `choose_cases` numbers these cases first, from 1. `filters` contains the index of the colour filter of each channel.
+    """
     lost = lost_filters(np.arange(len(case_of_code)), filters) > 0
     return int(case_of_code[lost].min(initial=case_of_code.max() + 1)) - 1 if case_of_code.any() else 0
 
 
 def lost_filters(codes: Integers, filters: Sequence[int]) -> Integers:
-    """Return, for each code, the number of filters that have lost all of their channels to saturation.
+    """Count, for each saturation code, the colour filters whose channels all clip.
 
-    `filters` is the filter of each channel.
+    `filters` contains the index of the colour filter of each channel.
     """
     of_filter = [sum(1 << bit for bit, each in enumerate(filters) if each == one) for one in sorted(set(filters))]
     return np.sum([codes & mask == mask for mask in of_filter], axis=0)
 
 
 def stored_threshold(recipe: BasicKeys, camera: CameraModel) -> int:
-    """Return the lowest value, in DN, at which the rule counts a pixel as saturated."""
+    """Return the lowest raw value, in DN, that counts as saturated."""
     return int(np.ceil(camera.black_level + recipe.saturation * (camera.white_level - camera.black_level)))
 
 
 def saturation_codes(
     patches: NDArray[np.unsignedinteger], rule: ClassRule, neighbours: Neighbourhoods, site: int
 ) -> Integers:
-    """Return the pattern of saturated channels near the centre of each patch (patch, tap)."""
+    """Return the saturation code of each training patch.
+
+    Parameters
+    ----------
+    patches : ndarray, (patch, tap)
+        Raw values in DN.
+    rule : ClassRule
+        The class rule.
+    neighbours : Neighbourhoods
+        Windows of the CFA.
+    site : int
+        CFA site at the centre of the patches.
+    """
     order = tap_order(rule, neighbours, site)
     return codes(patches.T[order.taps], rule, order)
 
 
 def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder) -> Integers:
-    """Return the saturation code (patch,) of values in DN (tap, patch), whose taps are sorted by `order`."""
+    """Return the saturation code of each patch.
+
+    `values` contains raw values in DN, with the shape (tap, patch). Its taps are sorted as in `order`.
+    """
     code = np.zeros(values.shape[1], np.int64)
     for bit, taps in enumerate(order.inner):
         if taps.stop > taps.start:
@@ -101,29 +121,33 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Return codes (…) from patterns of saturated channels (…, channel)."""
+    """Return the saturation code for each row of booleans, which state for every channel whether it clips."""
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 
 def cases(rule: ClassRule, code: Integers) -> Integers:
-    """Return the saturation case (…) of each code."""
+    """Return the saturation case of each saturation code."""
     return rule.case_of_code[code].astype(np.int64)
 
 
 def entry(table: TransformTable, case: int) -> dict[str, Any]:
-    """Return the number of a saturation case and the channels saturated in all its patterns, for reports and JSON."""
+    """Describe a saturation case for reports and JSON: its number, and the channels that clip in all of its codes."""
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     common = int(np.bitwise_and.reduce(codes)) if codes.size else 0
     return {"case": case, "saturated": _channels(table, common)}
 
 
 def heading(entry: dict[str, Any]) -> str:
-    """Return an entry as the first cell of a table row, such as "2: r g"."""
+    """Return the label of a saturation case in the first column of a table, such as "2: r g"."""
     return f"{entry['case']}: " + (" ".join(entry["saturated"]) or ("mixed" if entry["case"] else "none"))
 
 
 def name(table: TransformTable, case: int) -> str:
-    """Return "saturated A+B" with the most typical pattern of channels of the case."""
+    """Return the name of a saturation case, such as "saturated r+g".
+
+    If several codes share the case, the name lists the clipped channels of the code that differs least from the other
+    codes.
+    """
     codes = np.flatnonzero(table.first.rule.case_of_code == case)
     if not codes.size:
         return "no pattern"
@@ -136,26 +160,28 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the summed distance of each pattern to all others, measured as in choose_cases.
+    """Return the sum of the distances from each saturation code to all other codes, as `choose_cases` measures
+    distances.
 
-    The distance is the number of channels that differ, plus one half if the other pattern is not contained in this one.
-    There may be 2¹⁶ patterns, too many to compare in pairs.
+    The distance is the number of channels that differ. It is larger by one half if the other code contains a clipped
+    channel that this code does not contain. The sums are computed without comparing pairs, because there may be 2¹⁶
+    codes.
     """
-    holds = codes[:, None] >> np.arange(channels) & 1
-    often = holds.sum(axis=0)
-    within = np.zeros(2**channels)
-    within[codes] = 1
+    clips = codes[:, None] >> np.arange(channels) & 1
+    frequency = clips.sum(axis=0)
+    subsets = np.zeros(2**channels)  # number of the given codes that are subsets of each bit pattern
+    subsets[codes] = 1
     for channel in range(channels):
-        halves = within.reshape(-1, 2, 2**channel)
+        halves = subsets.reshape(-1, 2, 2**channel)
         halves[:, 1] += halves[:, 0]
-    return np.where(holds, len(codes) - often, often).sum(axis=1) + 0.5 * (len(codes) - within[codes])
+    return np.where(clips, len(codes) - frequency, frequency).sum(axis=1) + 0.5 * (len(codes) - subsets[codes])
 
 
 def macros(rule: ClassRule) -> dict[str, int]:
-    """Return the macros with which saturation.cl and the statistics are compiled."""
+    """Return the macros with which saturation.cl and the kernel of the window statistics are compiled."""
     return {"SATURATION": min(rule.saturation, 1 << 16), "SATURATION_RADIUS": rule.saturation_radius}
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.uint16]:
-    """Return the case of each code."""
+    """Return the saturation case of each code, which saturation.cl reads."""
     return rule.case_of_code

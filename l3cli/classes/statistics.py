@@ -1,4 +1,4 @@
-"""The statistics on which features depend: sums and sums of squares of the channels in patches, and saturation codes."""
+"""The statistics from which features are computed: sums and sums of squares of the channels, and saturation codes."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,32 +16,32 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the neighbourhoods of pixels, in arrays with the shape (…) of the pixels."""
+    """Statistics of the patches around pixels. The symbol … stands for the shape of the array of pixels."""
 
     neighbours: Neighbourhoods
     site: Integers  # (…), or (1,) if all pixels have the same site
     sums: Integers  # (…, channel) sums of v = DN >> shift
     squares: Integers | None  # (…, channel) sums of v²; None if the rule has a single contrast
     code: Integers  # (…) bit c is set if a pixel of channel c near the centre is saturated
-    windows: Integers  # (…, sum) sums of v over the windows of all features
+    windows: Integers  # (…, sum) sums of v over the windows of all additional features
 
     @cached_property
     def scaled(self) -> Integers:
-        """Channel means (…, channel) times 65536: S · round(65536 / n), below 2³²."""
+        """Channel means times 65536, computed as S · round(65536 / n), which is below 2³²."""
         return self.sums * self.neighbours.mean_reciprocal[self.site]
 
 
 class PatchSums(NamedTuple):
-    """Sums over patches of one site."""
+    """Sums over training patches that are centred on the same CFA site."""
 
     sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
     squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None if the rule has a single contrast
     code: Integers  # (patch) saturation codes
-    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all features; integers below 2²⁴
+    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all additional features; integers below 2²⁴
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:
-    """Return the window sums (…, sum) of each feature, in order."""
+    """Return the window sums of each additional feature, with the shape (…, sum)."""
     ends = np.cumsum([feature.sums for feature in rule.feature_list], dtype=int)
     return tuple(
         statistics.windows[..., end - feature.sums : end]
@@ -50,12 +50,22 @@ def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]
 
 
 def truncation(shift: int) -> float:
-    """Return the mean decrease of values, in DN, due to a shift to the right."""
+    """Return the amount in DN by which a right shift decreases values on average."""
     return (2**shift - 1) / 2
 
 
 def patch_statistics(values: NDArray[np.uint32], rule: ClassRule, order: TapOrder) -> PatchSums:
-    """Return the sums over patches. Overwrites `values`, which are in DN (tap, patch) with taps sorted by `order`."""
+    """Compute the sums of each patch. The array `values` is overwritten.
+
+    Parameters
+    ----------
+    values : ndarray, (tap, patch)
+        Raw values in DN. The taps are sorted as in `order`.
+    rule : ClassRule
+        The class rule.
+    order : TapOrder
+        Order of the taps.
+    """
     code = saturation.codes(values, rule, order)
     if rule.shift:
         values >>= rule.shift
@@ -77,7 +87,7 @@ def _channel_sums(values: NDArray[np.uint32], order: TapOrder) -> NDArray[np.uin
 def mosaic_statistics(
     values: NDArray[np.uint16], rule: ClassRule, neighbours: Neighbourhoods, cfa: NDArray[np.uint8], phase: tuple[int, int]
 ) -> Statistics:
-    """Return the statistics of every pixel of a mosaic.
+    """Compute the statistics of every pixel of a mosaic.
 
     Parameters
     ----------
@@ -112,7 +122,7 @@ def mosaic_statistics(
 
 
 def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> Integers:
-    """Return the window sums (row, col, sum) of a padded mosaic of v."""
+    """Return the window sums of every pixel, with the shape (row, col, sum)."""
     total = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     sums = np.zeros((rule.window_sums, rows, cols), np.int64)
     for window in rule.windows:
@@ -123,7 +133,7 @@ def _mosaic_windows(padded: Integers, rule: ClassRule, rows: int, cols: int) -> 
 
 
 def _inner(padded: NDArray, rule: ClassRule) -> NDArray:
-    """Return the padded array with only the margin that the saturation radius needs."""
+    """Crop the margin of a padded array from the radius of the patch to the saturation radius."""
     cut = rule.radius - rule.saturation_radius
     return padded[cut : padded.shape[0] - cut, cut : padded.shape[1] - cut]
 

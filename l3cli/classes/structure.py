@@ -1,7 +1,7 @@
 """Structure: strength and direction of the edge at a pixel, computed from the luminance of the previous layer.
 
-The formulas are in docs/method.md#structure. The angle of (a, b) is twice the angle of the gradient. All integers are below
-2³¹, so the results are equal on every device.
+docs/method.md#structure contains the formulas. The vector (a, b) points at twice the angle of the gradient. All integers
+are below 2³¹, so the results are the same on every device.
 """
 
 import functools
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from l3cli.artifacts.plane_rules import DIRECTIONS, GRADIENT, StructureRule
 from l3cli.classes.windows import Integers
 
-WIDE, NEAR = 3, 2  # `length` of triangle_sums for weights 1 2 3 2 1 and 1 2 1
-SIGMA = 16  # gradient units per standard deviation of noise
-NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the tensor if there is only noise
-BORDER_PIXELS = 3  # pixels; width of the margin that the structure of border pixels needs
+WIDE, NEAR = 3, 2  # with these lengths, triangle_sums uses the weights 1 2 3 2 1 and 1 2 1
+SIGMA = 16  # standard deviation of the noise of a scaled gradient
+NOISE_TRACE = 2 * 81 * SIGMA**2  # mean trace of the structure tensor of pure noise
+BORDER_PIXELS = 3  # pixels; width of the margin around a frame that the structure of its outermost pixels needs
 
 
 def structures(luminance: Integers, level: Integers, site: Integers, rule: StructureRule) -> Integers:
-    """Return the structure (row, col) of every pixel.
+    """Return the structure of every pixel, with the shape (row, col).
 
     Parameters
     ----------
-    luminance : ndarray, (row + 2 REACH, col + 2 REACH)
-        Luminance plane with a margin of mirrored pixels.
+    luminance : ndarray, (row + 6, col + 6)
+        Luminance plane with a margin of 3 mirrored pixels.
     level : ndarray, (row + 4, col + 4)
-        Levels of the first layer with a margin of mirrored pixels.
+        Levels of the first layer with a margin of 2 mirrored pixels.
     site : ndarray, (row, col)
         CFA sites.
     rule : StructureRule
@@ -44,10 +44,10 @@ def structures(luminance: Integers, level: Integers, site: Integers, rule: Struc
 def tensor(
     luminance: NDArray[np.integer], factor: NDArray[np.int32], shift: NDArray[np.int32]
 ) -> tuple[Integers, Integers, Integers]:
-    """Return the structure tensor xx, yy, xy (row, col): weighted sums of products of gradients.
+    """Compute the elements xx, yy and xy of the structure tensor: weighted sums of products of gradients.
 
-    Gradients are multiplied by `factor`, shifted right by `shift` bits and clipped. Both arrays have the shape of the
-    gradients, which have 4 more rows and columns than the result.
+    The gradients are multiplied by `factor`, shifted right by `shift` bits and clipped. Both arrays have the shape of
+    the gradients, which have 4 more rows and columns than the tensor.
     """
     across = np.clip((luminance[1:-1, 2:] - luminance[1:-1, :-2]) * factor >> shift, -GRADIENT, GRADIENT)
     down = np.clip((luminance[2:, 1:-1] - luminance[:-2, 1:-1]) * factor >> shift, -GRADIENT, GRADIENT)
@@ -56,10 +56,10 @@ def tensor(
 
 
 def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.integer]:
-    """Return weighted sums of values (row, col) over windows.
+    """Return weighted sums of values over square windows.
 
-    Along each axis, the weights rise from 1 to `length` and fall again. The result is computed as sums of sums of `length`
-    values. With 32-bit integers, this takes a third of the time of weighted sums in 64 bits.
+    Along each axis, the weights rise from 1 to `length` and then fall to 1. The sums are computed as sums of sums of
+    `length` values. With 32-bit integers, this takes a third of the time of weighted sums with 64-bit integers.
     """
     for _ in range(2):
         for axis in (0, 1):
@@ -72,12 +72,17 @@ def triangle_sums(values: NDArray[np.integer], length: int) -> NDArray[np.intege
 
 
 def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
-    """Return the number, 0…7, of the multiple of 45° that is nearest to the angle of (a, b).
+    """Round the angle of the vector (a, b) to a multiple of 45°.
 
-    The second result is the length of (a, b) along this direction.
+    Returns
+    -------
+    direction : ndarray
+        Multiple of 45°, as a number from 0 to 7.
+    along : ndarray
+        Length of the component of (a, b) in this direction.
     """
     width, height = np.abs(a), np.abs(b)
-    flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # the limit is 22.6°
+    flat, steep = 12 * height < 5 * width, 12 * width < 5 * height  # the boundary is at 22.6°
     diagonal = np.where(a > 0, np.where(b > 0, 1, 7), np.where(b > 0, 3, 5))
     direction = np.where(flat, np.where(a > 0, 0, 4), np.where(steep, np.where(b > 0, 2, 6), diagonal))
     along = np.where(flat, width, np.where(steep, height, (width + height) * 45 >> 6))
@@ -85,21 +90,21 @@ def directions(a: Integers, b: Integers) -> tuple[Integers, Integers]:
 
 
 def turn_signs(turn: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the signs that (a, b) get if a 3 × 3 window is read in the order `turn` (tap).
+    """Return the signs by which a and b are multiplied if the taps of a 3 × 3 window are reordered by `turn`.
 
-    Rotation by 90° changes both signs, mirroring changes the sign of b, and transposition changes the sign of a.
+    A rotation by 90° changes both signs. Mirroring changes the sign of b, and transposition changes the sign of a.
     """
     row, col = np.divmod(turn.reshape(3, 3), 3)
     down, right = (row[2, 1] - row[1, 1], col[2, 1] - col[1, 1]), (row[1, 2] - row[1, 1], col[1, 2] - col[1, 1])
-    swapped = down[0] == 0  # the tap below the centre lies to its right
+    swapped = down[0] == 0  # the tap below the centre moves to its right or left
     product = (down[1] if swapped else down[0]) * (right[0] if swapped else right[1])
     return (-1 if swapped else 1), int(product)
 
 
 def name(rule: StructureRule, number: int, site: int) -> str:
-    """Return the name of a structure at a site, such as "flat" or "strength 1 of 2, edge at 45°".
+    """Return the name of a structure, such as "flat" or "strength 1 of 2, edge at 45°".
 
-    The angle is measured anticlockwise from the horizontal to the edge.
+    The angle of the edge is measured anticlockwise from the horizontal. It depends on the orientation of the CFA site.
     """
     if number == 0:
         return "flat"

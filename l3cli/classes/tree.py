@@ -1,8 +1,8 @@
-"""Decision trees: threshold tests on the planes of the previous layer around a pixel (docs/method.md#trees).
+"""Decision trees that classify pixels in a refinement layer (docs/method.md#trees).
 
-A test compares a numerator with a threshold times a denominator. Numerator and denominator are integers below 2³¹. They are
-converted to float32, and there is only one multiplication, which follows IEEE 754. The result is therefore equal on every
-device.
+A tree tests quantities of the planes around a pixel. Each test compares a numerator with a threshold times a
+denominator. The numerator and the denominator are integers below 2³¹. They are converted to float32 and only one
+multiplication follows, which IEEE 754 defines exactly. The result is therefore the same on every device.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,18 @@ from l3cli.classes.structure import NEAR, NOISE_TRACE, WIDE
 from l3cli.classes.structure import triangle_sums as sums
 from l3cli.classes.windows import Integers
 
-TOP, CHROMA_TOP = 2895, 2047  # limits of gradients, so that sums of 81 squares and their differences fit into 31 bits
-DARK = 512  # steps of a plane; smallest denominator (weighted luminance sum over 16 pixels) of the quotient of chroma
-BORDER_PIXELS = 3  # pixels; width of the margin that the tests of border pixels need
+# Gradients of luminance and chroma are clipped to these values, so that sums of 81 squares fit into 31 bits.
+TOP, CHROMA_TOP = 2895, 2047
+# Smallest denominator, in integer units of a plane, by which chroma is divided (weighted sum of the luminance, total weight
+# 16).
+DARK = 512
+BORDER_PIXELS = 3  # pixels; width of the margin around a frame that the tests of its outermost pixels need
 
 ONE, TRACE, CHROMA, LUMA = range(4)  # indices of the denominators
 
 
 class Test(NamedTuple):
-    """A test in a tree: the name of its numerator and the index of its denominator."""
+    """A test of a decision tree: the name of its numerator, and the index of its denominator."""
 
     name: str
     denominator: int
@@ -61,21 +64,22 @@ assert len(EVERY) == TESTS
 
 @dataclass(frozen=True)
 class Evidence:
-    """The quantities that are compared in tests, for every pixel."""
+    """The numerators and denominators of all tests at every pixel."""
 
     numerators: NDArray[np.float32]  # (test, …)
     denominators: NDArray[np.float32]  # (denominator, …)
 
 
 def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
-    """Return the quantities (row, col) that are compared in tests.
+    """Compute the numerators and denominators of all tests at every pixel.
 
     Parameters
     ----------
-    planes : ndarray, (plane, row + 2 REACH, col + 2 REACH)
-        Planes with a margin of mirrored pixels.
+    planes : ndarray, (plane, row + 6, col + 6)
+        Planes with a margin of 3 mirrored pixels.
     factor, shift : ndarray, (row + 4, col + 4)
-        Scale of gradients, with a margin of mirrored pixels.
+        Gradients are multiplied by `factor` and shifted right by `shift`. Both arrays have a margin of 2 mirrored
+        pixels.
     """
     luminance = planes[LUMINANCE]
     chroma = [plane for index, plane in enumerate(planes) if index != LUMINANCE]
@@ -115,12 +119,12 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
-    """Return the leaf (…) of pixels at the CFA sites `site` (…)."""
+    """Return the leaf of each pixel. `site` contains the CFA sites of the pixels."""
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)
     test, nodes = rule.test.astype(np.int64), len(rule.test)
-    # Offsets of the planes that are compared: numerators for each orientation and node, denominators for each node.
+    # Offsets of the numerators for each orientation and node, and of the denominators for each node.
     numerator, signs = turned[:, test].reshape(-1) * turn.size, sign[:, test].reshape(-1)
     denominator = np.array([each.denominator for each in EVERY])[test] * turn.size
     node, pixel = np.zeros(turn.size, np.int64), np.arange(turn.size)
@@ -137,7 +141,9 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Map each tree test to the numerator, and the sign, that it has when the window is turned to orientation `turn`."""
+    """Map each tree test to the numerator, and its sign, that the test uses if the window is turned to orientation
+    `turn`.
+    """
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
     total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal
@@ -148,9 +154,14 @@ def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
 
 
 def turned_axes(turn: int) -> tuple[bool, int, int]:
-    """Describe the axes of a window that is read in orientation `turn` (0…7).
+    """Describe the axes of a window in one of the 8 orientations.
 
-    The result is whether rows and columns are exchanged, and the signs of the steps across and down.
+    Returns
+    -------
+    transposed : bool
+        Whether rows and columns are exchanged.
+    across, down : int
+        Directions of the columns and the rows, 1 or −1.
     """
     taps = np.arange(9).reshape(3, 3)
     row, col = np.divmod(np.rot90(taps.T if turn >= 4 else taps, turn % 4), 3)
@@ -161,7 +172,7 @@ def turned_axes(turn: int) -> tuple[bool, int, int]:
 
 
 def _local(values: Integers) -> NDArray[np.integer]:
-    """Return the sums over 3 × 3 of values with a margin of 2."""
+    """Return the weighted sums over 3 × 3 values. The margin of `values` is one pixel wider than these sums need."""
     return sums(_inner(values, 1), NEAR)
 
 

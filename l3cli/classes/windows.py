@@ -14,7 +14,7 @@ VARIANCE_FRACTION = 9  # number of fractional bits of a channel variance
 
 @dataclass(frozen=True)
 class Neighbourhoods:
-    """The p × p window of each site of a CFA, and the reciprocals that occur in the class formulas."""
+    """The p × p window of each CFA site, and the reciprocals in the formulas of the features."""
 
     channel: Integers  # (site, tap) channel of each tap
     count: Integers  # (site, channel) number of taps of each channel
@@ -23,20 +23,47 @@ class Neighbourhoods:
 
 
 def neighbourhoods(cfa: NDArray[np.uint8], patch: int, channels: int) -> Neighbourhoods:
-    """Return the windows with side `patch` around every site.
+    """Return the windows around all sites of a CFA.
 
-    Raises RecipeError if a window does not contain all channels.
+    Parameters
+    ----------
+    cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
+    patch : int
+        Side of the windows in pixels.
+    channels : int
+        Number of channels.
+
+    Raises
+    ------
+    RecipeError
+        If a window does not contain every channel.
     """
     channel = window_channels(cfa, patch)
     count = np.array([np.bincount(window, minlength=channels) for window in channel])
     if (count == 0).any():
         rows, cols = cfa.shape
-        raise RecipeError(f"a {patch}×{patch} patch does not reach every channel of the {rows}×{cols} CFA; enlarge patch")
+        raise RecipeError(
+            f'a {patch}×{patch} patch does not contain every channel of the {rows}×{cols} CFA; increase "patch"'
+        )
     return Neighbourhoods(channel, count, _divided(65536, count), _divided(2**VARIANCE_FRACTION, count))
 
 
 def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
-    """Return the channel of each tap (site, tap), row by row, in the windows with side `patch` around every site."""
+    """Return the channel of each tap in the windows around all sites of a CFA.
+
+    Parameters
+    ----------
+    cfa : ndarray, (cfa_row, cfa_col)
+        Channel of each site.
+    patch : int
+        Side of the windows in pixels.
+
+    Returns
+    -------
+    ndarray, (site, tap)
+        Channel of each tap. Taps are numbered row by row.
+    """
     rows, cols = cfa.shape
     reach = np.arange(patch) - patch // 2
     windows = [cfa[np.ix_((r + reach) % rows, (c + reach) % cols)].ravel() for r in range(rows) for c in range(cols)]
@@ -44,25 +71,26 @@ def window_channels(cfa: NDArray[np.uint8], patch: int) -> Integers:
 
 
 def _divided(numerator: int, count: Integers) -> Integers:
-    """Return round(numerator / count) in integer arithmetic, rounding halves up."""
+    """Return numerator / count, rounded to the nearest integer. Halves are rounded up."""
     return (2 * numerator + count) // (2 * count)
 
 
 @dataclass(frozen=True)
 class TapOrder:
-    """The taps of a site's window, sorted by channel. Within a channel, taps near the centre come first.
+    """The taps of the window around a site, sorted by channel. Within a channel, the taps near the centre come first.
 
-    Sums over the taps of a channel are then sums over adjacent rows of an array (tap, patch), which numpy computes fastest.
+    The sum of a channel is then a sum over adjacent rows of an array with the shape (tap, patch), which numpy computes
+    fastest.
     """
 
-    taps: Integers  # (tap) indices in the window
+    taps: Integers  # (tap) index of each tap in the window
     channels: tuple[slice, ...]  # the taps of each channel
-    inner: tuple[slice, ...]  # the taps of each channel that decide the saturation case
-    windows: NDArray[np.float32]  # (sum, tap) how often each tap counts in the window sums of all features
+    inner: tuple[slice, ...]  # the taps of each channel within the saturation radius
+    windows: NDArray[np.float32]  # (sum, tap) factor of each tap in the window sums of all features
 
 
 def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrder:
-    """Return the order of taps for one site."""
+    """Return the order of the taps in the window around a CFA site."""
     channel, channels = neighbours.channel[site], neighbours.count.shape[1]
     reach = np.abs(np.arange(rule.patch) - rule.radius)
     outer = np.maximum(reach[:, None], reach[None]).ravel() > rule.saturation_radius
@@ -78,7 +106,7 @@ def tap_order(rule: ClassRule, neighbours: Neighbourhoods, site: int) -> TapOrde
 
 
 def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
-    """Return the number of times (sum, tap) that each tap, row by row, is counted in the window sums of all features."""
+    """Return the factor of each tap in the window sums of all features, with the shape (sum, tap)."""
     counts = np.zeros((rule.window_sums, rule.patch, rule.patch), np.float32)
     for window in rule.windows:
         down, across = slice(window.top, window.top + window.rows), slice(window.left, window.left + window.columns)
@@ -87,7 +115,7 @@ def _tap_counts(rule: ClassRule) -> NDArray[np.float32]:
 
 
 def sites(rows: int, cols: int, cfa_shape: tuple[int, ...], phase: tuple[int, int]) -> Integers:
-    """Return the index of the CFA site (row, col) of every pixel of a frame whose first pixel has the site `phase`."""
+    """Return the index of the CFA site of every pixel of a frame. `phase` is the site of the first pixel."""
     row = (np.arange(rows) + phase[0]) % cfa_shape[0]
     col = (np.arange(cols) + phase[1]) % cfa_shape[1]
     return row[:, None] * cfa_shape[1] + col

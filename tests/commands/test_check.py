@@ -67,7 +67,7 @@ offset = [-1, 0]  # pair[1].offset[1] is -1; the least is 0
 """
 CLASSES = """[classes]
 patch = 4  # classes.patch is 4
-contrasts = [2, 1]  # contrasts must be positive and increase
+contrasts = [2, 1]  # "contrasts" is [2.0, 1.0]
 lowest_level = 2  # 0 < lowest_level < highest_level
 [learning]
 darkest = 0.5  # darkest < highlight_from

@@ -183,12 +183,12 @@ def test_level_contrast_and_case_mean_what_they_state(fiveband: CameraModel) -> 
 @pytest.mark.parametrize(
     ("recipe", "message"),
     [
-        (ClassRecipe(patch=3), "does not reach every channel"),
+        (ClassRecipe(patch=3), "does not contain every channel"),
         (ClassRecipe(levels=1), "levels ≥ 2"),
         (ClassRecipe(levels=60000), "more levels than values"),
-        (ClassRecipe(contrasts=(2.0, 1.0)), "must be positive and increase"),
+        (ClassRecipe(contrasts=(2.0, 1.0)), "increasing order"),
         (ClassRecipe(patch=8), "odd"),
-        (ClassRecipe(patch=17), "odd number up to 15"),
+        (ClassRecipe(patch=17), "odd number from 1 to 15"),
         (ClassRecipe(highest_level=1.2), "highest_level < 1"),
         (ClassRecipe(level_edges=(0.2, 0.1)), "must increase"),
         (ClassRecipe(level_edges=()), "must increase"),

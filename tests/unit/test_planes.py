@@ -84,5 +84,5 @@ def test_layers_between_read_16_bits_and_stay_within_32() -> None:
 
 def test_transforms_beyond_all_planes_are_refused() -> None:
     table = random_table(BAYER, bits=8)
-    with pytest.raises(InputFileError, match="too large for the next"):
+    with pytest.raises(InputFileError, match="do not fit into fixed-point numbers"):
         fixed_point(with_first(table, weights=table.first.weights * np.float32(1e4)))
