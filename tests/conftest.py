@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import fcntl
+import functools
 import gc
 import os
 import shutil
@@ -22,6 +23,7 @@ from l3cli.physics.spectra import colour_science
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.paths import CONFIGS
 from tests.helpers.recipes import CLASSES, GAIN_CLASSES, SCENES, UNSEEN
+from tests.helpers.tasks import in_folder
 
 # Tests need no data on the disk. Where flushing takes 5 ms or more, as on many disks, it takes longer than a small command.
 os.fsync = lambda fd: None
@@ -94,11 +96,17 @@ def two_processes() -> Iterator[Callable[..., Iterator[Any]]]:
 
 @pytest.fixture
 def same_workers(two_processes: Callable[..., Iterator[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """`--jobs 2` by the two processes of all tests: to start some for each run takes many times longer than its work."""
+    """`--jobs 2` by the two processes of all tests: to start some for each run takes many times longer than its work.
+
+    They work in the current folder, as new ones would: they were started in that of another test.
+    """
 
     def several(jobs: int) -> contextlib.nullcontext[Callable[..., Iterator[Any]]]:
         assert jobs == 2
-        return contextlib.nullcontext(two_processes)
+        folder = os.getcwd()
+        return contextlib.nullcontext(
+            lambda function, items: two_processes(functools.partial(in_folder, folder, function), items)
+        )
 
     monkeypatch.setattr(processes, "several", several)
 

@@ -1,5 +1,6 @@
 """Processes: the same results in the same order; none left behind, whoever ends whom."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -14,7 +15,7 @@ from l3cli.errors import L3Error
 from l3cli.parallel import ordered_map, workers
 from l3cli.physics import spectra
 from tests.helpers.paths import CONFIGS
-from tests.helpers.tasks import PATIENCE, refusing, squared
+from tests.helpers.tasks import PATIENCE, here, refusing, squared
 
 
 def dying(item: tuple[int, bytes]) -> int:
@@ -77,6 +78,15 @@ def test_the_number_of_cores_does_not_change_how_products_are_rounded() -> None:
     """Of some processors BLAS rounds otherwise in several threads, in which workers never compute."""
     environment = dict(os.environ) | {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
     assert subprocess.run([sys.executable, "-c", COUNTED], env=environment, timeout=PATIENCE).returncode == 1
+
+
+@pytest.mark.usefixtures("same_workers")
+def test_workers_that_tests_share_work_in_the_folder_of_the_caller(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in "ab"]
+    for folder in folders:
+        folder.mkdir()
+        with contextlib.chdir(folder), workers(2) as pool:
+            assert set(pool(here, range(4))) == {str(folder)}
 
 
 def test_what_a_worker_raises_is_raised_in_place() -> None:
