@@ -1,7 +1,7 @@
-"""The stage of `l3 check`, which finds the faults of recipes and their lines.
+"""The stage of `l3 check`, which finds errors in recipes and the lines on which they occur.
 
-This module also makes the JSON schema of each kind of recipe. The checks of design recipes and of scene files stand here
-because they need several packages that do not import each other.
+This module also creates the JSON schema of each type of recipe. It checks design recipes and scene files itself, because
+these checks need several packages that do not import each other.
 """
 
 import contextlib
@@ -41,14 +41,16 @@ from l3cli.training.summary import class_lines, class_meaning
 
 
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
-    """Return every existing file that a recipe names: directly, with a pattern, or within a mixture of illuminants.
+    """Return the existing files to which a recipe refers.
+
+    A recipe refers to a file by its name, by a pattern such as "*.exr", or within a mixture of illuminants.
 
     Parameters
     ----------
     path : Path
-        The recipe. The names in it are relative to its folder.
+        File of the recipe. File names in a recipe are relative to the folder of the recipe.
     content : mapping
-        The content of the recipe.
+        Content of the recipe.
     """
     found: list[Path] = []
     for _, value in keys_of(content):
@@ -62,7 +64,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
 
 
 def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a design recipe; if it has none, those of the spectra that it names."""
+    """Yield the faults of a design recipe. If the recipe has no faults, yield the faults of its files of spectra."""
     wrong = list(design_faults(recipe))
     yield from wrong
     if not wrong:
@@ -75,7 +77,7 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
-    """Return the peak quantum efficiency of each filter, and the illuminants and exposures."""
+    """Return what `l3 check` reports about a design recipe: peak quantum efficiencies, illuminants and exposures."""
     curves = _design_curves(recipe, source)
     camera = pixel_of(recipe.pixel, source.path.parent)
     filters = Filters.of(dict(zip(recipe.filters, curves, strict=True)), camera.wavelength)
@@ -87,13 +89,13 @@ def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
 
 
 def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
-    """Return the figures of a design recipe as lines."""
+    """Format the result of `design_meaning` as lines of text."""
     filters = ", ".join(f"{name} {100 * peak:.0f} %" for name, peak in figures["filters"].items())
     return [f"filters, peak quantum efficiency: {filters}", f"levels: {'; '.join(figures['levels'])}"]
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe and of the files that it names, for the camera of `source` if it has one."""
+    """Yield the faults of a scene recipe and of its files, for the camera of `source` if there is a camera."""
     yield from scene_faults(recipe, source.camera)
     yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
@@ -101,12 +103,16 @@ def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[F
     for number, pair in enumerate(recipe.pair):
         for side, name in (("raw", pair.raw), ("picture", pair.picture)):
             if not os.path.isfile(source.file(name)):
-                message = f"{source.file(name)} does not exist; name a file relative to the recipe"
+                message = f"{source.file(name)} does not exist; write the path of a file, relative to the recipe"
                 yield fault(message, f"pair.{number}.{side}")
 
 
 def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
-    """Return how many frames a scene recipe makes and, with a camera, their size and the files that do not fit on it."""
+    """Return what `l3 check` reports about a scene recipe: the number of scenes, clips and frames.
+
+    If `source` has a camera, the report contains the size of the frames, and scene files that are too small for the sensor
+    are returned as faults.
+    """
     run = None
     if source.camera is None:
         files = [scene_files(scene, source.path) for scene in recipe.scene]
@@ -135,7 +141,7 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Return the size of the largest frame (rows, cols), and the bytes of that frame and of all frames."""
+    """Return the camera's name, the size of the largest frame in pixels and in bytes, and the bytes of all frames."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
@@ -154,23 +160,23 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
 
 
 class Kind(NamedTuple):
-    """A kind of recipe that `l3 check` knows."""
+    """A type of recipe, such as camera recipes or class recipes."""
 
     name: str
-    recipes: tuple[type[Recipe], ...]  # the structure of a whole recipe, and of one with `base`
-    folder: str | None  # folder of the recipes that come with l3, within configs/
+    recipes: tuple[type[Recipe], ...]  # structure of a complete recipe and, if different, of a recipe with the key `base`
+    folder: str | None  # folder in configs/ that contains the recipes of this type that come with l3
 
     @property
     def title(self) -> str:
         return self.recipes[0].title
 
     def structure(self, content: Mapping[str, Any]) -> type[Recipe]:
-        """Return the structure that a file of this kind with the given content must have."""
+        """Return the structure that a recipe of this type must have, which depends on the key `base` in its content."""
         return self.recipes[-1] if "base" in content else self.recipes[0]
 
 
 CAMERA = "camera"
-# keys that show the kind of a recipe with `base`
+# keys that show the type of a recipe that contains the key `base`
 BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}
 KINDS = {
     kind.name: kind
@@ -186,9 +192,10 @@ KINDS = {
 
 
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
-    """Return the kind of recipe that a file's keys and tables suggest, or None if two kinds fit equally well.
+    """Determine the type of a recipe from its keys and tables. Return None if two types fit equally well.
 
-    Keys that only one kind has count first; among equals, the number of known keys with a fitting value decides.
+    The best type is the type with the largest number of characteristic keys, which no other type has. If several types have
+    this number, the number of keys with a value of the right type decides.
     """
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
@@ -203,7 +210,7 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Return whether a value has the form of a field (table, list or value), whatever faults it has inside."""
+    """Whether a value has the form of a field: a table, a list or a single value. The content may still have faults."""
     try:
         msgspec.convert(value, field.type)
     except msgspec.ValidationError as error:
@@ -212,7 +219,13 @@ def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
 
 
 def names() -> dict[str, list[tuple[Kind, Path]]]:
-    """Return the recipes that come with l3: by name, every kind and file with that name."""
+    """Return the recipes that come with l3.
+
+    Returns
+    -------
+    dict
+        For each name, the type and the file of every recipe with this name.
+    """
     known: dict[str, list[tuple[Kind, Path]]] = {}
     for kind in KINDS.values():
         for name, path in (known_recipes(kind.folder) if kind.folder else {}).items():
@@ -221,35 +234,36 @@ def names() -> dict[str, list[tuple[Kind, Path]]]:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    """Return the JSON schema of a kind of recipe."""
+    """Return the JSON schema of a type of recipe. `kind` is a key of KINDS."""
     return schema_of(KINDS[kind].recipes, KINDS[kind].title)
 
 
-class Judge(NamedTuple):
-    """How recipes of a kind are checked and explained."""
+class Checks(NamedTuple):
+    """The functions that check and summarise recipes of one type."""
 
     faults: Callable[[Any, RecipeSource], Iterator[Fault]]
     meaning: Callable[[Any, RecipeSource], Meaning]
-    lines: Callable[[dict[str, Any], int | None], list[str]]  # turns a meaning into text; the second argument is the width
+    lines: Callable[[dict[str, Any], int | None], list[str]]  # formats the meaning as text of the given width
 
 
-JUDGES = {
-    CAMERA: Judge(camera_recipe_faults, camera_meaning, camera_lines),
-    "lab": Judge(lab_recipe_faults, lab_meaning, lab_lines),
-    "scenes": Judge(scene_recipe_faults, scene_meaning, scene_lines),
-    "classes": Judge(class_recipe_faults, class_meaning, class_lines),
-    "design": Judge(design_recipe_faults, design_meaning, design_lines),
-    "measurements": Judge(measurement_faults, measurement_meaning, measurement_lines),
+CHECKS = {
+    CAMERA: Checks(camera_recipe_faults, camera_meaning, camera_lines),
+    "lab": Checks(lab_recipe_faults, lab_meaning, lab_lines),
+    "scenes": Checks(scene_recipe_faults, scene_meaning, scene_lines),
+    "classes": Checks(class_recipe_faults, class_meaning, class_lines),
+    "design": Checks(design_recipe_faults, design_meaning, design_lines),
+    "measurements": Checks(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "
-# the part of a message that differs between otherwise equal faults: an entry's number, or the name of a missing file
+# matches the part in which messages about similar faults differ: the number of a list entry, or the name of a missing file
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
-FEW, NAMED = 3, 8  # up to FEW equal faults are listed one by one; of more, NAMED line numbers follow the first
-SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # the place that the TOML parser names
+MAX_LISTED = 3  # up to this number of similar faults, each fault has a line of its own; otherwise they share one line
+MAX_LINE_NUMBERS = 8  # number of line numbers in the line that similar faults share
+SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
 
 class Finding(NamedTuple):
-    """A fault, with its line and key in the file."""
+    """A fault in a file, with its line number and key."""
 
     line: int
     key: str
@@ -258,17 +272,17 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """The faults of a file or, if it has none, its meaning."""
+    """Result of a check: the faults of a file or, if the file has no faults, a summary of its content."""
 
     path: Path
-    kind: str | None = None  # a key of KINDS; None if unknown
+    kind: str | None = None  # type of the recipe, a key of KINDS; None if unknown
     findings: tuple[Finding, ...] = ()  # at most LISTED_FAULTS
-    more: int = 0  # further faults that were found but not listed
+    more: int = 0  # number of faults that are not in `findings`
     meaning: dict[str, Any] = field(default_factory=dict)
-    files: tuple[Path, ...] = ()  # files that the recipe names
+    files: tuple[Path, ...] = ()  # existing files to which the recipe refers
 
     def document(self) -> dict[str, Any]:
-        """Return the judgement as `l3 check --json` prints it."""
+        """Return the result as `l3 check --json` prints it."""
         found = [finding._asdict() for finding in self.findings]
         return {
             "file": str(self.path),
@@ -282,13 +296,18 @@ class Judgement:
 def check(given: Sequence[str]) -> list[Judgement]:
     """Check recipes.
 
-    Cameras are checked first, so that the other recipes can be checked for a camera: the one in their own folder if there
-    is one, otherwise the first.
+    Cameras are checked first, because other recipes are checked for a camera. This is a camera from the folder of the recipe
+    or, if there is no camera in this folder, the first camera.
 
     Parameters
     ----------
     given : sequence of str
-        Paths, folders, or names of recipes that come with l3.
+        Paths of files, paths of folders, or names of recipes that come with l3.
+
+    Returns
+    -------
+    list of Judgement
+        The result for each file.
 
     Raises
     ------
@@ -307,12 +326,16 @@ def check(given: Sequence[str]) -> list[Judgement]:
 
 
 def recipes_of(name: str) -> list[Path]:
-    """Return the files that a path, a folder of recipes, or the name of a recipe stands for.
+    """Return the recipe files for an argument of `l3 check`.
 
-    Recipes of several kinds may have the same name; then all of them are returned.
+    Parameters
+    ----------
+    name : str
+        Path of a file, path of a folder of recipes, or name of recipes that come with l3. Recipes of different types may
+        have the same name.
     """
     path = Path(name)
-    if path.exists() and not path.is_dir():  # whatever it is; the reader refuses devices and the like
+    if path.exists() and not path.is_dir():  # devices and other special files are refused when they are read
         return [path]
     if name in names():
         return [file for _, file in names()[name]]
@@ -320,10 +343,10 @@ def recipes_of(name: str) -> list[Path]:
     if folder.is_dir():
         files = sorted(folder.glob("*.toml"), key=lambda each: (each.name != "camera.toml", each.name))
         if not files:
-            raise InputFileError(f"{folder} contains no recipes (*.toml); name a file or a folder of recipes")
+            raise InputFileError(f"{folder} contains no recipes (*.toml); name a recipe or a folder of recipes")
         return files
     if os.sep in name or path.suffix:
-        raise InputFileError(f"{name} does not exist; give a recipe or a measurement file (TOML)")
+        raise InputFileError(f"{name} does not exist; name a recipe or a measurement file (TOML)")
     raise RecipeError(f'no file or recipe is called "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
 
 
@@ -336,7 +359,7 @@ def _is_camera(path: Path) -> bool:
 
 
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
-    """Check one file, for a camera if one is given."""
+    """Check one file. If `camera` is set, the recipe is checked for this camera."""
     try:
         text = read_text(path, "a recipe or a measurement file")
         content = parse_toml(text, str(path))
@@ -347,7 +370,10 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
     kind = next((kind for found in names().values() for kind, file in found if file == path), None) or kind_of(content)
     if kind is None:
         kinds = ", ".join(each.title for each in KINDS.values())
-        message = f"the keys do not show whether this is {kinds}; add a key that only one of them has, such as responsivity"
+        message = (
+            f"the keys do not show whether this file is {kinds}; add a key that only one type of file has, such as "
+            "responsivity"
+        )
         return Judgement(path, None, (Finding(1, "", message),))
     meaning, faults = _judged(kind, RecipeSource(path, content, camera))
     findings = _findings([each for each in faults if each.message][:LISTED_FAULTS], text)
@@ -358,18 +384,18 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
     """Return the meaning and the faults of a recipe.
 
-    Faults of type are found first, then faults of the keys; only a recipe without these is interpreted, which may show more.
+    The types of the values are checked first, then the values. If the recipe has no faults so far, its meaning is computed,
+    which may find further faults.
     """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
-        others = about_others(JUDGES[kind.name].faults(recipe, source), faults)
-        faults += itertools.islice(
-            others, max(LISTED_FAULTS + 1 - len(faults), 0)
-        )  # to look for more would take long and help nobody
+        others = about_others(CHECKS[kind.name].faults(recipe, source), faults)
+        # Only LISTED_FAULTS faults are printed, so it is not worth the time to look for many more.
+        faults += itertools.islice(others, max(LISTED_FAULTS + 1 - len(faults), 0))
     meaning: dict[str, Any] = {}
     if not faults:
         try:
-            meaning, faults = JUDGES[kind.name].meaning(recipe, source)
+            meaning, faults = CHECKS[kind.name].meaning(recipe, source)
         except (L3Error, OSError) as error:
             message = source.plain(error)
             faults = [Fault(message, (key_in(message, source.content),))]
@@ -377,17 +403,17 @@ def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Faul
 
 
 def _findings(faults: Iterable[Fault], text: str) -> tuple[Finding, ...]:
-    """Return the faults with their lines, in the order of the file."""
+    """Return the faults with their line numbers, sorted by line."""
     lines = key_lines(text)
     found = []
     for message, keys in faults:
-        key = next((key for key in keys if key in lines), keys[0] if keys else ())  # prefer a key that the file has
+        key = next((key for key in keys if key in lines), keys[0] if keys else ())  # prefer a key that occurs in the file
         found.append(Finding(line_of(key, lines), _written(key), message))
     return tuple(sorted(found, key=lambda finding: finding.line))
 
 
 def _written(key: KeyPath) -> str:
-    """Return a key as messages write it, with entries of lists counted from 1."""
+    """Return a key as it is written in messages, such as scene[2].size. List entries are counted from 1."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
@@ -395,18 +421,18 @@ def _written(key: KeyPath) -> str:
 
 
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
-    """Return a judgement as lines of text.
+    """Format the result of a check as lines of text.
 
-    Each fault has a line of the form `file:line: message`, which editors understand. Without faults, the lines say what
-    the recipe means, with tables at most `width` characters wide.
+    Each fault has a line of the form `file:line: message`, which editors understand. If there are no faults, the lines
+    summarise the recipe. Tables are at most `width` characters wide.
     """
     if judgement.findings:
         lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]
-        more = f"{f'{judgement.more} ' * (judgement.more > 1)}more"
-        return [*lines, f"{judgement.path}: and {more}"] if judgement.more else lines
+        more = f"{f'{judgement.more} ' * (judgement.more > 1)}more faults are not listed"
+        return [*lines, f"{judgement.path}: {more}"] if judgement.more else lines
     assert judgement.kind is not None
     inside = None if width is None else width - len(INDENT)
-    lines = JUDGES[judgement.kind].lines(judgement.meaning, inside) if judgement.meaning else []
+    lines = CHECKS[judgement.kind].lines(judgement.meaning, inside) if judgement.meaning else []
     lines += [f"warning: {text}" for text in judgement.meaning.get("warnings", [])]
     return [f"{judgement.path}: {KINDS[judgement.kind].title}", *(f"{INDENT}{line}".rstrip() for line in lines)]
 
@@ -414,17 +440,18 @@ def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
 def folded(findings: Iterable[Finding]) -> list[tuple[int, str]]:
     """Return line number and message of each finding.
 
-    Where more than FEW findings differ only in the entry of a list or in the missing file, the first stands for all, and
-    its message names the lines of the others.
+    If more than MAX_LISTED findings differ only in the number of a list entry or in the name of a missing file, only the
+    first of them is returned. Its message contains the line numbers of the rest.
     """
     alike: dict[str, list[Finding]] = {}
     for finding in findings:
         alike.setdefault(ENTRY.sub("", finding.message), []).append(finding)
     lines: list[tuple[int, str]] = []
     for first, *others in alike.values():
-        if len(others) < FEW:
+        if len(others) < MAX_LISTED:
             lines += [(finding.line, finding.message) for finding in (first, *others)]
         else:
-            where = ", ".join(str(finding.line) for finding in others[:NAMED]) + " …" * (len(others) > NAMED)
-            lines.append((first.line, f"{first.message} (and {len(others)} times more, in lines {where})"))
+            where = ", ".join(str(finding.line) for finding in others[:MAX_LINE_NUMBERS])
+            where += " …" * (len(others) > MAX_LINE_NUMBERS)
+            lines.append((first.line, f"{first.message} ({len(others)} similar faults in lines {where})"))
     return sorted(lines, key=lambda each: each[0])

@@ -1,7 +1,7 @@
-"""The stage of `l3 init`, which writes a folder with recipes and a pipeline.
+"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for one camera.
 
-It starts from a recipe that comes with l3, a recipe or design of the user, the name of a known camera, or raw files, whose
-cameras it identifies.
+The user chooses a recipe that comes with l3, a recipe or design file, the name of a known camera, or raw files. For raw
+files, l3 identifies the camera that took them.
 """
 
 import itertools
@@ -55,36 +55,40 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
 from l3cli.system.outputs import OutputGuard
 
-COLOURS = set(LETTERS.lower())  # letters that need no blanks between them in ‹pattern›
-NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"  # nona Bayer, common in telephones, which has no recipe in l3
-ANSWERS = ("black_level", "white_level", "opcodes")  # options that replace what raw files state
-OF_ONE = ("phase", "pattern", "black_level", "white_level")  # options that are valid for one camera only
-NEW_FOLDER = "mine"  # name of the folder in suggested commands and in the documentation
-SHOWN = "picture"  # name of a link to the photo, because make cannot handle every file name
-CHART_WHITE = "chart"  # ‹white› of l3 render if the illuminant of the chart is only estimated
-SEARCHED = 4  # photos per camera that are searched for a ColorChecker
-WRITTEN = (*COMMON, "camera.toml", CURVES)  # files written to a folder
-Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, with the metadata of each
+COLOURS = set(LETTERS.lower())  # colour letters, which ‹pattern› may contain without blanks between them
+# Nona Bayer array. It is common in smartphones, but l3 has no recipe for it.
+NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"
+RAW_OVERRIDES = ("black_level", "white_level", "opcodes")  # options that replace values in the raw files
+SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # options that are refused for several cameras
+NEW_FOLDER = "mine"  # folder name in suggested commands, as in the documentation
+PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make cannot handle every file name
+CHART_WHITE = "chart"  # value of ‹white› of l3 render if l3 has only estimated the illuminant of the chart
+MAX_CHART_PHOTOS = 4  # number of photos per camera in which l3 looks for a ColorChecker
+FOLDER_FILES = (*COMMON, "camera.toml", CURVES)  # files that l3 init writes into a folder
+Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, each with its metadata
 
 
 def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Write the folder of a recipe or benchmark that comes with l3.
-
-    Each file appears only when it is complete.
+    """Create a folder from a camera recipe or benchmark that comes with l3.
 
     Parameters
     ----------
     starter : Path
         Camera recipe, or folder of a benchmark.
     folder : Path
-        Folder to write.
+        Folder to create.
     options : InitOptions
         Options of `l3 init`.
+
+    Returns
+    -------
+    FilesUsed
+        The files that were read and written.
 
     Raises
     ------
     L3Error
-        If the folder is not empty and `force` is not set, or if it cannot be written.
+        If the folder is not empty and `force` is not set, or if a file cannot be written.
     """
     origins = folder_files(starter)
     with OutputGuard(options.console) as guard:
@@ -102,25 +106,27 @@ def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Write the folder of a user's own camera recipe, with its base recipe and its curves.
+    """Create a folder from a camera recipe of the user.
+
+    The base recipe and the curve files of the recipe are copied, too.
 
     Raises
     ------
     RecipeError
         If the file is not a camera recipe.
     L3Error
-        As `start`.
+        If the folder is not empty and `force` is not set, or if a file cannot be written.
     """
     with OutputGuard(options.console) as guard:
         files = camera_files(recipe)
         guard.protect(*files)
-        guard.guard_folder(folder, options.force, *WRITTEN)
+        guard.guard_folder(folder, options.force, *FOLDER_FILES)
         camera = load_camera(recipe)
         names = {file: file.name if file.name not in (*COMMON, "camera.toml") else f"own_{file.name}" for file in files}
         names[recipe] = "camera.toml"
         texts = {names[file]: file.read_bytes() for file in files}
         for file, (other, name) in itertools.product(files, names.items()):
-            stated = os.path.relpath(other, file.parent)  # recipes name files relative to themselves
+            stated = os.path.relpath(other, file.parent)  # paths in a recipe are relative to the folder of the recipe
             for quote in ('"', "'") if file.suffix == ".toml" else ():
                 texts[names[file]] = texts[names[file]].replace(
                     f"{quote}{stated}{quote}".encode(), f"{quote}{name}{quote}".encode()
@@ -131,9 +137,15 @@ def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
-    """Write the folder of a camera that l3 knows by name (l3cli/io/known_cameras). Raise L3Error as `start` does."""
+    """Create a folder from the name of a known camera (l3cli/io/known_cameras).
+
+    Raises
+    ------
+    L3Error
+        If the folder is not empty and `force` is not set, or if a file cannot be written.
+    """
     with OutputGuard(options.console) as guard:
-        guard.guard_folder(folder, options.force, *WRITTEN)
+        guard.guard_folder(folder, options.force, *FOLDER_FILES)
         camera = named_camera(name)
         used = _write_recipes(folder, _contents(camera), {})
         options.console.info(_camera_line(folder, camera))
@@ -141,31 +153,32 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Write the folder of a camera with the best CFA of a design.
+    """Create a folder for a camera with the CFA that has the smallest predicted error in a design.
 
     Raises
     ------
     InputFileError
-        If the file is not a design.
+        If `path` is not a design.
     L3Error
-        As `start`.
+        If the folder is not empty and `force` is not set, or if a file cannot be written.
     """
     with OutputGuard(options.console) as guard:
         guard.protect(path)
-        guard.guard_folder(folder, options.force, *WRITTEN)
+        guard.guard_folder(folder, options.force, *FOLDER_FILES)
         design = load(Design, path)
         camera = design.camera(*design.winner)
         texts = camera_texts(camera, f"The camera with the best CFA of the design {design.name}, by predicted error.")
         contents = common_files(camera.rows, camera.cols) | {name: text.encode() for name, text in texts.items()}
         used = _write_recipes(folder, contents, {"design": [path]})
         options.console.info(
-            f"{folder}: {camera.name}, the best of {design.tried} CFAs; next: make -C {shlex.quote(str(folder))}"
+            f"{folder}: {camera.name}, the best of {design.tried} CFAs in the design; "
+            f"next: make -C {shlex.quote(str(folder))}"
         )
         return used
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
-    """Write a recipe folder, and refuse a camera that cannot be simulated."""
+    """Write a recipe folder. Raise an error if its camera cannot be simulated."""
     used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
@@ -173,13 +186,26 @@ def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[s
 
 
 def named_camera(name: str) -> PhotoCamera:
-    """Return a known camera: measured curves, published facts, and assumptions for the rest."""
+    """Return a camera that l3 knows by name.
+
+    Its responsivities were measured and its sensor data were published. Other values, such as the f-number, are assumed.
+    """
     known, curves = known_cameras().camera[name], known_curves(name)
     return without_photo(known.body, known.levels, known.stated, curves, known_cameras().source)
 
 
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Create a folder and write files into it. Each file appears only when it is complete. Scripts are executable."""
+    """Write files into a folder, and create the folder if it does not exist.
+
+    Each file appears only when it is complete. Files whose names end in .sh become executable.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    contents : mapping of str to bytes
+        Name and content of each file.
+    """
     for name, content in contents.items():
         with atomic_output(folder / name) as temporary:
             temporary.write_bytes(content)
@@ -190,28 +216,30 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 
 def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tuple[list[Path], FilesUsed]:
-    """Write the recipe folder of the camera that took some raw files.
+    """Create a folder for the camera that took some raw files.
+
+    If several cameras took the files, `folder` contains a subfolder for each camera.
 
     Parameters
     ----------
     photos : sequence of Path
-        Raw files, or folders of raw files. If several cameras took them, each camera gets a folder in `folder`.
+        Raw files, or folders of raw files.
     folder : Path
-        Folder to write.
+        Folder to create.
     options : InitOptions
         Options of `l3 init`.
 
     Returns
     -------
     list of Path
-        The folders that were written.
+        The folder of each camera.
     FilesUsed
         The raw files, and the files and links that were written.
 
     Raises
     ------
     InputFileError
-        If a file is not a raw file, or if it does not state its CFA and levels.
+        If a file is not a raw file, or if its CFA, black level or white level is unknown.
     L3Error
         If the folder cannot be written.
     """
@@ -219,50 +247,63 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
     with OutputGuard(console) as guard:
         files = [file for photo in photos for file in _raw_files(photo)]
         guard.protect(*files)
-        guard.guard_folder(folder, options.force, *WRITTEN, *(f"*/{name}" for name in WRITTEN))
+        guard.guard_folder(folder, options.force, *FOLDER_FILES, *(f"*/{name}" for name in FOLDER_FILES))
         listed = {file for photo in photos if photo.is_dir() for file in _raw_files(photo)}
         cameras = _sorted_by_camera(files, listed, console)
-        if len(cameras) > 1 and (given := [name for name in OF_ONE if getattr(options, name) is not None]):
-            raise RecipeError(f"‹{given[0]}› is for one camera; give the raw files of one camera only")
+        if len(cameras) > 1 and (given := [name for name in SINGLE_CAMERA_OPTIONS if getattr(options, name) is not None]):
+            raise RecipeError(
+                f"‹{given[0]}› applies to one camera, but {len(cameras)} cameras took the raw files; name raw files of one "
+                f"camera, or leave ‹{given[0]}› out"
+            )
         places = _places(folder, list(cameras))
         made = {
             places[name]: photographed(taken, options)
             for name, taken in console.progress(cameras.items(), len(cameras), "cameras")
         }
         contents = {place: _contents(camera) for place, camera in made.items()}
-        links = {place / _shown(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
+        links = {place / _link_name(camera): camera.photo.resolve() for place, camera in made.items() if camera.photo}
         for link in links:
-            if not link.is_symlink():  # a link from an earlier call points to the photo, and may be replaced
+            if not link.is_symlink():  # an existing link was created by an earlier run and may be replaced
                 refuse_protected(link)
         used = files_to_read({"photos": files})
         for place, camera in made.items():
             write_folder(place, contents[place])
-            load_camera(place / "camera.toml")  # refuses a camera that cannot be simulated
-            _link(place / _shown(camera), links[place / _shown(camera)])
+            load_camera(place / "camera.toml")  # raises an error if the camera cannot be simulated
+            _link(place / _link_name(camera), links[place / _link_name(camera)])
             console.info(_camera_line(place, camera))
     written = [place / name for place, texts in contents.items() for name in texts]
     return list(made), used.and_wrote(*written, *links)
 
 
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
-    """Raise an error because a raw file was given where `l3 render` expects a table.
+    """Raise the error for a raw file in the place where `l3 render` expects a table.
+
+    Parameters
+    ----------
+    photo : Path
+        The raw file.
+    inputs : sequence of Path
+        The other inputs of `l3 render`.
+    output : Path
+        The output of `l3 render`.
 
     Raises
     ------
     RecipeError
-        The message shows the commands that lead from the raw file to a picture.
+        Always, unless the file does not exist. The message contains the commands that render the raw file.
     InputFileError
         If the file does not exist.
     """
-    require_regular(photo, "give a table and a raw file")
+    require_regular(photo, "name a table and a raw file")
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
         others = [photo, *(each for each in inputs if each != table)]
-        raise RecipeError(f"{photo} is a raw file; the table comes first: {_rendering(table, others, output)}")
+        raise RecipeError(f"{photo} is a raw file; name the table before the raw files: {_rendering(table, others, output)}")
     photos = [photo, *inputs]
     making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
     rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
     raise RecipeError(
-        f"{photo} is a raw file, and no table is given; make a table for its camera, then render: {making}; {rendering}"
+        f"{photo} is a raw file, but l3 render also needs a table; make a table for the camera, then render: "
+        f"{making}; {rendering}"
     )
 
 
@@ -272,10 +313,10 @@ def _rendering(table: Path, photos: Sequence[Path], output: Path) -> str:
 
 
 def _contents(camera: PhotoCamera) -> dict[str, bytes]:
-    """Return the files of a camera's folder, by name."""
+    """Return the content of each file in the folder of a camera, by file name."""
     common = common_files(camera.body.rows, camera.body.cols)
     makefile = common["Makefile"].decode()
-    shown = camera.photo and _shown(camera)
+    shown = camera.photo and _link_name(camera)
     known = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in camera.overrides.items())
     for line, value in (("PHOTO ?=\n", shown), ("WHITE ?=\n", camera.white), ("RENDER ?=\n", known)):
         assert line in makefile
@@ -291,15 +332,15 @@ def _link(path: Path, photo: Path) -> None:
         path.symlink_to(photo)
 
 
-def _shown(camera: PhotoCamera) -> str:
-    """Return the name of the link to the photo that picture.png shows."""
+def _link_name(camera: PhotoCamera) -> str:
+    """Return the name of the link to the photo that the Makefile renders."""
     assert camera.photo is not None
     suffix = camera.photo.suffix.lower()
-    return f"{SHOWN}{suffix if is_photo(camera.photo) else ''}"
+    return f"{PHOTO_LINK}{suffix if is_photo(camera.photo) else ''}"
 
 
 def _camera_line(place: Path, camera: PhotoCamera) -> str:
-    """Return a message about a new folder: its camera, the origin of the data, the assumptions, and the next command."""
+    """Return a line about a new folder: the camera, the origin of its data, the assumptions, and the next command."""
     body, array = camera.body, "/".join(array_rows(camera.body.channels, camera.body.cfa, ""))
     white = f" ‹white› {camera.white}" if camera.white not in (None, CHART_WHITE) else ""
     known = "".join(f" ‹{name}› {value}" for name, value in camera.overrides.items())
@@ -307,9 +348,9 @@ def _camera_line(place: Path, camera: PhotoCamera) -> str:
     levels = f"{camera.black_level:g}…{camera.white_level:g} DN"
     photo = "" if camera.photo else " PHOTO=RAW"
     return (
-        f"{place}: {camera.name}, {array}, {body.rows}×{body.cols}, {levels}; curves {camera.origin}; "
+        f"{place}: {camera.name}, {array}, {body.rows}×{body.cols} pixels, {levels}; curves {camera.origin}; "
         f"noise {camera.noise.source}; assumed: {', '.join(camera.assumed)}; next: make -C {shlex.quote(str(place))} "
-        f"picture.png{photo}; another photo: {others}"
+        f"picture.png{photo}; to render another photo: {others}"
     )
 
 
@@ -318,18 +359,21 @@ def _raw_files(photo: Path) -> list[Path]:
     if not photo.is_dir():
         if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
             raise InputFileError(
-                f"{photo} does not say which camera took it; give a DNG or a camera's own raw file, or start from a recipe, "
-                'such as "l3 init bayer DIR"'
+                f"{photo} contains no metadata about the camera; name a DNG or a camera's own raw file, or start from a "
+                'recipe, such as "l3 init bayer DIR"'
             )
         return [photo]
     files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
     if not files:
-        raise InputFileError(f"{photo} contains no raw files; give a folder with DNG, CR2, NEF, ARW… files")
+        raise InputFileError(f"{photo} contains no raw files; name a folder with DNG, CR2, NEF, ARW or similar files")
     return files
 
 
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
-    """Group the files by camera. Files of a folder that are not raw files are skipped, with a message for each."""
+    """Group raw files by camera.
+
+    A file from a folder (`listed`) that is not a raw file is reported and skipped. Any other such file is an error.
+    """
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
         try:
@@ -342,13 +386,13 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
         cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
         raise InputFileError(
-            f"{files[0].parent}: no file is a readable raw file; give raw files with the mosaic of a camera"
+            f"{files[0].parent} contains no raw file that l3 can read; name raw files that contain the mosaic of a camera"
         )
     return cameras
 
 
 def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Return the folder of each camera."""
+    """Return the folder of each camera: `folder` for a single camera, otherwise a subfolder named after the camera."""
     if len(names) == 1:
         return {names[0]: folder}
     places: dict[str, Path] = {}
@@ -360,33 +404,33 @@ def _places(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     return places
 
 
-# ----------------------------------------------------------------------------- a camera as its raw files show it
+# ----------------------------------------------------------------------------------- the camera of some raw files
 
 
 def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
     """Return the camera that took some raw files.
 
-    Its curves come from a ColorChecker in one of the first files, otherwise from measured curves, colour matrices or the
-    mean of measured cameras.
+    l3 takes the responsivities from the first available source: a ColorChecker in one of the first MAX_CHART_PHOTOS photos,
+    measured curves of this camera, the colour matrices in the file, and the mean of the measured cameras.
 
     Raises
     ------
     InputFileError
-        If the first file does not state its CFA and levels, if its pixels contradict the CFA, or if the responsivities
-        cannot be determined.
+        If the CFA, black level or white level of the first file is unknown, if its pixels contradict its CFA, or if there is
+        no source of responsivities.
     """
-    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # gains are relative to the lowest ISO speed
+    taken = sorted(taken, key=lambda each: each[1].iso or 0.0)  # because gains are relative to the lowest ISO speed
     path, known = taken[0]
     gains = gains_of(known, [each for _, each in taken])
     measured = _measurements(path, options)
     frame = measured.photos[0].frames[0]
     levels = frame.black_level, frame.white_level
     noise = noise_of(known, levels[1] - levels[0])
-    # The CFA of the recipe starts at the first pixel, so rendering needs phase 0,0 if the file states another CFA.
+    # The CFA in the recipe starts at the first pixel. If the CFA in the file differs, rendering needs phase 0,0.
     phase = "0,0" if any(options.phase or ()) or options.pattern is not None else None
-    given = {"phase": phase} | {name: getattr(options, name) for name in ANSWERS}
+    given = {"phase": phase} | {name: getattr(options, name) for name in RAW_OVERRIDES}
     overrides = {name: f"{value}" for name, value in given.items() if value is not None}
-    for other, facts in taken[:SEARCHED]:
+    for other, facts in taken[:MAX_CHART_PHOTOS]:
         found = _by_chart(measured if other == path else _measurements(other, options), options.console)
         if found is None or found.channels != measured.body.channels:
             continue
@@ -397,14 +441,15 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         if fit.guessed[0] and fit.likely is not None:
             light, white = f"a light that is {guessed_light(fit.likely.of(0))}", CHART_WHITE
             options.console.warn(
-                f"{other.name}: the illuminant of the chart was estimated, and all colours depend on it; give ‹light›"
+                f"{other.name}: l3 has estimated the illuminant of the chart, and all colours depend on the illuminant; "
+                "set it with ‹light›"
             )
         origin = f"of the {fit.charts[0]} ColorChecker in {other.name}, under {light}"
         if known.noise is None:
             over = facts.iso / known.iso if facts.iso and known.iso else 1.0  # gain is proportional to the ISO speed
             noise = SensorNoise(found.gain / over, found.noise.read_noise, "as measured on the patches of the chart")
         curves = found.responsivity / found.responsivity.max()
-        balance = white if len(found.channels) > 1 else None  # pictures of one channel are grey
+        balance = white if len(found.channels) > 1 else None  # a camera with one channel makes grey pictures
         return PhotoCamera(
             other, measured.body, *levels, known, found.wavelength, curves, origin, noise, balance, gains, overrides
         )
@@ -416,13 +461,13 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
 
 
 def _measurements(path: Path, options: InitOptions) -> Measurements:
-    """Read a raw file, with the CFA and black level of the options if given.
+    """Read a raw file. Values in the options replace values in the file.
 
-    A doubtful black level leads to a warning. If the pixels contradict the stated CFA and no option settles the doubt,
-    InputFileError is raised.
+    If the black level of the file is doubtful, the user is warned. If the pixels contradict the CFA of the file and the
+    options do not specify a CFA, InputFileError is raised.
     """
     try:
-        answers = {name: value for name in ANSWERS if (value := getattr(options, name)) is not None}
+        answers = {name: value for name in RAW_OVERRIDES if (value := getattr(options, name)) is not None}
         measured = read_photos([path], options.light, answers).measurements
     except InputFileError as error:
         reason, other_cure, _ = str(error).partition("; write a measurement file")
@@ -432,7 +477,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
         least = "×".join(map(str, SMALLEST_SENSOR))
         raise InputFileError(
-            f"{path} has {body.rows}×{body.cols} pixels, but at least {least} are needed; give a file of the whole sensor"
+            f"{path} has {body.rows}×{body.cols} pixels, but l3 needs at least {least}; name a raw file of the whole sensor"
         )
     if options.pattern is not None:
         channels, cfa = array_named(options.pattern)
@@ -446,41 +491,51 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     black_level = frame.black_level if options.black_level is None else options.black_level
     if not black_level < white_level:
         raise RecipeError(
-            f"‹black_level› {black_level:g} is not below the white level of {path}, {white_level:g} DN; give a lower one"
+            f"‹black_level› {black_level:g} is not below the white level of {path}, {white_level:g} DN; set a lower black "
+            "level"
         )
     frame = replace(frame, black_level=black_level, white_level=white_level)
     if options.black_level is None and (share := share_below_black(frame)):
         raise InputFileError(
-            f"{path}: {share:.0%} of the pixels are below {BELOW * black_level:.0f} DN, but it states a black level of "
-            f"{black_level:g} DN; the values have another bit depth, or black has been subtracted: give ‹black_level› "
-            "and ‹white_level›"
+            f"{path}: {share:.0%} of the pixels are below {BELOW * black_level:.0f} DN, although the file states a black "
+            f"level of {black_level:g} DN, so the values have another bit depth or black has been subtracted; set "
+            "‹black_level› and ‹white_level›"
         )
     if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:
         options.console.warn(
-            f"{path} states a black level of 0, but the darkest values of all channels are about {black:.0f} of "
-            f"{frame.white_level:.0f} DN; if colours look washed out, give ‹black_level› {black:.0f}"
+            f"{path} states a black level of 0, but the darkest values of all channels are about {black:.0f} DN (white "
+            f"level {frame.white_level:.0f} DN); if colours look washed out, set ‹black_level› {black:.0f}"
         )
     body = replace(body, bits=bits_of(white_level), cfa=shifted_cfa(body.cfa, options.phase or (0, 0)))
     return replace(measured, body=body, photos=(replace(measured.photos[0], frames=(frame,)),))
 
 
 def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
-    """Return the channels and the CFA (row, col) that ‹pattern› names.
+    """Read the CFA that ‹pattern› specifies.
 
     Parameters
     ----------
     text : str
-        Name of a camera recipe that comes with l3, or rows divided by "/". A row names channels divided by blanks; letters
-        of colours may stand together: "rg/gb", "r g ir g/…".
+        Name of a camera recipe that comes with l3, or the rows of the CFA with "/" between them. Within a row, blanks
+        separate the channels. Blanks between colour letters may be omitted: "rg/gb", "r g ir g/…".
+
+    Returns
+    -------
+    tuple of str
+        Names of the channels.
+    ndarray, (row, col)
+        Channel of each site, as an index.
 
     Raises
     ------
     RecipeError
-        If the text is neither, or if its rows do not form a CFA.
+        If the text is neither the name of a recipe nor the rows of a CFA.
     """
     known = known_arrays()
     if text not in known and "/" not in text:
-        raise RecipeError(f'‹pattern› "{text}" is neither a camera recipe nor rows such as rg/gb; {suggestion(text, known)}')
+        raise RecipeError(
+            f'‹pattern› "{text}" is neither a camera recipe nor the rows of a CFA, such as rg/gb; {suggestion(text, known)}'
+        )
     if text not in known:
         words = [row.lower().split() for row in text.split("/")]
         rows = [" ".join(" ".join(each) if set(each) <= COLOURS else each for each in row) for row in words]
@@ -489,55 +544,62 @@ def array_named(text: str) -> tuple[tuple[str, ...], NDArray[np.uint8]]:
 
 
 def neutral_by_name(frame: RawFrame, body: Body, channels: Sequence[str]) -> tuple[float, ...] | None:
-    """Return the raw file's signals of a grey for `channels`, matched by name, or None if one is unknown."""
+    """Return the neutral of a raw file in the order of `channels`, or None if the file lacks one of the channels.
+
+    The neutral is the signal of a grey object in each channel.
+    """
     known = dict(zip(body.channels, frame.neutral or (), strict=False))
     return tuple(known[name] for name in channels) if set(channels) <= set(known) else None
 
 
 def _another_array(body: Body, doubt: ArrayDoubt) -> str:
-    """Return the message that the pixels fit the stated CFA in no phase, and which option helps."""
+    """Return the message for pixels that do not fit the stated CFA in any phase."""
     stated = "/".join(array_rows(body.channels, body.cfa, ""))
     likely = doubt.likely({name: array_named(name)[1] for name in (*known_arrays(), NONA)})
     named = " or ".join(f'"{each}"' if "/" in each else each for each in likely[:2])
     return (
-        f"it states the CFA {stated}, but its pixels show another: sites of one colour differ by {doubt.differ:.0%}; give "
-        f"‹pattern› {named} or its rows, or ‹pattern› {stated} if that is right"
+        f"the file states the CFA {stated}, but pixels at sites of one colour differ by {doubt.differ:.0%}; set ‹pattern› "
+        f"{named} or the rows of the actual CFA, or ‹pattern› {stated} if the file is right"
     )
 
 
 def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
-    """Return the message that the CFA seems to start at another site, and which option helps."""
+    """Return the message for pixels that fit the stated CFA in another phase."""
     phases = [(0, 0), *doubt.phases]
     patterns = ["/".join(array_rows(body.channels, shifted_cfa(body.cfa, each), "")) for each in phases]
     stated, *shown = [(f"{row},{col}", pattern) for (row, col), pattern in zip(phases, patterns, strict=True)]
     (best, pattern), others = shown[0], " or ".join(f"{phase} ({pattern})" for phase, pattern in shown[1:])
     if doubt.by_grey:
-        why = f"but its mean is far from the grey that it states, and close to it as {pattern}, unless that white is wrong"
+        why = f"but the mean colour of the picture fits the white balance of the file only if the CFA is {pattern}"
     else:
-        least = f"as {pattern} only by {doubt.least:.1%}"
-        why = f"but its pixels show {pattern}: sites of one channel differ by {doubt.stated:.1%}, {least}"
-    other = f", {others} if that gives true colours" if others else ""
-    return f"it states {stated[1]}, {why}; give ‹phase› {best}{other}, or 0,0 if the file is right"
+        least = f"and with {pattern} by only {doubt.least:.1%}"
+        why = f"but with this CFA pixels of one channel differ by {doubt.stated:.1%}, {least}"
+    other = f", {others} if that makes colours right" if others else ""
+    return f"the file states the CFA {stated[1]}, {why}; set ‹phase› {best}{other}, or 0,0 if the file is right"
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """Return the camera model from the ColorChecker in a photo, or None if there is no chart or the fit fails its checks."""
+    """Return the camera model that is fitted to the ColorChecker in a photo.
+
+    The result is None if the photo shows no chart, or if the fit is too poor.
+    """
     try:
         camera = model.calibrate(measured)
     except InputFileError:
         return None
     wrong = figures.shortfall(camera)
     if wrong:
-        console.warn(f"chart ignored: {wrong}")
+        console.warn(f"the chart is ignored: {wrong}")
     for doubt in figures.doubts(camera):
         console.warn(doubt)
     return None if wrong else camera
 
 
 def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[responsivity.Curves, str]:
-    """Return the responsivities from the first available source, and a text that names the source.
+    """Return the responsivities of a camera without a chart, and a text about their source.
 
-    The sources are the measured curves of this camera, the file's colour matrices, and the mean of measured cameras.
+    l3 uses the first available source: (1) measured curves of this camera; (2) the colour matrices in the file; (3) the mean
+    of the measured cameras; (4) for a single channel, bare silicon behind an infrared filter.
     """
     channels = measured.body.channels
     if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
@@ -562,16 +624,16 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # No sensor responds to a grey with equal signals, so the values have been white-balanced already.
+        # No sensor responds to grey with equal signals, so the raw values have already been white-balanced.
         balanced = responsivity.balanced_curves(curves, "D65")
-        return balanced, f"{origin}; balanced for D65, as the file's values are for its white"
+        return balanced, f"{origin}; balanced for D65, because the values in the file are white-balanced"
     if len(channels) == 1:
         bare = load_camera(known_recipes("cameras")["mono"])
         relative = bare.responsivity / bare.responsivity.max()
         return responsivity.Curves(
             bare.wavelength, relative, np.zeros_like(relative)
-        ), "assumed: silicon behind an infrared filter, because a camera without filters shows no colours to fit"
+        ), "assumed: silicon behind an infrared filter, because curves cannot be fitted to the photo of a monochrome camera"
     raise InputFileError(
-        f"{path} shows no chart and states no colour matrix, so the responsivities of {', '.join(channels)} are unknown; "
-        'photograph a ColorChecker, or start from curves, "l3 init from_curves DIR"'
+        f"{path} shows no ColorChecker and contains no colour matrix, so the responsivities of {', '.join(channels)} are "
+        'unknown; photograph a ColorChecker, or start from curves with "l3 init from_curves DIR"'
     )

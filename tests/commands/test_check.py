@@ -312,8 +312,8 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
     ("content", "line", "what"),
     [
         (b"a = 1\nb = \n", 2, "is not valid TOML"),
-        (b"", 1, "the keys do not show whether this is"),
-        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the keys do not show whether this is"),
+        (b"", 1, "the keys do not show whether this file is"),
+        (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the keys do not show whether this file is"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a glob"),
@@ -388,9 +388,9 @@ def test_a_hundred_faults_are_listed_and_the_others_counted(tmp_path: Path, l3: 
     assert code == 3
     listed, others = out.splitlines()
     assert listed.startswith(
-        f"{tmp_path}/scenes.toml:2: missing key `source` in [scene[1]] (and 99 times more, in lines 3, 4"
+        f"{tmp_path}/scenes.toml:2: missing key `source` in [scene[1]] (99 similar faults in lines 3, 4"
     )
-    assert others == f"{tmp_path}/scenes.toml: and 400 more"
+    assert others == f"{tmp_path}/scenes.toml: 400 more faults are not listed"
     assert "500 faults in 1 of 1 files" in err
     (file,) = json.loads(l3("check", tmp_path / "scenes.toml", "--json")[1])["files"]
     assert (len(file["faults"]), file["more_faults"]) == (100, 400)
@@ -485,7 +485,7 @@ def test_equal_faults_of_many_entries_are_one_line(tmp_path: Path, l3: L3) -> No
         assert code == 3
         assert out.count("\n") == lines
         assert f"{4 * steps + 1} faults in 1 of 1 files" in err
-        folded = f'unknown key `spectra` in [mono[1]]; did you mean "spectrum"? (and {steps - 1} times more, in lines 10, '
+        folded = f'unknown key `spectra` in [mono[1]]; did you mean "spectrum"? ({steps - 1} similar faults in lines 10, '
         assert (folded in out) == (steps == 20)
         assert "m0.tif does not exist" in out
         assert "unknown key `lamp`" in out

@@ -64,17 +64,17 @@ def test_a_photo_without_a_table_gets_the_commands_that_lead_to_its_picture(
     named = tmp_path / "my photo.dng"
     shutil.copy(photo, named)
     line = refused(2, "render", named.name, "-o", "p.png").strip()
-    assert line.startswith("l3: my photo.dng is a raw file, and no table is given")
+    assert line.startswith("l3: my photo.dng is a raw file, but l3 render also needs a table")
     commands = line.partition("then render: ")[2]
     first, make, then = (shlex.split(each) for each in re.split(" && |; ", commands))
     assert l3(*first[1:])[0] == 0
     assert make == ["make", "-C", "mine", "table.h5"]
     assert "\ntable.h5: " in (tmp_path / "mine/Makefile").read_text()
     assert then == ["l3", "render", "mine/table.h5", "my photo.dng", "-o", "p.png"]
-    assert "no table is given" in refused(2, "render", named, photo, "-o", "p.png")
+    assert "also needs a table" in refused(2, "render", named, photo, "-o", "p.png")
     (tmp_path / "table.h5").touch()
     swapped = refused(2, "render", "my photo.dng", "table.h5", "-o", "p.png")
-    assert "the table comes first: l3 render table.h5 'my photo.dng' -o p.png" in swapped
+    assert "name the table before the raw files: l3 render table.h5 'my photo.dng' -o p.png" in swapped
     assert "missing.dng does not exist" in refused(3, "render", "missing.dng", "-o", "p.png")
     assert "with --photo" in refused(2, "calibrate", named, "-o", "camera.h5")
 
@@ -87,7 +87,7 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
     assert "curves from the colour matrices for A and D65" in err
     assert "noise as the file's noise profile says" in err
     assert "assumed: peak efficiency, pixel pitch;" in err
-    assert f"make -C {folder} picture.png; another photo: l3 render {folder}/table.h5 RAW -o PICTURE.png" in err
+    assert f"make -C {folder} picture.png; to render another photo: l3 render {folder}/table.h5 RAW -o PICTURE.png" in err
     camera = load_camera(folder / "camera.toml")
     assert (camera.name, camera.channels, camera.bits) == ("l3cli small Bayer", ("r", "g", "b"), 12)
     assert (camera.rows, camera.cols) == (128, 160)
@@ -160,8 +160,8 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     write_dng(tmp_path / "a.dng", wall(camera, 1, 0), camera, IDENTITY, WALL, 0.01)
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     line = refused(3, *call)
-    assert "a.dng: it states rg/gb, but its pixels show gb/rg: sites of one channel differ by " in line
-    assert line.endswith("give --phase 1,0, 0,1 (gr/bg) if that gives true colours, or 0,0 if the file is right\n")
+    assert "a.dng: the file states the CFA rg/gb, but with this CFA pixels of one channel differ by " in line
+    assert line.endswith("set --phase 1,0, 0,1 (gr/bg) if that makes colours right, or 0,0 if the file is right\n")
     assert not (tmp_path / "mine").exists()
     code, _, err = l3(*call, "--phase", "1,0")
     assert code == 0, err
@@ -172,8 +172,9 @@ def test_an_array_that_the_pixels_belie_is_refused_until_answered(
     assert [[made.channels[site] for site in row] for row in made.cfa] == [["g", "b"], ["r", "g"]]
     write_dng(tmp_path / "b.dng", wall(camera, 1, 1), camera, IDENTITY, WALL, 0.01)
     swapped = refused(3, "init", "--from", tmp_path / "b.dng", tmp_path / "other")
-    assert "it states rg/gb, but its mean is far from the grey that it states, and close to it as bg/gr" in swapped
-    assert swapped.endswith("give --phase 1,1, or 0,0 if the file is right\n")
+    assert "the file states the CFA rg/gb, but the mean colour" in swapped
+    assert "only if the CFA is bg/gr" in swapped
+    assert swapped.endswith("set --phase 1,1, or 0,0 if the file is right\n")
     assert l3(*call, "--phase", "0,0", "--force", "--quiet")[0] == 0
     assert load_camera(tmp_path / "mine/camera.toml").cfa.tolist() == [[0, 1], [1, 2]]
     assert "RENDER ?=\n" in (tmp_path / "mine/Makefile").read_text()
@@ -188,7 +189,7 @@ def test_a_black_level_of_0_is_questioned(bayer: CameraModel, tmp_path: Path, l3
     (line,) = [each for each in err.splitlines() if "states a black level of 0" in each]
     seen = int(line.rpartition(" ")[2])
     assert 245 < seen < 260
-    assert f"about {seen} of 4095 DN; if colours look washed out, give --black-level {seen}" in line
+    assert f"about {seen} DN (white level 4095 DN); if colours look washed out, set --black-level {seen}" in line
     assert "--black-level 5000 is not below" in refused(2, *call, "--black-level", "5000", "--force")
     code, _, err = l3(*call, "--black-level", "256", "--force")
     assert (code, "states a black level" in err) == (0, False)
@@ -319,7 +320,7 @@ def test_a_camera_by_the_chart_in_its_photo(bayer: CameraModel, tmp_path: Path, 
     code, _, err = l3("init", "--from", tmp_path / "taken/b.dng", tmp_path / "unnamed")
     assert code == 0, err
     assert re.search(r"under a light that is guessed: [^;]*D65 \d+ %", err)
-    assert "give --light" in err
+    assert "set it with --light" in err
     assert "--white" not in err
     assert "WHITE ?= chart\n" in (tmp_path / "unnamed/Makefile").read_text()
     made, truth = load_camera(tmp_path / "mine/camera.toml"), photos.drawn(1)
@@ -391,7 +392,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     assert "--phase is for raw files" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
     dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
-    assert "--phase is for one camera" in refused(2, *both)
+    assert "--phase applies to one camera" in refused(2, *both)
     assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
     assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()

@@ -156,21 +156,21 @@ def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: 
         assert l3("train", *run, "--shard", f"{index}/3", "-o", path)[0] == 0
     code, _, err = l3("train", "--merge", *a, "-o", first)
     assert code == 0
-    assert f"go on with --shard I/N --first {first}" in err
+    assert f"continue training with --shard I/N --first {first}" in err
     for index, path in enumerate(b, start=1):
         assert l3("train", *run, "--shard", f"{index}/3", "--first", first, "-o", path)[0] == 0
     assert l3("train", "--merge", b[2], b[0], b[1], "-o", table)[0] == 0
     assert table.read_bytes() == (tmp_path / "1.h5").read_bytes()
     assert first.read_bytes() != table.read_bytes()
     out = tmp_path / "no.h5"
-    assert "shards are missing: 2/3" in refused(3, "train", "--merge", a[0], a[2], "-o", out)
+    assert "--shard 2/3 is missing" in refused(3, "train", "--merge", a[0], a[2], "-o", out)
     assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", a[0], a[1], a[0], a[2], "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", a[0], a[1], b[2], "-o", out)
     assert "holds a training set" in refused(3, "train", "--merge", training, "-o", out)
     assert "holds partial sums;" in refused(3, "train", a[0], "-o", out)
     other = (*run[:-1], 6, "--shard", "1/3", "--first")
-    assert "is not the first pass of this run" in refused(3, "train", *other, first, "-o", out)
-    assert "is not the first pass of this run" in refused(3, "train", *run, "--shard", "1/3", "--first", table, "-o", out)
+    assert "is not the table of the first pass" in refused(3, "train", *other, first, "-o", out)
+    assert "is not the table of the first pass" in refused(3, "train", *run, "--shard", "1/3", "--first", table, "-o", out)
     assert l3("train", *run[:-1], 6, "--shard", "1/3", "-o", tmp_path / "foreign.h5")[0] == 0
     assert "different runs or passes" in refused(3, "train", "--merge", tmp_path / "foreign.h5", a[1], a[2], "-o", out)
     for wrong, why in (
@@ -207,21 +207,21 @@ def test_three_layers_have_the_same_bytes_in_shards(
     shards, tables = [], []
     for made in ("first pass", "first layer", "second layer"):
         parts, table, words = in_shards(l3, run, 2, tmp_path, *before)
-        assert f"this is the {made}: go on with --shard I/N --first {table}" in words
+        assert f"the table of the {made}; continue training with --shard I/N --first {table}" in words
         before = ("--first", table)
         shards.append(parts)
         tables.append(table)
     parts, table, words = in_shards(l3, run, 4, tmp_path, *before)
-    assert "go on with" not in words
+    assert "continue training with" not in words
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
     code, words, _ = l3("info", parts[0])
     assert (code, "partial sums of a layer" in words) == (0, True)
 
     out = tmp_path / "no.h5"
-    assert "shards are missing: 2/4" in refused(3, "train", "--merge", parts[0], *parts[2:], "-o", out)
+    assert "--shard 2/4 is missing" in refused(3, "train", "--merge", parts[0], *parts[2:], "-o", out)
     assert "are the same shard, 1 of 4" in refused(3, "train", "--merge", parts[0], *parts, "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", parts[0], shards[2][1], "-o", out)
-    of_this_run = "is not the first pass of this run, nor its first layer or second layer: "
+    of_this_run = "is not the table of the first pass or first layer or second layer of this run, "
     assert of_this_run in refused(3, "train", *run, "--shard", "1/2", "--first", table, "-o", out)  # nothing follows it
     for of_other_run in tables[1:]:
         assert of_this_run in refused(3, "train", *run[:-1], 6, "--shard", "1/2", "--first", of_other_run, "-o", out)
@@ -235,7 +235,7 @@ def test_a_second_layer_follows_a_single_pass(bayer: CameraModel, tmp_path: Path
     run = (training, "--classes", tmp_path / "classes.toml")
     assert l3("train", *run, "-o", tmp_path / "whole.h5")[0] == 0
     _, one_layer, words = in_shards(l3, run, 2, tmp_path)
-    assert "this is the first layer: go on with" in words
+    assert "is the table of the first layer; continue training with" in words
     _, table, _ = in_shards(l3, run, 2, tmp_path, "--first", one_layer)
     assert table.read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
@@ -260,7 +260,7 @@ def test_a_training_set_that_is_replaced_during_it_is_noticed(bayer: CameraModel
         execution = Execution(pool, remote=False, console=Silent())
         first_pass(run, execution)
         other.rename(training)
-        with pytest.raises(InputFileError, match="was replaced during training"):
+        with pytest.raises(InputFileError, match="has changed during training"):
             first_pass(run, execution)
 
 
@@ -289,8 +289,8 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
 @pytest.mark.parametrize(
     ("shares", "why"),
     [
-        ("1", "--shares has 1 shares for 2 training sets"),
-        ("1,2,3", "--shares has 3 shares for 2 training sets"),
+        ("1", "--shares contains 1 value, but there are 2 training sets"),
+        ("1,2,3", "--shares contains 3 values, but there are 2 training sets"),
         ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
         ("0,0", "at least one proportion must be above zero"),
         ("1,x", "is not a number"),

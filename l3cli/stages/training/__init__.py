@@ -1,1 +1,1 @@
-"""The training stage: training sets → transform table, whole (`whole`) or in shards (`shards`)."""
+"""The training stage: it trains a transform table from training sets, in one run or in shards."""

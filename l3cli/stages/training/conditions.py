@@ -1,5 +1,8 @@
-"""Conditions of a table: additional transforms for other noise and for single lights, with the classes of the whole table
-(docs/method.md#noise-sets, docs/method.md#several-lights)."""
+"""Training of additional transforms for other noise and for single illuminants.
+
+Each combination of noise and illuminant is called a condition. All conditions of a table share its classes
+(docs/method.md#noise-sets, docs/method.md#several-lights).
+"""
 
 import itertools
 from dataclasses import replace
@@ -20,15 +23,16 @@ from l3cli.system.console import Silent
 from l3cli.training.table import passes_of, with_noises
 from l3cli.training.training_pass import TrainingPass, spread_patches
 
-SAME_LIGHT = 1e-3  # relative difference up to which two whites count as one light
+SAME_WHITE = 1e-3  # largest difference between two whites of one illuminant, on a scale on which Y is 1
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Return the table with transforms for each condition in the recipe: every combination of light and noise."""
+    """Return the table with additional transforms for each combination of illuminant and noise in the recipe."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
-        pass_ = first_pass(of_light, replace(execution, console=Silent()))  # for white and light; its rule is replaced
+        # first_pass determines the white and the light. Its class rule is replaced by the rule of the table.
+        pass_ = first_pass(of_light, replace(execution, console=Silent()))
         pass_ = replace(pass_, rule=table.first.rule, exposure=table.exposure)
         usual = learn_refinement_layers(of_light, learn_first(of_light, pass_, execution), execution, like=table)
         made = _with_noises(of_light, pass_, usual, table, execution)
@@ -42,7 +46,7 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Return a trained table with transforms for each other noise in the recipe."""
+    """Return a trained table with additional transforms for each noise condition in the recipe."""
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         execution.console.info(f"training transforms for {noise}")
@@ -51,44 +55,61 @@ def _with_noises(
 
 
 def runs_by_light(run: TrainingRun) -> list[tuple[str, TrainingRun]]:
-    """Return each light in the recipe, the warmest first, with a run over the frames under this light only.
+    """Return a training run for each illuminant in `learning.lights` of the recipe.
 
-    Each run takes as many patches and mosaics as a run over all frames.
+    Each run uses only the frames under its illuminant, but as many patches and mosaics as a run over all frames.
+
+    Returns
+    -------
+    list of (str, TrainingRun)
+        Name of each illuminant, and its run. The illuminant with the lowest colour temperature is the first.
 
     Raises
     ------
     InputFileError
-        If no frame is under a light, or if two lights have the same colour temperature.
+        If the targets are not XYZ values under the illuminant of each frame, if an illuminant has no frames, or if two
+        illuminants have the same colour temperature.
     """
     if not (lights := run.recipe.learning.lights):
         return []
     named = ", ".join(str(source.path) for source in run.training)
     if run.head.outputs[:3] != XYZ or run.head.target_light is not None:
         raise InputFileError(
-            f"{named}: learning.lights needs XYZ targets that were computed under the illuminant of each frame; leave it "
-            "out, or remove `illuminant` from [target] in the scene recipe and simulate again"
+            f"{named}: the key learning.lights needs XYZ targets that were computed under the illuminant of each frame; "
+            "remove learning.lights, or remove `illuminant` from [target] in the scene recipe and simulate again"
         )
     frames, mireds = _frames_by_light(run, named)
     for light in lights:
         if light not in frames:
             raise InputFileError(
-                f"{named}: no frame is under {light}, which learning.lights names; {suggestion(light, frames)}"
+                f'{named}: learning.lights contains "{light}", but no frame has this illuminant; {suggestion(light, frames)}'
             )
     order = sorted(dict.fromkeys(lights), key=lambda name: -mireds[name])
     for warm, cool in itertools.pairwise(order):
         if mireds[warm] - mireds[cool] < SAME_MIRED:
             raise InputFileError(
-                f"{named}: {warm} and {cool} have the same colour temperature, by which learning.lights tells lights "
-                "apart; name one of them"
+                f"{named}: the illuminants {warm} and {cool} in learning.lights have the same colour temperature, so l3 "
+                "cannot distinguish them; remove one of the two"
             )
     return [(name, _chosen(run, frames[name])) for name in order]
 
 
 def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, list[int]]], dict[str, float]]:
-    """Return the indices of each light's frames by set, and its reciprocal colour temperature (mired).
+    """Find the frames under each illuminant.
 
-    Real pairs are left out, because their light is unknown. Raise InputFileError if frames under a light of one name have
-    different whites.
+    Real pairs are left out, because their illuminant is unknown.
+
+    Returns
+    -------
+    dict
+        Name of the illuminant → index of the training set → indices of the frames in the set.
+    dict
+        Name of the illuminant → reciprocal colour temperature in mired.
+
+    Raises
+    ------
+    InputFileError
+        If frames with the same illuminant name have different whites.
     """
     whites: dict[str, NDArray[np.float64]] = {}
     frames: dict[str, dict[int, list[int]]] = {}
@@ -97,17 +118,18 @@ def _frames_by_light(run: TrainingRun, named: str) -> tuple[dict[str, dict[int, 
             for index in range(reader.simulated):
                 light = reader.light(index)
                 white = light.white[:3] / light.white[1]
-                if np.abs(whites.setdefault(light.illuminant, white) - white).max() > SAME_LIGHT:
+                if np.abs(whites.setdefault(light.illuminant, white) - white).max() > SAME_WHITE:
                     raise InputFileError(
-                        f"{named}: frames under {light.illuminant} have different whites, and learning.lights tells "
-                        "lights apart by their names; name each light in SCENES.toml, or leave it out"
+                        f'{named}: frames with the illuminant name "{light.illuminant}" have different whites, but '
+                        "learning.lights needs a different name for each illuminant; give each illuminant its own name in "
+                        "SCENES.toml, or remove learning.lights"
                     )
                 frames.setdefault(light.illuminant, {}).setdefault(place, []).append(index)
     return frames, {name: mired_of(white) for name, white in whites.items()}
 
 
 def _chosen(run: TrainingRun, frames: dict[int, list[int]]) -> TrainingRun:
-    """Return the run over some frames, given as indices by set."""
+    """Return a run over some frames. `frames` contains the indices of the frames in each training set."""
     shares = None if run.shares is None else tuple(run.shares[place] for place in frames)
     sources: list[TrainingSource] = []
     for place, indices in frames.items():

@@ -1,4 +1,8 @@
-"""Work of the processes of a training run: a pilot of all frames, the sums of a pass, and the transforms."""
+"""The passes of a training run over its frames, and the work that its processes do in them.
+
+A pilot examines a few patches of each frame and determines the class rule. Each pass then sums normal equations over patches
+and solves them for the transforms of the first layer.
+"""
 
 import collections
 from collections.abc import Callable, Iterator
@@ -21,20 +25,26 @@ from l3cli.training.sums import add
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
-MOST_PILOTED = 256  # frames in one work unit of the pilot
+MAX_PILOT_FRAMES = 256  # largest number of frames in a work unit of the pilot
 
 
 @dataclass(frozen=True)
 class Execution:
-    """Workers of a run, and the console for its messages."""
+    """The workers of a run and the console for its messages."""
 
     pool: WorkerPool
-    remote: bool  # whether workers are on other machines, which must see the same files
+    remote: bool  # whether the workers are on other machines, which must have access to the same files
     console: Console
 
 
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
-    """Return the first pass, or the only one, with the class rule from a pilot of all frames."""
+    """Return the first pass of a run. A pilot of all frames determines its class rule.
+
+    Raises
+    ------
+    RecipeError
+        If the class recipe has faults.
+    """
     learning = run.recipe.learning
     refuse_first(learning_faults(learning))
     refuse_first(layer_faults(run.recipe.layer))
@@ -42,10 +52,11 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
         sites = "×".join(map(str, run.head.camera.cfa.shape))
         patch = run.recipe.classes.patch
         execution.console.report(
-            f"classes.{name} is left out: an array of {sites} sites leaves no room for it in patches of {patch} pixels"
+            f"the class feature {name} is left out, because patches of {patch}×{patch} pixels are too small for it with a "
+            f"CFA of {sites} sites; set a larger classes.patch to use this feature"
         )
     patches = pilot_patches(run.patches)
-    size = max(1, min(MOST_PILOTED, len(patches) // (4 * execution.pool.size)))
+    size = max(1, min(MAX_PILOT_FRAMES, len(patches) // (4 * execution.pool.size)))
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
     about = (run.training, execution.remote, run.head, run.recipe, run.seed)
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
@@ -54,12 +65,12 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     features = "".join(f" × {feature.size} values of {feature.name}" for feature in rule.feature_list)
     classes = f"{rule.levels} levels × {rule.contrasts} contrasts{features} × {kinds}"
-    execution.console.info(f"{len(run.patches)} frames, {classes} per site")
+    execution.console.info(f"{len(run.patches)} frames, classes per site: {classes}")
     return TrainingPass(run.head, run.patches, rule, learning, white, run.seed, _first_number(run), exposure, light)
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the first pass, or pass `number`, with the class rule and white of a table."""
+    """Return the first pass, or pass `number`, with the class rule and the white of a table instead of a pilot."""
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -70,15 +81,15 @@ def _first_number(run: TrainingRun) -> int:
 
 @dataclass(frozen=True)
 class PilotUnit:
-    """Work unit of the pilot: some frames."""
+    """A work unit of the pilot: a range of frames."""
 
     training: tuple[TrainingSource, ...]
-    remote: bool  # as of WorkUnit
+    remote: bool  # whether the worker is on another machine and must verify the bytes of its files
     head: TrainingSet
     recipe: TrainingRecipe
     seed: int
     frames: range
-    patches: list[int]  # (frame)
+    patches: list[int]  # number of patches for each frame
 
 
 def _pilot(unit: PilotUnit) -> Pilot:
@@ -88,10 +99,10 @@ def _pilot(unit: PilotUnit) -> Pilot:
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """Work unit of a pass: the sums of some sites over some blocks of frames."""
+    """A work unit of a pass: the sums of some sites over some blocks of frames."""
 
     training: tuple[TrainingSource, ...]
-    remote: bool  # whether a worker on another machine must verify that its files are the same
+    remote: bool  # whether the worker is on another machine and must verify the bytes of its files
     pass_: TrainingPass
     share: WorkShare
     weightings: dict[int, SampleWeighting | None]
@@ -101,9 +112,30 @@ def summed(
     function: Callable[[WorkUnit], dict[int, Any]], run: TrainingRun, pass_: TrainingPass, first: TransformTable | None,
     blocks: list[range], execution: Execution,
 ) -> Iterator[tuple[int, Any]]:  # fmt: skip
-    """Apply `function` to the work units, and yield its result for each canonical site in order.
+    """Apply `function` to the work units of a pass, and yield the result for each canonical site in order.
 
-    The result is the sums over `blocks`, added up if several units share a site, or what the workers have solved already.
+    If several work units share a site, their sums are added up.
+
+    Parameters
+    ----------
+    function : callable
+        `sum_unit` or `learn_unit`.
+    run : TrainingRun
+        The run.
+    pass_ : TrainingPass
+        The pass.
+    first : TransformTable or None
+        Table of the previous pass, which determines the weights of the samples.
+    blocks : list of range
+        Blocks of frames.
+    execution : Execution
+        The workers.
+
+    Yields
+    ------
+    (int, ClassSums or Solution)
+        Canonical site, and its sums over `blocks`. With `learn_unit`, a worker that has all sums of a site returns the
+        solution instead.
     """
     units = []
     for share in work_shares(pass_, pass_.divisors, blocks, execution.pool.size):
@@ -126,7 +158,7 @@ def summed(
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
-    """Return the one-layer table that this pass and the following ones produce."""
+    """Return the table with one layer after this pass and all following passes."""
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)
@@ -138,14 +170,17 @@ def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> 
 
 
 def sum_unit(unit: WorkUnit) -> dict[int, ClassSums]:
-    """Return the sums of each site of a work unit."""
+    """Return the sums of a work unit for each site."""
     training = unit.training
     blocks = ((block[0], sites, frames_of(training, block, unit.remote)) for block, sites in unit.share.blocks)
     return sum_sites(unit.pass_, blocks, unit.weightings)
 
 
 def learn_unit(unit: WorkUnit) -> dict[int, ClassSums | Solution]:
-    """Return solutions for the sites whose sums are complete, which avoids sending them, and sums for the others."""
+    """Return the solution for each site whose sums are complete in this work unit, and the sums for every other site.
+
+    A solution is smaller than the sums, which then need not be sent to the main process.
+    """
     results: dict[int, Any] = dict(sum_unit(unit))
     for site in unit.share.whole:
         results[site] = learn_site(unit.pass_, [results[site]], site)

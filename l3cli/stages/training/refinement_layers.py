@@ -1,4 +1,4 @@
-"""Layers after the first: what the processes of a training run do for them (docs/method.md#layers)."""
+"""Training of refinement layers, and the work that the processes of a run do for them (docs/method.md#layers)."""
 
 import itertools
 from collections.abc import Iterator
@@ -21,13 +21,25 @@ from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
-UNITS = 8  # per process; with more, progress is finer, but each unit sends its own sums
+UNITS_PER_PROCESS = 8  # more work units make the progress bar smoother, but each unit sends its own sums
 
 
 def learn_refinement_layers(
     run: TrainingRun, table: TransformTable, execution: Execution, like: TransformTable | None = None
 ) -> TransformTable:
-    """Return the table with the refinement layers of the recipe. If `like` is given, they have the classes of its layers."""
+    """Train the refinement layers of the recipe, and return the table with these layers.
+
+    Parameters
+    ----------
+    run : TrainingRun
+        The run.
+    table : TransformTable
+        Table with the first layer.
+    execution : Execution
+        The workers.
+    like : TransformTable, optional
+        Table whose class rules are reused. By default, class rules are determined from the frames.
+    """
     if not run.has_refinement_layers:
         if like is None:
             warn_of_left_out_layers(run, execution.console)
@@ -43,35 +55,40 @@ def learn_refinement_layers(
 
 
 def warn_of_left_out_layers(run: TrainingRun, console: Console) -> None:
-    """Report if the recipe asks for layers that are not learned."""
+    """Report refinement layers in the recipe that are not trained, because they do not apply to the outputs."""
     if run.recipe.layer and not run.has_refinement_layers:
         outputs = ", ".join(run.head.outputs)
         console.report(
-            f"[[layer]] is left out: the outputs {outputs} take no such layer; three outputs with the luminance second take "
-            "any number, and spectra take one layer without coarse chroma or leaves"
+            f"the refinement layers of the recipe are left out, because they do not apply to the outputs {outputs}; three "
+            "outputs with the luminance in second place allow any number of layers, and spectra allow one layer without "
+            "coarse_chroma and leaves"
         )
 
 
 def layer_mosaics(run: TrainingRun, number: int) -> tuple[int, ...]:
-    """Return the number of training mosaics (frame) of refinement layer `number`, counted from 0."""
+    """Return, for each frame, the number of mosaics with which a refinement layer is trained.
+
+    `number` is the number of the refinement layer, counted from 0.
+    """
     return spread_patches(run.recipe.layer[number].mosaics, [source.frames for source in run.training], run.shares)
 
 
 @dataclass(frozen=True)
 class LayerUnit:
-    """A work unit of a layer's pass: some frames, and how they are classified as far as it is known."""
+    """A work unit for a refinement layer: some blocks of frames."""
 
     training: tuple[TrainingSource, ...]
-    remote: bool  # as of WorkUnit
+    remote: bool  # whether the worker is on another machine and must verify the bytes of its files
     layer: LayerPass
-    known: GradientScale | PlaneRule | None
-    blocks: list[range]  # frames
+    known: GradientScale | PlaneRule | None  # part of the class rule that is already known
+    blocks: list[range]  # ranges of frames
 
 
 def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: PlaneRule | None = None) -> PlaneRule:
-    """Return the layer's class rule, estimated from a pilot of all frames.
+    """Return the class rule of a refinement layer, which a pilot of all frames determines.
 
-    With `like`, that rule is reused. For other noise than the camera's, its gradient scale is estimated anew.
+    If `like` is set, the classes of this rule are reused. Only its gradient scale is determined from the frames if the noise
+    of the layer differs from the noise of the camera.
     """
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
@@ -87,17 +104,17 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         units = _units(run, layer, scale, layer.blocks, execution)
         sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
         samples = [sample for part in sampled for sample in part]
-        with threaded(execution.pool.size) as mapped:  # processes of the pool have nothing to do meanwhile
+        with threaded(execution.pool.size) as mapped:  # as many threads as processes, because the processes are idle now
             rule = rules.tree_rule(layer, scale, samples, mapped)
-        classes = f"{rule.structures} leaves, {rule.depth} tests deep, + {rule.cases - 1} saturation cases"
-    execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, {classes} per site")
+        classes = f"{rule.structures} leaves (tree depth {rule.depth}) + {rule.cases - 1} saturation cases"
+    execution.console.info(f"layer {layer.number}: {sum(layer.mosaics)} mosaics, classes per site: {classes}")
     return rule
 
 
 def summed_layer(
     run: TrainingRun, layer: LayerPass, rule: PlaneRule, blocks: list[range], execution: Execution
 ) -> dict[int, LayerSums]:
-    """Return the sums of the canonical sites over blocks of frames."""
+    """Return the sums of each canonical site over blocks of frames."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
     for part in execution.console.progress(execution.pool(_sum, units), len(units), f"layer {layer.number}"):
@@ -109,13 +126,13 @@ def _units(
     run: TrainingRun, layer: LayerPass, known: GradientScale | PlaneRule | None, blocks: list[range], execution: Execution
 ) -> list[LayerUnit]:
     about = (run.training, execution.remote, layer, known)
-    count = min(len(blocks), UNITS * execution.pool.size)
+    count = min(len(blocks), UNITS_PER_PROCESS * execution.pool.size)
     edges = [len(blocks) * part // count for part in range(count + 1)] if count else []
     return [LayerUnit(*about, blocks[first:last]) for first, last in itertools.pairwise(edges)]
 
 
 def _read(unit: LayerUnit) -> Iterator[tuple[int, Iterator[TrainingPair]]]:
-    """Yield the first index and the frames of each block."""
+    """Yield, for each block, the index of its first frame and its frames."""
     return ((block.start, frames_of(unit.training, block, unit.remote)) for block in unit.blocks)
 
 

@@ -1,4 +1,4 @@
-"""A training run: what all its passes and shards share, and a cache of the frames of its training sets."""
+"""The settings and training sets that all passes and shards of a training run share, and a cache of frames."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -17,15 +17,22 @@ from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.load import load_recipe
 from l3cli.recipes.toml import read_text
 from l3cli.system.files import require_same, sha256, stamp
+from l3cli.system.text import counted
 from l3cli.training.goal import has_components
 from l3cli.training.recipe import TrainingRecipe, draft_of, for_camera
 from l3cli.training.training_pass import FIRST, SUM_BYTES, spread_patches
 
 
 class FrameCache:
-    """Cache of frames, by the digest of their set and their index in it, up to the memory that sums may take.
+    """A cache of frames. The key of a frame is the digest of its training set and its index in this set.
 
-    When the cache is full, the first frames stay, because every pass starts with them.
+    When the cache is full, no more frames are added, so the cache contains the first frames of a pass. Every pass starts
+    with these frames.
+
+    Parameters
+    ----------
+    most : int
+        Size of the cache in bytes. By default, frames may use as much memory as sums.
     """
 
     def __init__(self, most: int = SUM_BYTES) -> None:
@@ -33,18 +40,18 @@ class FrameCache:
         self._frames: dict[tuple[str, int], TrainingPair] = {}
 
     def get(self, digest: str, index: int) -> TrainingPair | None:
-        """Return the frame, if it is cached."""
+        """Return a frame, or None if it is not in the cache."""
         return self._frames.get((digest, index))
 
     def add(self, digest: str, index: int, frame: TrainingPair) -> None:
-        """Cache a frame, if there is room for it."""
+        """Add a frame, unless the cache is full."""
         size = sum(value.nbytes for value in vars(frame).values() if isinstance(value, np.ndarray))
         if self.bytes + size <= self.most:
             self._frames[digest, index] = frame
             self.bytes += size
 
     def clear(self) -> None:
-        """Drop all frames."""
+        """Remove all frames."""
         self._frames.clear()
         self.bytes = 0
 
@@ -54,42 +61,43 @@ FRAMES = FrameCache()  # shared by all passes in this process
 
 @contextlib.contextmanager
 def cached_for_a_run() -> Iterator[None]:
-    """Keep the frame cache until the end of the block, then clear it."""
+    """Clear the frame cache at the end of the block."""
     try:
         yield
     finally:
         FRAMES.clear()
 
 
-FIRST_PASS = "first"  # marks the table of a first pass, from which a run continues, as LAYERS do for intermediate layers
+# The history of an intermediate table contains FIRST_PASS after the first pass, or one of LAYERS after a layer.
+FIRST_PASS = "first"
 LAYERS = ("first layer", "second layer", "third layer", "fourth layer")
 
 
 @dataclass(frozen=True)
 class TrainingSource:
-    """A training set of the run."""
+    """A training set that the run uses."""
 
     path: Path
-    frames: int
+    frames: int  # number of frames
     digest: str  # SHA-256
-    stamp: tuple[int, ...]  # of the file, to notice when it is replaced
-    chosen: tuple[int, ...] | None = None  # indices of the frames to use; None: all of the file
+    stamp: tuple[int, ...]  # state of the file, which changes if the file is replaced
+    chosen: tuple[int, ...] | None = None  # indices of the frames to use; None for all frames in the file
 
     def places(self, frames: range) -> Iterable[int]:
-        """Return the indices in the file of a range of frames."""
+        """Return the indices in the file for a range of the chosen frames."""
         return frames if self.chosen is None else self.chosen[frames.start : frames.stop]
 
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """A training run as requested, the same for every shard."""
+    """The training sets and settings of a run, which are the same for every shard."""
 
     training: tuple[TrainingSource, ...]
     head: TrainingSet
-    patches: tuple[int, ...]  # (frame) patches to take
-    given: TrainingRecipe  # as the file states it
-    recipe: TrainingRecipe  # completed with values that depend on the camera
-    shares: tuple[Fraction, ...] | None  # (set) proportions of patches; None: in proportion to frames
+    patches: tuple[int, ...]  # number of patches to sample from each frame
+    given: TrainingRecipe  # the class recipe of the user
+    recipe: TrainingRecipe  # the class recipe, completed with values that depend on the camera
+    shares: tuple[Fraction, ...] | None  # proportion of patches for each set; None: proportional to its number of frames
     seed: int
     stage: Stage
 
@@ -97,15 +105,15 @@ class TrainingRun:
     def has_refinement_layers(self) -> bool:
         """Whether refinement layers apply.
 
-        Three-output tables take any number of layers. Spectral tables take exactly one structure layer, which refines the
-        leading components.
+        Tables with three outputs may have any number of refinement layers. Spectral tables may have exactly one layer, with
+        structure classes. It refines the leading components of the spectra.
         """
         layers = self.recipe.layer
         corrects = len(layers) == 1 and not (layers[0].leaves or layers[0].coarse_chroma) and has_components(self.head)
         return bool(layers) and (len(self.head.outputs) == PLANES or corrects)
 
     def history_of_pass(self, number: int) -> tuple[Stage, ...]:
-        """Return the history of the table of a pass of the first layer."""
+        """Return the history of the table after a pass of the first layer."""
         return self.history(FIRST_PASS) if number == FIRST else self.history_of_layers(1)
 
     def history_of_layers(self, count: int) -> tuple[Stage, ...]:
@@ -114,22 +122,27 @@ class TrainingRun:
         return self.history(LAYERS[count - 1] if count < whole else "")
 
     def history(self, before: str = "") -> tuple[Stage, ...]:
-        """Return the history of the final table, or of the intermediate table that is called `before`."""
+        """Return the history of the final table, or of the intermediate table after the pass `before`."""
         stage = replace(self.stage, options={**self.stage.options, "pass": before}) if before else self.stage
         return (*self.head.history, stage)
 
 
 def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
-    """Return the run over some training sets. A set whose share is zero is ignored.
+    """Read the class recipe and the heads of the training sets, and return the training run.
+
+    A training set with a share of zero is ignored.
 
     Raises
     ------
     InputFileError, RecipeError
-        If training sets or recipe cannot be used.
+        If a training set or the recipe cannot be used.
     """
     classes, shares = options.classes or known_recipes("classes")["default"], options.shares
     if shares is not None and len(shares) != len(training):
-        raise RecipeError(f"‹shares› has {len(shares)} shares for {len(training)} training sets; give one for each")
+        raise RecipeError(
+            f"‹shares› contains {counted(len(shares), 'value')}, but there are {counted(len(training), 'training set')}; "
+            "set one share per training set"
+        )
     recipe = load_recipe(classes, TrainingRecipe)
     recipe = draft_of(recipe) if options.draft else recipe
     stamps = {path: stamp(path) for path in training}
@@ -148,12 +161,21 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
-    """Yield the frames with the indices `wanted` among those of all training sets, in order.
+    """Yield a range of the frames of all training sets.
+
+    Parameters
+    ----------
+    training : tuple of TrainingSource
+        The training sets.
+    wanted : range
+        Indices of the frames, counted through all training sets.
+    remote : bool
+        Whether this is a worker on another machine. Such a worker compares the bytes of the files and does not cache frames.
 
     Raises
     ------
     InputFileError
-        If a set has changed since the run began. On a worker (`remote`), the bytes of the file are compared.
+        If a training set has changed since the run began.
     """
     before = 0
     for source in training:
@@ -161,28 +183,28 @@ def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool)
         before += source.frames
         if not part:
             continue
-        if remote:  # for who knows how many runs: nothing is held
+        if remote:  # no cache, because a worker may serve any number of runs
             require_same(source.path, source.digest)
             with open_training_set(source.path, unchanged=True) as reader:
                 yield from map(reader.frame, source.places(part))
             continue
         _require_in_place(source)
-        yield from _held_or_read(source, source.places(part))
+        yield from _cached_or_read(source, source.places(part))
 
 
 def _require_in_place(source: TrainingSource) -> None:
     if stamp(source.path) != source.stamp:
-        raise InputFileError(f"{source.path} was replaced during training; train again")
+        raise InputFileError(f"{source.path} has changed during training; start the training again")
 
 
-def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[TrainingPair]:
+def _cached_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[TrainingPair]:
     with contextlib.ExitStack() as opened:
         reader = None
         for index in wanted:
             frame = FRAMES.get(source.digest, index)
             if frame is None:
                 if reader is None:
-                    # unchanged since _common_head read it
+                    # The digest need not be verified again, because _common_head has verified it.
                     reader = opened.enter_context(open_training_set(source.path, unchanged=True))
                     _require_in_place(source)
                 frame = reader.frame(index)
@@ -191,22 +213,28 @@ def _held_or_read(source: TrainingSource, wanted: Iterable[int]) -> Iterator[Tra
 
 
 def _common_head(training: tuple[Path, ...], noisy: bool) -> tuple[TrainingSet, tuple[int, ...]]:
-    """Return the head that all sets share, and the number of frames of each.
+    """Return the head that all training sets share, and the number of frames in each set.
 
     Raises
     ------
     InputFileError
-        If the sets have different cameras, or if some frames are real and the recipe needs other noise than they have.
+        If the sets have different cameras or targets, or if a set contains real pairs although `noisy` is False. The noise
+        of real pairs cannot be changed.
     """
     frames, head = [], None
     for path in training:
         with open_training_set(path) as reader:
             frames.append(len(reader))
             if reader.has_pairs and not noisy:
-                raise InputFileError(f"{path} holds real pairs, whose noise is what it is; leave out learning.noise_left")
+                raise InputFileError(
+                    f"{path} contains real pairs, whose noise cannot be reduced; remove learning.noise_left from the class "
+                    "recipe"
+                )
             if head is None:
                 head = reader.head
             elif not equal(head, reader.head):
-                raise InputFileError(f"{path} and {training[0]} have different cameras or targets; train them apart")
+                raise InputFileError(
+                    f"{path} and {training[0]} have different cameras or targets; train a separate table on each"
+                )
     assert head is not None  # there is at least one file
     return head, tuple(frames)

@@ -1,4 +1,4 @@
-"""The training stage: training sets → transform table, in one run, or in shards whose partial sums are merged."""
+"""The training stage: it trains a transform table in one run, or in shards whose partial sums are merged."""
 
 import contextlib
 import itertools
@@ -63,12 +63,12 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tu
     TransformTable
         The table.
     FilesUsed
-        Training sets, recipe and table.
+        The files that were read and written.
 
     Raises
     ------
     InputFileError, RecipeError
-        If training sets or recipe cannot be used.
+        If a training set or the class recipe cannot be used.
     L3Error
         If the output cannot be written.
     """
@@ -83,72 +83,82 @@ def train(training: tuple[Path, ...], output: Path, options: TrainOptions) -> tu
 def execution_of(
     training: tuple[Path, ...], output: Path, options: TrainOptions
 ) -> Iterator[tuple[TrainingRun, Execution, FilesUsed]]:
-    """Yield the run of these training sets, its workers, and the files that it reads, and keep the output locked.
+    """Open a training run, start its workers and lock the output until the end of the block.
 
-    Errors in the recipe name its file.
+    A RecipeError from the block is raised again with the name of the class recipe in its message.
+
+    Yields
+    ------
+    TrainingRun
+        The run.
+    Execution
+        Its workers and its console.
+    FilesUsed
+        The files that the run reads.
     """
     classes, scheduler = options.classes, options.cluster()
     with OutputGuard(options.console) as guard:
         guard.protect(*training, *itertools.chain(*options.inputs().values()))
         guard.guard_file(output, options.force)
         if scheduler:
-            training = tuple(path.absolute() for path in training)  # for workers elsewhere
+            training = tuple(path.absolute() for path in training)  # workers may have another working directory
         run = open_run(training, options)
-        runs_by_light(run)  # refused before any work
+        runs_by_light(run)  # called here for its errors, before any work
         used = files_to_read({"training sets": training, **options.inputs(all=False)})
         blamed = raised_as(RecipeError, classes or "the built-in class recipe", RecipeError)
-        with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():  # workers start while the first reads
+        with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():
             yield run, Execution(pool, scheduler is not None, options.console), used
 
 
 def _learn(run: TrainingRun, execution: Execution) -> TransformTable:
-    """Return the table after all passes of all layers, for all lights and noise conditions."""
+    """Train all layers of a table, for all illuminants and noise conditions."""
     table = learn_first(run, first_pass(run, execution), execution)
     table = learn_refinement_layers(run, table, execution)
     return learn_conditions(run, table, execution)
 
 
 def report_table(table: TransformTable, output: Path, console: Console) -> None:
-    """Report the number of classes of each layer, one line per layer."""
+    """Print a line for each layer: how many classes it has, and how many of the classes had no training patches."""
     for number, (classes, unfilled) in enumerate(filling(table), start=1):
         which = f", layer {number}" if table.later else ""
-        console.info(f"{output}{which}: {classes} classes, {unfilled} of them without patches of their own")
+        console.info(f"{output}{which}: {classes} classes, {unfilled} of them without training patches")
 
 
 def filling(table: TransformTable) -> list[tuple[int, int]]:
-    """Return for each layer the number of classes, and how many of them had no patches."""
+    """Return, for each layer, the number of its classes and the number of classes without training patches."""
     return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]
 
 
-NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # of tables that are not the end of a run
+PASS_NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # for messages about intermediate tables
 
 
 def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
-    """Write the partial sums of one shard.
+    """Compute the partial sums of one shard and write them.
 
     Parameters
     ----------
     training : tuple of Path
         Training sets.
     shard : tuple of int
-        Number of the shard from 1, and number of shards.
+        Number of the shard, counted from 1, and number of shards.
     output : Path
-        Partial sums to write.
+        File of partial sums to write.
     options : ShardOptions
-        Options of `l3 train`. Without `first`, the sums are for the first pass. Otherwise `first` is the table of a pass,
-        and the sums are for the next pass.
+        Options of `l3 train`. `first` is the table of the previous pass. If it is not set, the sums are for the first pass.
 
     Returns
     -------
     FilesUsed
-        Training sets, recipe, table of the previous pass, and partial sums.
+        The files that were read and written.
 
     Raises
     ------
     InputFileError
-        If the table of the previous pass belongs to another run, or as `train`.
-    RecipeError, L3Error
-        As `train`.
+        If a training set cannot be used, or if the table of the previous pass belongs to another run.
+    RecipeError
+        If the class recipe cannot be used.
+    L3Error
+        If the output cannot be written.
     """
     first = options.first
     with execution_of(training, output, options) as (run, execution, used):
@@ -195,39 +205,61 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums over a shard's blocks of frames, for each canonical site in order."""
+    """Yield the sums over the blocks of frames of a shard, for each canonical site in order."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
-    if not blocks:  # more shards than blocks
+    if not blocks:  # if there are more shards than blocks, this shard has no frames
         sums = ((site, empty_sums(pass_.rule, len(run.head.outputs))) for site in pass_.divisors)
     return (add_up(pass_, [site_sums]) for _, site_sums in sums)
 
 
 def _is_of(run: TrainingRun, table: TransformTable, pass_: str) -> bool:
-    """Return whether a table was made by a pass of this run."""
+    """Whether a table is the result of the pass `pass_` of this run."""
     noises = tuple(each.noise for each in table.conditions)
     return table.history == run.history(pass_) and noises == run.recipe.learning.noises
 
 
 def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> TrainingPass:
-    """Return the pass after the one that made the table. Raise InputFileError if the table belongs to another run."""
+    """Return the second pass of the first layer, after the first pass whose table is `table`.
+
+    Raises
+    ------
+    InputFileError
+        If the table belongs to another run.
+    """
     if not _is_of(run, table, FIRST_PASS):
-        layers = f", nor its {' or '.join(LAYERS[: len(run.recipe.layer)])}" if run.has_refinement_layers else ""
+        layers = "".join(f" or {layer}" for layer in LAYERS[: len(run.recipe.layer)]) if run.has_refinement_layers else ""
         raise InputFileError(
-            f"{path} is not the first pass of this run{layers}: other training sets, shares, recipe or seed; "
-            'make it with "l3 train --merge" of the shards of the pass before'
+            f"{path} is not the table of the first pass{layers} of this run, because it was trained with other training "
+            "sets, shares, recipe or seed; pass the table that ‹merge› wrote for the shards of the previous pass"
         )
     return pass_of(run, table, LAST)
 
 
 def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> tuple[TransformTable, FilesUsed]:
-    """Make the table of all shards of a pass and write it. Return it with the files that were read and written.
+    """Merge the partial sums of all shards of a pass, and write the resulting table.
+
+    Parameters
+    ----------
+    shards : tuple of Path
+        Files of partial sums.
+    output : Path
+        Table to write.
+    options : ShardOptions
+        Options of `l3 train`.
+
+    Returns
+    -------
+    TransformTable
+        The table.
+    FilesUsed
+        The files that were read and written.
 
     Raises
     ------
     InputFileError
-        If shards are missing, given twice, or belong to another run.
+        If a shard is missing, occurs twice or belongs to another run.
     """
     console = options.console
     with OutputGuard(console) as guard:
@@ -238,7 +270,9 @@ def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) 
         save(table, output)
         report_table(table, output, console)
         if made := table.history[-1].options.get("pass"):
-            console.info(f"this is the {NAMES[str(made)]}: go on with ‹shard› I/N ‹first› {output}")
+            console.info(
+                f"{output} is the table of the {PASS_NAMES[str(made)]}; continue training with ‹shard› I/N ‹first› {output}"
+            )
         return table, used.and_wrote(output)
 
 
@@ -258,7 +292,7 @@ def _merged_pass(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed:
     about = (head.training, tuple(head.patches.tolist()), head.rule, recipe.learning, head.white_point)
     pass_ = TrainingPass(*about, seed, head.pass_number, head.exposure, head.light)
     if head.sites.tolist() != list(pass_.divisors):
-        raise InputFileError(f"{path} holds sums of other sites than its camera has; make it again")
+        raise InputFileError(f"{path} contains sums for sites that its camera does not have; train this shard again")
     usual, *others = (_learned(each, readers, number) for number, each in enumerate(passes_of(pass_, recipe)))
     return with_noises(usual, others, recipe.learning.noises)
 
@@ -273,7 +307,7 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: i
 
 
 def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
-    """Return the recipe and the seed of the run to which partial sums belong."""
+    """Return the class recipe and the seed of the run to which partial sums belong."""
     head = reader.head
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
@@ -281,7 +315,7 @@ def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRec
     recipe = draft_of(recipe) if stage.options.get("draft") else recipe
     is_of_recipe = len(recipe.learning.noises) == reader.conditions
     if type(seed) is not int or not is_of_recipe or (isinstance(head, PartialLayerSums) and not recipe.layer):
-        raise InputFileError(f"{path} does not tell the run it is a shard of; make it again")
+        raise InputFileError(f"{path} does not record which run it is a shard of; train this shard again")
     return recipe, seed
 
 
@@ -290,20 +324,41 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
     for path, head in zip(paths, heads, strict=True):
         same = replace(head, shard=heads[0].shard)
         if head.history != heads[0].history or type(head) is not type(heads[0]) or not equal(same, heads[0]):
-            raise InputFileError(f"{path} and {paths[0]} are of different runs or passes; merge the shards of one")
+            raise InputFileError(
+                f"{path} and {paths[0]} belong to different runs or passes; merge only shards of the same run and pass"
+            )
         if head.shard in seen:
-            raise InputFileError(f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}")
+            raise InputFileError(
+                f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}; name each shard once"
+            )
         seen[head.shard] = path
     missing = [f"{index}/{heads[0].shards}" for index in range(1, heads[0].shards + 1) if index not in seen]
     if missing:
         named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
-        raise InputFileError(f"shards are missing: {named}; make them with l3 train --shard")
+        are = "are" if len(missing) > 1 else "is"
+        raise InputFileError(
+            f"{paths[0]} is one of {heads[0].shards} shards, but ‹shard› {named} {are} missing; name the files of all shards"
+        )
 
 
 def write_layer_shard(
     run: TrainingRun, shard: tuple[int, int], table: TransformTable, output: Path, execution: Execution
 ) -> None:
-    """Write the partial sums of a shard (number from 1, number of shards) for the layer after those of `table`."""
+    """Compute the partial sums of a shard for the next refinement layer, and write them.
+
+    Parameters
+    ----------
+    run : TrainingRun
+        The run.
+    shard : tuple of int
+        Number of the shard, counted from 1, and number of shards.
+    table : TransformTable
+        Table with all previous layers.
+    output : Path
+        File of partial sums to write.
+    execution : Execution
+        The workers.
+    """
     layer = _layer(table, run)
     rule = layer_rule(run, layer, execution)
     index, count = shard
@@ -334,12 +389,23 @@ def _layer(table: TransformTable, run: TrainingRun) -> LayerPass:
 
 
 def merged_layer(readers: list[PartialSumsReader], recipe: TrainingRecipe, seed: int, path: Path) -> TransformTable:
-    """Return the table with a further layer, learned from the partial sums of all shards.
+    """Return the table with one more refinement layer, which is solved from the partial sums of all shards.
+
+    Parameters
+    ----------
+    readers : list of PartialSumsReader
+        The partial sums of each shard.
+    recipe : TrainingRecipe
+        Class recipe of the run.
+    seed : int
+        Seed of the run.
+    path : Path
+        File of the first shard, for error messages.
 
     Raises
     ------
     InputFileError
-        If the sums do not fit their recipe. The message names `path`.
+        If the sums do not fit the recipe.
     """
     head: PartialLayerSums = readers[0].head
     rules: list[PlaneRule] = [head.rule, *(head.rule.scaled_as(scale) for scale in head.gradients)]
@@ -356,7 +422,9 @@ def _with_layer(
     layer = layer_pass(table, recipe, tuple(head.mosaics.tolist()), seed)
     sums = no_sums(layer, rule)
     if (layer.recipe.side, layer.recipe.ratio_taps, list(sums)) != (head.side, head.ratio_taps, head.sites.tolist()):
-        raise InputFileError(f"{path} holds sums of other windows or sites than its recipe and camera have; make it again")
+        raise InputFileError(
+            f"{path} contains sums for windows or sites that its recipe and camera do not have; train this shard again"
+        )
     for index, site in enumerate(sums):
         for reader in readers:
             add_sums({site: sums[site]}, {site: reader.site(index, condition)})
