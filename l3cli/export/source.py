@@ -42,6 +42,7 @@ from l3cli.physics.display import XYZ
 from l3cli.physics.gamut import CONE_SHARE, LEAST_CONE, LEAST_LIGHTNESS, LIGHTNESS, MIN_DIVISOR, gamut_of
 from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
+from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
 from l3cli.rendering.reference import SPECTRA_DARKEST
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
@@ -384,6 +385,7 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
     codes = np.searchsorted(least, np.arange(LINEAR_BINS) / LINEAR_BINS, side="right")
     return string.Template(text).substitute(
         bins=LINEAR_BINS,
+        noise=_float(NOISE_WHERE_CLIPPED),
         thresholds="\n".join(f"    {_floats(row)}," for row in np.array_split(np.append(least, 2.0), 32)),
         codes="\n".join(f"    {', '.join(map(str, row.tolist()))}," for row in np.array_split(codes, LINEAR_BINS // 32)),
         gains=", ".join(f"{gain!r}" for gain in balance.gains.tolist()),

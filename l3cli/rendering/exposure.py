@@ -17,6 +17,8 @@ from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # largest number of rows and columns in the grid of measured pixels
+# Relative difference of luminance that noise alone can cause where channels clip, because fewer channels measure it there.
+NOISE_WHERE_CLIPPED = 0.05
 
 
 class SpreadSamples:
@@ -94,9 +96,9 @@ class SpreadSamples:
 class LightMeter:
     """Measures the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the CPU.
 
-    The result is limited to the luminance of a white that clips every channel, because such a white is always shown as
-    white. All pixels have the same CFA site, because all sites respond equally to uniform areas. The result depends only on
-    the frame and not on the device.
+    What noise adds near clipped pixels is removed, as for a still (`still_scale`). The result is limited to the luminance of
+    a white that clips every channel, because such a white is always shown as white. All pixels have the same CFA site,
+    because all sites respond equally to uniform areas. The result depends only on the frame and not on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -112,8 +114,61 @@ class LightMeter:
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
         if patches.shading is not None:
             luminance *= patches.shading.gain[:, 0]
-        raised = 1.0 if balance is None else balance.luminance
-        return raised * frame.light_share * min(white_percentile(luminance), self._limit)
+        rule, raised = self.table.first.rule, 1.0 if balance is None else balance.luminance
+        white = _white(luminance, rule.case(rule.split(labels).kind) > 0)
+        return raised * frame.light_share * min(white, self._limit)
+
+
+def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: TransformTable) -> float:
+    """Return the automatic exposure scale of a still: the factor that maps white to 1.
+
+    Parameters
+    ----------
+    luminance : ndarray, (row, col)
+        Rendered Y of the frame.
+    frame : RawFrame
+        The frame, after the gains of a white balance.
+    table : TransformTable
+        The table that rendered the frame.
+
+    Returns
+    -------
+    float
+        The scale, or 1 if the scene is dark.
+    """
+    rule, floor = table.first.rule, frame.black_level + frame.dark
+    clips_from = floor + (rule.saturation - table.black_level) / (table.white_level - table.black_level) * (
+        frame.white_level - floor
+    )
+    clipped = frame.values >= clips_from
+    white = _white(luminance, _near(clipped, rule.saturation_radius)) if clipped.any() else white_percentile(luminance)
+    return 1.0 / white if white > 0 else 1.0
+
+
+def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float:
+    """Return the luminance that becomes display white: the 99th percentile, without what noise adds near clipped pixels.
+
+    Noise raises a percentile, so a uniform white would be shown grey. This is noticeable where channels clip, because fewer
+    channels measure the luminance there. Pixels within NOISE_WHERE_CLIPPED of the percentile are therefore averaged, in
+    which pixels that are not near a clipped pixel count with the percentile.
+    """
+    white = white_percentile(luminance)
+    alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
+    if not (alike & clipped).any():
+        return white
+    return float(np.where(clipped, luminance, white)[alike].mean(dtype=np.float64))
+
+
+def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
+    """Mark the pixels (row, col) that have a marked pixel at most `radius` rows and columns away."""
+    for turned in (False, True):
+        marked = marked.T if turned else marked
+        near = marked.copy()
+        for distance in range(1, radius + 1):
+            near[distance:] |= marked[:-distance]
+            near[:-distance] |= marked[distance:]
+        marked = near.T if turned else near
+    return marked
 
 
 @functools.lru_cache(4)  # frames of a sequence share the result

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
-from l3cli.physics.display import FLOAT_BITS, Tone, exposure_scale
+from l3cli.physics.display import FLOAT_BITS, Tone
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz, shown_adaptation
-from l3cli.rendering.exposure import LightMeter, SteadyExposure
+from l3cli.rendering.exposure import LightMeter, SteadyExposure, still_scale
 from l3cli.rendering.renderer import Renderer
 from l3cli.rendering.temporal.chunks import Chunks
 from l3cli.rendering.white.scene_white import SceneWhite, SteadyWhite, WhiteBalance, balanced
@@ -164,9 +164,10 @@ def rendered(
     if balance is not None and not rendition.is_linear:
         balanced_frame, display = frame_and_display(renderer, frame, rendition, balance, scale)
         return upright(renderer.picture(balanced_frame, display), frame.orientation), scale
-    planes = renderer.outputs(frame if balance is None else balanced(frame, renderer.table, balance.gains))
+    frame = frame if balance is None else balanced(frame, renderer.table, balance.gains)
+    planes = renderer.outputs(frame)
     if balance is not None and rendition.space is not None:
-        scale = (scale * balance.luminance or exposure_scale(planes[1])) * 2**rendition.stops
+        scale = (scale * balance.luminance or still_scale(planes[1], frame, renderer.table)) * 2**rendition.stops
         adaptation = shown_adaptation(renderer.table, balance.adaptation)
         matrix = linear_matrix(adaptation, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)
@@ -182,7 +183,8 @@ def frame_and_display(
     """
     frame = balanced(frame, renderer.table, balance.gains)
     # Automatic exposure of a single frame needs the luminance of all pixels before encoding, so the frame is rendered twice.
-    scale = (scale * balance.luminance or exposure_scale(renderer.outputs(frame)[1])) * 2**rendition.stops
+    scale = scale * balance.luminance or still_scale(renderer.outputs(frame)[1], frame, renderer.table)
+    scale *= 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)
     return frame, adapted_display(adaptation, scale, rendition.bits, rendition.space or SRGB, rendition.tone)
 

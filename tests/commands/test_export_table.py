@@ -1,6 +1,7 @@
 """l3 export of transform tables: what is written, what is refused."""
 
 import ctypes
+import dataclasses
 import json
 import os
 import re
@@ -17,7 +18,9 @@ from l3cli.artifacts.store import load, save
 from l3cli.artifacts.table import TransformTable
 from l3cli.io.images import read_image
 from l3cli.io.raw.files import read_raw
+from l3cli.physics.display import exposure_scale
 from l3cli.rendering.display import Display, encode
+from l3cli.rendering.exposure import still_scale
 from tests.helpers.artifacts import some_sums
 from tests.helpers.calls import L3, Refused
 from tests.helpers.paths import contents
@@ -121,7 +124,7 @@ def test_c_source_shows_what_l3_render_shows(
     zero = ctypes.c_double(frame.black_level + frame.dark)
     eye.eye_2_balance(of[0], rows, columns, *frame.phase, zero, ctypes.byref(shows), of[0])
     assert eye.eye_2_render(of[0], rows, columns, *frame.phase, *of[1:4]) == 0
-    scale = float(exposure) * shows.luminance if exposure else eye.eye_2_auto_scale(of[3], rows, columns)
+    scale = float(exposure) * shows.luminance if exposure else eye.eye_2_auto_scale(of[0], of[3], rows, columns)
     eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(scale), ctypes.byref(shows), of[4])
     difference = np.abs(picture.astype(int) - expected)
     assert difference.max() <= 2
@@ -132,6 +135,10 @@ def test_c_source_shows_what_l3_render_shows(
     eye.eye_2_picture(of[3], rows, columns, ctypes.c_float(1.0), ctypes.byref(shows), of[4])
     truth = encode(outputs, Display(np.reshape(shows.matrix, (3, 3)).astype(np.float64), 8))
     assert np.abs(picture.astype(int) - truth).max() <= 1
+    values[: rows // 2] = table.white_level  # clipped pixels are averaged for the automatic exposure
+    scale = still_scale(outputs[1], dataclasses.replace(frame, values=values), table)
+    assert eye.eye_2_auto_scale(of[0], of[3], rows, columns) == pytest.approx(scale, rel=1e-6)
+    assert scale != pytest.approx(exposure_scale(outputs[1]), rel=1e-3)
     texts = [path.read_text() for path in (tmp_path / "c").glob("*.[ch]")]
     assert not re.search(r"\bl3_|\bL3[_A-Z]", "".join(re.sub('(?m)^".*$', "", text) for text in texts))
 

@@ -20,7 +20,7 @@ from l3cli.physics import spectra
 from l3cli.physics.display import daylight, delta_e_2000, displayed, displayed_xyz, lab
 from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import Mix, mixed
-from l3cli.rendering.exposure import LightMeter
+from l3cli.rendering.exposure import LightMeter, still_scale
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
@@ -32,6 +32,7 @@ from tests.helpers.tables import (
     with_clipped_white,
     with_clipping,
     with_coarse_chroma,
+    with_first,
     with_lights,
     with_refinement,
 )
@@ -216,3 +217,21 @@ def test_over_exposed_areas_are_exposed_as_white() -> None:
     for limit in (0.5, 2.0):
         table = with_clipped_white(bare, limit * brightness)
         assert LightMeter(table).brightness(frame) == pytest.approx(min(limit, 1.0) * brightness)
+
+
+@pytest.mark.parametrize("clips", [True, False])
+def test_noise_does_not_make_over_exposed_white_grey(clips: bool) -> None:
+    """Luminance is red here. If green clips, the noise of red must not raise the luminance that is shown as white."""
+    table = random_table(BAYER, black_level=64.0, patch=5)
+    weights = np.zeros_like(table.first.weights)
+    weights[:, :, table.first.rule.patch**2 // 2] = 1.0
+    table = with_first(table, weights=weights, intercept=np.zeros_like(table.first.intercept))
+    rows, cols = np.indices((96, 132))
+    red = table.cfa[rows % 2, cols % 2] == table.cfa[0, 0]
+    luminance = 0.5 + 0.005 * np.random.default_rng(0).normal(size=red.shape)
+    signal = np.where(red, luminance, 1.0 if clips else 0.5)
+    values = (signal * (table.white_level - table.black_level) + table.black_level).round().astype(np.uint16)
+    frame = RawFrame("page", values, table.black_level, table.white_level, (0, 0))
+    percentile = 0.5 + 2.33 * 0.005
+    assert LightMeter(table).brightness(frame) == pytest.approx(0.5 if clips else percentile, abs=0.002)
+    assert 1 / still_scale(luminance, frame, table) == pytest.approx(0.5 if clips else percentile, abs=0.002)

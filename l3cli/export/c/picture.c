@@ -3,6 +3,8 @@
 
 #define STEP (1.0f / (float)(1 << L3_OUTPUT_FRACTION)) /* of an output */
 
+#define NOISE $noise /* relative difference of luminance that noise can cause near clipped pixels */
+
 #define BINS $bins
 
 /* The least linear value that is shown by codes 1 ... 255, and one that none reaches. */
@@ -69,12 +71,32 @@ static float ranked(const L3Output *values, ptrdiff_t count, uint32_t rank) {
     return unordered(prefix);
 }
 
-float l3_auto_scale(const L3Output *outputs, int rows, int columns) {
+/* Whether a pixel lies near a clipped one. */
+static int near_clipped(const uint16_t *raw, int rows, int columns, int y, int x) {
+    const int radius = L3_SATURATION_RADIUS;
+    for (int r = y > radius ? y - radius : 0; r <= y + radius && r < rows; r++)
+        for (int c = x > radius ? x - radius : 0; c <= x + radius && c < columns; c++)
+            if (raw[(ptrdiff_t)r * columns + c] >= L3_SATURATION) return 1;
+    return 0;
+}
+
+float l3_auto_scale(const uint16_t *raw, const L3Output *outputs, int rows, int columns) {
     const ptrdiff_t count = (ptrdiff_t)rows * columns;
+    const L3Output *luminance = outputs + count;
     const uint32_t last = (uint32_t)(count - 1), rest = last % 100 * 99, below = last / 100 * 99 + rest / 100;
-    const float low = ranked(outputs + count, count, below), high = ranked(outputs + count, count, below < last ? below + 1 : last);
-    const float bright = low + (high - low) * (float)(rest % 100) / 100;
-    return bright > 0 ? 1 / bright : 1;
+    const float low = ranked(luminance, count, below), high = ranked(luminance, count, below < last ? below + 1 : last);
+    const float percentile = low + (high - low) * (float)(rest % 100) / 100;
+    if (!(percentile > 0)) return 1;
+    /* Fewer channels measure the luminance near clipped pixels, and their noise raises the percentile. */
+    double change = 0, alike = 0;
+    for (int y = 0; y < rows; y++)
+        for (int x = 0; x < columns; x++) {
+            const float value = (float)luminance[(ptrdiff_t)y * columns + x] * STEP, differs = value - percentile;
+            if (differs > NOISE * percentile || differs < -NOISE * percentile) continue;
+            change += near_clipped(raw, rows, columns, y, x) ? differs : 0;
+            alike++;
+        }
+    return 1 / (percentile + (float)(change / (alike > 0 ? alike : 1)));
 }
 
 static uint8_t code_of(float linear) {

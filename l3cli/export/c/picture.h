@@ -23,8 +23,9 @@ extern const L3White l3_white; /* README.md says of which white */
 void l3_balance(const uint16_t *raw, int rows, int columns, int phase_row, int phase_column, double zero, const L3White *white,
                 uint16_t *balanced);
 
-/* The scale by which the 99th percentile of Y is shown white; 1 where all is dark. */
-float l3_auto_scale(const L3Output *outputs, int rows, int columns);
+/* The scale that shows the 99th percentile of Y as white, less the noise of that percentile where pixels clip; 1 if all is dark. `raw`:
+ * the values that l3_render read. */
+float l3_auto_scale(const uint16_t *raw, const L3Output *outputs, int rows, int columns);
 
 /* outputs (X Y Z, row, column) -> picture (row, column, red green blue), sRGB. `scale`: l3_auto_scale, or an exposure, which brings a Y of
  * 1 / exposure to white, times l3_white.luminance. */
