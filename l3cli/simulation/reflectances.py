@@ -7,7 +7,7 @@ Random materials are varied, smooth and physically valid (docs/method.md#procedu
 3. models of materials that are common in pictures: skin, leaves and hair.
 
 Saturation is low and varies between scenes. Each pixel of an RGB picture gets the smoothest reflectance that has its colour
-(docs/method.md#pictures-raised-to-spectra).
+(docs/method.md#pictures-converted-to-spectra).
 """
 
 import functools

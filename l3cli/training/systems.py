@@ -1,6 +1,6 @@
 """The linear systems of the classes.
 
-Transforms that would be too large for the integers of the planes get a larger ridge (docs/method.md#too-large).
+Transforms that would be too large for the integers of the planes get a larger ridge (docs/method.md#too-large-transforms).
 """
 
 from typing import NamedTuple
