@@ -12,41 +12,44 @@ LOWER = ("delta_e", "angle")
 METHOD = "method.md"  # beside the page
 HEAD = """# Other methods
 
-This page is for readers who want to know how l3 compares with other demosaicing methods. All methods get the same
+This page is for readers who want to know how l3 compares with other demosaicking methods. All methods process the same
 mosaics. The methods come from packages on PyPI, from LibRaw and from RawTherapee. They include a neural network and the
-denoiser CBM3D. `make peers` measures all methods in one run and writes this page. If a program is not installed, the page
-says so. The tables of l3 were not trained on any picture of this page.
+denoiser CBM3D. The command `make peers` measures all methods in one run and writes this page. If a program is not
+installed, the page says so. No picture on this page was used to train the tables of l3.
 
 * **Settings.** If a method has several settings, each number is for the setting with the best result on these pictures.
-  l3 has one setting.
-* **Raw files.** LibRaw and RawTherapee get DNG files with the exact white balance and colour matrix.
-* **Numbers** are means over all pictures, without the outermost 10 pixels. The best number of each column is bold.
-* **Time** (core-s/MP) is CPU seconds per megapixel, summed over all cores, measured in the same run. To exclude
-  start-up, the time for a picture of 504² pixels is subtracted from the time for 1512² pixels. For CBM3D, only the small
-  picture is timed. Times of LibRaw and RawTherapee include writing and reading the DNG file.
+  l3 has only one setting.
+* **Raw files.** LibRaw and RawTherapee read DNG files with the exact white balance and colour matrix.
+* **Numbers** are means over all pictures. The outermost 10 pixels of each picture are left out. The best number in each
+  column is bold.
+* **Time** (core-s/MP) is the CPU time in seconds per megapixel, summed over all cores and measured in the same run. To
+  exclude the start-up time, the time for a picture of 504² pixels is subtracted from the time for a picture of 1512²
+  pixels. For CBM3D, only the small picture is measured. The times of LibRaw and RawTherapee include writing and reading
+  the DNG file.
 """
 TEXTS = {
     "bayer": f"""## Bayer, as published
 
-The usual benchmark samples the codes of RGB pictures without any conversion, and compares the result with the same codes
-(CPSNR over all three channels). The table of l3 comes from `l3 init benchmark-bayer`. It was trained on a hundred other
-pictures. **We did not measure the last two columns.** They are published values for all pictures of the data sets, but l3
-is measured on the twelve Kodak pictures with odd numbers ({published.SOURCE}).
+The usual benchmark samples the 8-bit values of RGB pictures without any conversion, and compares the result with the
+same values (CPSNR over all three channels). The table of l3 comes from `l3 init benchmark-bayer`. It was trained on a
+hundred other pictures. **We did not measure the last two columns.** They are published values for all pictures of the
+data sets ({published.SOURCE}). l3 is measured on the twelve Kodak pictures with odd numbers.
 
-If the eighteen pictures of McMaster are in the folder `demosaicking/mcmaster` of the data, they are measured, too. All
-methods on this page, including LibRaw and RawTherapee, interpret the codes as linear values. The network is by Gharbi et
-al. (2016). We found no other network on PyPI that demosaics and includes its weights.
+If the data folder contains the eighteen McMaster pictures in `demosaicking/mcmaster`, they are measured, too. All methods
+on this page, including LibRaw and RawTherapee, interpret the 8-bit values as linear. The network is by Gharbi et al.
+(2016). We found no other demosaicking network on PyPI that includes its weights.
 """,
     "xtrans": """## X-Trans
 
-These results are for the same pictures and the same recipe, sampled with the 6×6 array of X-Trans. *1 pass*, *3 passes*
-and *4 passes* are variants of Markesteijn's method in LibRaw and RawTherapee. *bilinear* is a Gaussian-weighted mean of
-the samples of each channel. The network is the same as in the first table, with the weights for X-Trans from its package.
+These results are for the Kodak pictures and the class recipe of the previous section, but the pictures are sampled with
+the 6×6 array of X-Trans. *1 pass*, *3 passes* and *4 passes* are variants of Markesteijn's method in LibRaw and
+RawTherapee. *bilinear* is a Gaussian-weighted mean of the samples of each channel. The network is by Gharbi et al.
+(2016), with the weights for X-Trans from its package.
 """,
     "bands": f"""## Sixteen bands
 
 These results are for a snapshot camera with 16 narrow bands and noise, on three multispectral scenes and five
-hyperspectral faces. The table of l3 (`bands`) was trained on dead-leaves scenes only. PSNR (of 8-bit codes) and SSIM are
+hyperspectral faces. The table of l3 (`bands`) was trained on dead-leaves scenes only. PSNR (of 8-bit values) and SSIM are
 means over the bands. SAM is the mean spectral angle. [Method]({METHOD}#baselines-for-bands) describes the other methods.
 """,
     "noise": """## Bayer with noise, as raw files
@@ -55,14 +58,14 @@ These results are for a small sensor (`bayer`, 2.2 µm, 6 000 e⁻). The scenes 
 fine patterns, five faces and four photographs, at mean signals of 0.2, 0.02 and 0.01 of full scale. None of these scenes
 was used in training. PSNR compares the displayed sRGB pictures with the ideal pictures. ΔE00 is the mean CIEDE2000.
 
-* **All other methods** get the true white balance, the black level, the dark current, and a matrix that is fitted for the
+* **All other methods** use the true white balance, the black level, the dark current, and a matrix that is fitted for the
   camera and the illuminant. If a method can reduce noise, it is tried without noise reduction and with several
-  strengths. The wavelets of LibRaw are left out, because they crash rawpy 0.28. The settings of RawTherapee are the
-  strengths of its noise reduction for luminance and for colour, and its median filter.
-* **The network** was trained without noise. It is tried on linear values and on sRGB codes.
-* **CBM3D** gets the noise of the camera. A variance-stabilising transform is applied before Menon's demosaicing, and its
-  unbiased inverse afterwards. CBM3D also knows the power spectrum of the noise after demosaicing. It takes four minutes
-  per megapixel, and the licence of its package does not allow commercial use.
+  strengths. The wavelet denoising of LibRaw is left out, because it crashes rawpy 0.28. The settings of RawTherapee are
+  the strengths of its noise reduction for luminance and for colour, and its median filter.
+* **The network** was trained without noise. It is tried on linear values and on sRGB values.
+* **CBM3D** uses the noise model of the camera. A variance-stabilising transform is applied before Menon's demosaicking,
+  and its unbiased inverse afterwards. CBM3D also uses the power spectrum of the noise after demosaicking. It needs four
+  minutes per megapixel, and the licence of its package does not allow commercial use.
 * **l3.** The class recipes of l3 were developed with these frames, among others.
 """,
 }
