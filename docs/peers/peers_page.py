@@ -12,7 +12,7 @@ LOWER = ("delta_e", "angle")
 METHOD = "method.md"  # beside the page
 HEAD = """# Other methods
 
-This page is for readers who want to know how l3 compares with other demosaicking methods. All methods process the same
+This page is for readers who want to know how l3 compares with other demosaicing methods. All methods process the same
 mosaics. The methods come from packages on PyPI, from LibRaw and from RawTherapee. They include a neural network and the
 denoiser CBM3D. The command `make peers` measures all methods in one run and writes this page. If a program is not
 installed, the page says so. No picture on this page was used to train the tables of l3.
@@ -37,7 +37,7 @@ data sets ({published.SOURCE}). l3 is measured on the twelve Kodak pictures with
 
 If the data folder contains the eighteen McMaster pictures in `demosaicking/mcmaster`, they are measured, too. All methods
 on this page, including LibRaw and RawTherapee, interpret the 8-bit values as linear. The network is by Gharbi et al.
-(2016). We found no other demosaicking network on PyPI that includes its weights.
+(2016). We found no other demosaicing network on PyPI that includes its weights.
 """,
     "xtrans": """## X-Trans
 
@@ -63,8 +63,8 @@ was used in training. PSNR compares the displayed sRGB pictures with the ideal p
   strengths. The wavelet denoising of LibRaw is left out, because it crashes rawpy 0.28. The settings of RawTherapee are
   the strengths of its noise reduction for luminance and for colour, and its median filter.
 * **The network** was trained without noise. It is tried on linear values and on sRGB values.
-* **CBM3D** uses the noise model of the camera. A variance-stabilising transform is applied before Menon's demosaicking,
-  and its unbiased inverse afterwards. CBM3D also uses the power spectrum of the noise after demosaicking. It needs four
+* **CBM3D** uses the noise model of the camera. A variance-stabilising transform is applied before Menon's demosaicing,
+  and its unbiased inverse afterwards. CBM3D also uses the power spectrum of the noise after demosaicing. It needs four
   minutes per megapixel, and the licence of its package does not allow commercial use.
 * **l3.** The class recipes of l3 were developed with these frames, among others.
 """,
