@@ -1,8 +1,8 @@
-"""Check captures against each other, to find wrong exposure times and lights.
+"""Compares captures with each other to find wrong exposure times and illuminants.
 
-Signals are proportional to exposure time times radiance. A mistyped exposure, a wrong unit or two swapped lights therefore
-stand out by a large factor, long before a fit looks wrong. The tolerances are far wider than the variations of lamps,
-lenses and sensors.
+Signals are proportional to exposure time times radiance. If an exposure time is mistyped, a unit is wrong or two
+illuminants are interchanged, the signal is therefore wrong by a large factor. The tolerances are much wider than the
+variations of lamps, lenses and sensors.
 """
 
 from collections.abc import Sequence
@@ -14,20 +14,30 @@ from l3cli.calibration.responsivity import Sweep, light_centre
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
-FACTOR = 1.5  # largest ratio between signals per second under one light
-SCALE = 3.0  # largest ratio between the scales from charts and from monochromators, which fill different parts of frames
-STEP, END = 3.0, 20.0  # largest ratio of a monochromator step to both neighbours; of the first or last step to the next two
+FACTOR = 1.5  # largest ratio between signals per second under the same illuminant
+SCALE = (
+    3.0  # largest ratio between the scales of chart captures and monochromatic captures, which fill the frame differently
+)
+STEP = 3.0  # largest ratio between the response at a monochromator step and at both neighbouring steps
+END = 20.0  # largest ratio between the response at the first or last step and the response that the next two steps predict
 LEAST = 0.02  # fraction of the largest response or signal below which differences are ignored
 NEAR_TOP = 0.85  # fraction of the largest signal above which a signal may be saturated
 LONGEST = 20.0  # exposures that exceed saturation by more than this factor are mistakes
-DRIFT = 0.05  # DN by which the black level may drift
+DRIFT = 0.05  # DN; tolerated drift of the black level
 Array = NDArray[np.float64]
 
 
 def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None:
     """Raise InputFileError if the signal of a white capture is not proportional to the exposure time.
 
-    `lit` (capture) is the time under light in seconds. `signal` (capture, channel) is the mean DN above black.
+    Parameters
+    ----------
+    captures : sequence of Capture
+        White captures.
+    lit : ndarray, (capture,)
+        Exposure time in seconds, corrected for the brightness of the lamp.
+    signal : ndarray, (capture, channel)
+        Mean DN above black.
     """
     top = signal.max(axis=0)
     total = np.maximum(signal.sum(axis=1), 1e-9)
@@ -45,7 +55,8 @@ def check_whites(captures: Sequence[Capture], lit: Array, signal: Array) -> None
 def check_darks(captures: Sequence[Capture], signal: Array) -> None:
     """Raise InputFileError if the mean signal of a dark capture is far from the line through all other dark captures.
 
-    `signal` (capture) is in DN. A capture is checked only if the others have at least three exposure times.
+    A capture is checked only if the other captures have at least three exposure times. `signal` contains the mean DN of
+    each capture.
     """
     exposure = np.array([capture.exposure for capture in captures])
     worst, outlier = 0.0, None
@@ -63,15 +74,24 @@ def check_darks(captures: Sequence[Capture], signal: Array) -> None:
     if outlier is not None:
         capture, value, predicted = outlier
         raise InputFileError(
-            f"{capture.name}: {value:.2f} DN after {capture.exposure:g} s in the dark, but the other dark captures predict "
-            f"{predicted:.2f} DN; check its exposure"
+            f"the mean of {capture.name} after {capture.exposure:g} s in the dark is {value:.2f} DN, but the other dark "
+            f"captures predict {predicted:.2f} DN; check its exposure time"
         )
 
 
 def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], values: Array, valid: NDArray[np.bool_]) -> None:
-    """Raise InputFileError if the patch values of a capture contradict the other captures of the same band.
+    """Raise InputFileError if the patch values of a capture contradict the other captures behind the same filter.
 
-    `light` (capture) is the index of the band. `values`, in DN, and `valid` are (capture, patch, channel).
+    Parameters
+    ----------
+    captures : sequence of BandCapture
+        Captures of a chart behind narrow-band filters.
+    light : ndarray, (capture,)
+        Index of the filter.
+    values : ndarray, (capture, patch, channel)
+        DN above black.
+    valid : ndarray of bool, (capture, patch, channel)
+        Whether the value is not saturated.
     """
     lit = np.array([capture.lit for capture in captures])[:, None, None]
     for band in np.unique(light):
@@ -90,13 +110,23 @@ def check_series(captures: Sequence[BandCapture], light: NDArray[np.int64], valu
 
 
 def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: Array, absolute: bool) -> None:
-    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromator.
+    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromatic
+    captures.
 
-    `measured` and `predicted` are (chart, channel). The predictions come from the curves that the monochromator gave. If
-    both kinds of capture have radiances in absolute units (`absolute`), their scales are compared, too.
+    Parameters
+    ----------
+    captures : sequence of ChartCapture
+        The charts.
+    measured : ndarray, (chart, channel)
+        Measured signals.
+    predicted : ndarray, (chart, channel)
+        Signals that the responsivity curves from the monochromatic captures predict.
+    absolute : bool
+        Whether the radiances of the monochromatic captures are in absolute units. Only then are the scales compared.
     """
     ratio = np.median(np.maximum(measured, 1e-9) / np.maximum(predicted, 1e-30), axis=1)
-    votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio  # the monochromator decides between two charts
+    # If two charts disagree, the monochromatic captures decide which chart is wrong.
+    votes = np.append(ratio, 1.0) if absolute and len(ratio) == 2 else ratio
     off = np.abs(np.log(ratio / np.median(votes)))
     if off.max() > np.log(FACTOR if votes.size > 2 else FACTOR**2):
         raise _odd(captures[int(off.argmax())], float(ratio[off.argmax()] / np.median(votes)), "chart")
@@ -104,15 +134,16 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
     if absolute and not 1 / SCALE < scale < SCALE:
         raise InputFileError(
             f"the [[chart]] captures are {_factor(scale)} than the [[mono]] captures predict; check exposures and radiances "
-            'of both (unit = "relative photons" for a monochromator whose scale is not known)'
+            'of both, or set unit = "relative photons" if the scale of the monochromator radiances is unknown'
         )
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe the monochromatic captures whose response is far above or below both neighbours in wavelength.
+    """Describe the monochromatic captures whose response is far above or far below the responses at both neighbouring
+    wavelengths.
 
-    A capture is listed only if it is implausible in every channel that sees it. The worst capture comes first. It is left
-    out before the next capture is searched for.
+    A capture is implausible only if its response is implausible in every channel that responds to its wavelength. The
+    descriptions begin with the worst capture. Each implausible capture is removed before the next is searched for.
     """
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))
@@ -128,10 +159,10 @@ def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
 
 
 def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
-    """Return the factor by which a step is brighter (> 1) or darker (< 1) than its neighbours allow.
+    """Return the factor by which a monochromatic capture is brighter (> 1) or darker (< 1) than its neighbours allow.
 
-    The channel with the smallest deviation decides. The factor is 1 if the step is plausible in any channel. `place` is the
-    position of the step in `order`.
+    The result is the factor of the channel with the smallest deviation, or 1 if the capture is plausible in any channel.
+    `place` is the position of the capture in `order`, which is sorted by wavelength.
     """
     factors = []
     for channel in range(sweep.values.shape[1]):
@@ -148,7 +179,7 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
         else:
             low, high = min(values[at - 1], values[at + 1]) / STEP, max(values[at - 1], values[at + 1]) * STEP
         if max(values[at], low) < floor:
-            continue  # the channel hardly sees this step, as its neighbours predict
+            continue  # the response is negligible, as the neighbours predict
         value = max(values[at], 1e-3 * floor)
         factors.append(value / high if value > max(high, floor) else value / low if value < low else 1.0)
     if not factors or min(factors) <= 1.0 <= max(factors):
@@ -157,15 +188,15 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signal per second (capture) of one capture differs too much from the others."""
+    """Raise InputFileError if the signal per second of one capture differs too much from the other captures."""
     if len(captures) < 2:
         return
     off = np.abs(np.log(rates / np.median(rates)))
     worst = int(off.argmax())
     if len(captures) == 2 and np.ptp(np.log(rates)) > np.log(FACTOR):
         raise InputFileError(
-            f"{captures[0].name} and {captures[1].name}: their signals per second of light differ by a factor of "
-            f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposures of both"
+            f"the signals per second of {captures[0].name} and {captures[1].name} differ by a factor of "
+            f"{np.exp(np.ptp(np.log(rates))):.3g}; check the exposure times of both"
         )
     if len(captures) > 2 and off[worst] > np.log(FACTOR):
         raise _odd(captures[worst], float(rates[worst] / np.median(rates)), kind)
@@ -173,8 +204,8 @@ def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
 
 def _odd(capture: Capture, factor: float, kind: str) -> InputFileError:
     return InputFileError(
-        f"{capture.name}: {_factor(factor)} than the other {kind} captures predict for {capture.exposure:g} s; "
-        "check its exposure, monitor and light"
+        f"{capture.name} is {_factor(factor)} than the other {kind} captures predict for {capture.exposure:g} s; "
+        "check its exposure time, monitor reading and illuminant"
     )
 
 

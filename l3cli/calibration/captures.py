@@ -1,7 +1,7 @@
-"""Evaluate captures, and derive the corrections of a camera.
+"""Evaluates captures, and computes the corrections of a camera.
 
-This module evaluates dark and white frames, monochromatic captures and charts (docs/method.md#calibration), and charts
-behind narrow filters (docs/method.md#sweeps-and-band-series). It also makes defect maps and flat fields
+This module evaluates dark and white frames, monochromatic captures, charts (docs/method.md#calibration), and charts
+behind narrow-band filters (docs/method.md#sweeps-and-band-series). It also makes defect maps and flat fields
 (docs/method.md#corrections).
 """
 
@@ -24,11 +24,11 @@ OVEREXPOSED = 1e-3  # fraction of saturated pixels from which a monochromatic ca
 CUT_OFF = 0.05  # largest radiance at the ends of a measured spectrum, as a fraction of its peak
 Array = NDArray[np.float64]
 DEGREE = 4  # degree of the polynomial that is fitted to the flat field
-CELLS = (36, 54)  # largest number of rows and columns of cells; the polynomial is fitted to the means of cells
-GRID = (33, 49)  # rows and columns of the stored grid; between grid lines, cos⁴ of a wide lens is linear within 0.1 %
-UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; the shading of lenses is smoother
-LEAST_SIGNAL = 0.02  # fraction of full scale; the responses of pixels cannot be measured in darker whites
-MOST_DEFECTIVE = 0.05  # fraction of defective pixels above which frames cannot be corrected
+CELLS = (36, 54)  # largest number of rows and columns of cells, to whose means the polynomial is fitted
+GRID = (33, 49)  # rows and columns of the stored grid; linear interpolation of cos⁴ is then accurate to 0.1 %
+UNEVEN = 0.05  # largest relative RMS deviation of the means from the polynomial; lens shading is smoother
+LEAST_SIGNAL = 0.02  # fraction of full scale; PRNU cannot be corrected with darker white frames
+MOST_DEFECTIVE = 0.05  # largest fraction of defective pixels; a larger fraction means that the frames are unsuitable
 
 
 @dataclass(frozen=True)
@@ -38,30 +38,29 @@ class Sensor:
     dark: noise.DarkNoise
     transfer: noise.PhotonTransfer
     prnu: Array  # (channel)
-    exposure: Array  # (level) exposure times of the white captures in s
+    exposure: Array  # (capture) exposure times of the white captures in s
     defects: statistics.Defects
-    response: Array  # (row, col) DN/s under white light; defects are replaced
+    response: Array  # (row, col) DN/s under white light; defective pixels are replaced
 
     @property
     def saturation(self) -> float:
-        """Pixel value in DN from which a pixel counts as saturated."""
+        """Raw value, in DN, from which a pixel counts as saturated."""
         black_level = self.dark.black_level.mean()
         return float(black_level + noise.SATURATED * (self.transfer.white_level - black_level))
 
 
 @dataclass(frozen=True)
 class Charts:
-    """Measured values and incident light of all patches under all lights."""
+    """Measured values of all patches under all illuminants, and the photons that pixels received from the patches."""
 
     illuminants: tuple[str, ...]
     values: Array  # (chart, patch, channel) DN; the dark signal is subtracted
-    photons: Array  # (chart, patch, wavelength) photons on a pixel under each hat function, including the lens fall-off
+    photons: Array  # (chart, patch, wavelength) photons on a pixel in each hat function, reduced by the lens fall-off
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
-    """Measure noise, black level, saturation and defects from dark and white frames.
-
-    The method is described in docs/method.md#dark-and-white-frames.
+    """Measure noise, black level, saturation and defects from dark and white frames
+    (docs/method.md#dark-and-white-frames).
     """
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
@@ -78,9 +77,8 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons (…, wavelength) that a pixel on the axis receives during a capture.
-
-    The spectrum is divided into the hat functions of `nodes`.
+    """Return the photons that a pixel on the optical axis receives during a capture, divided among the hat functions of
+    `nodes`.
     """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
@@ -89,35 +87,43 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Set up the linear system of the spectral responsivities from monochromatic captures (docs/method.md#calibration).
+    """Set up the linear systems for the spectral responsivities from monochromatic captures
+    (docs/method.md#calibration).
 
-    Each capture gives one equation, which is divided by the number of photons. The signal is the mean over the whole frame.
-    The fall-off of the lens is the same in all captures. It remains part of the scale, which the charts determine later.
+    Each capture contributes one equation, which is divided by the number of photons. The signal is the mean over the
+    whole frame. The fall-off of the lens is the same in all captures and only changes the scale of the responsivities,
+    which the charts determine later.
 
     Parameters
     ----------
     captures : sequence of MonoCapture
+        Monochromatic captures.
     body : Body
+        Geometry and optics of the camera.
     sensor : Sensor
         Noise and defects from the dark and white captures.
     each : callable
-        Maps a function over the captures. It may use several processes.
+        A function with the signature of the built-in `map`. It may use several processes.
 
     Returns
     -------
     sweep : Sweep
-        The linear system. Captures that saturate a channel are not used for this channel.
+        The linear systems. A capture in which a channel is saturated is not used for this channel.
     left_out : tuple of str
-        One line for each saturated capture.
+        A line of text for each capture with a saturated channel.
 
     Raises
     ------
     InputFileError
-        If a channel has no unsaturated capture or receives no light, or if a measured spectrum does not cover its light.
+        If a channel is saturated or dark in all captures, or if a measured spectrum does not include all wavelengths of
+        the light.
     """
     for capture in captures:
         if max(capture.radiance[0], capture.radiance[-1]) > CUT_OFF * capture.radiance.max():
-            raise InputFileError(f"{capture.name}: the measured spectrum does not cover its light; measure a wider range")
+            raise InputFileError(
+                f"{capture.name}: the spectrum does not fall to zero at the ends of its wavelength range; measure a "
+                "wider range"
+            )
     nodes = responsivity.node_grid([(capture.wavelength, capture.radiance) for capture in captures])
     design, values, valid = [], [], []
     histograms = each(functools.partial(statistics.count_values, body=body, defects=sensor.defects), captures)
@@ -133,7 +139,9 @@ def measure_sweep(
         if not usable.size:
             raise InputFileError(f"channel {name} is saturated in every monochromatic capture; shorten the exposures")
         if usable.max() <= 0:
-            raise InputFileError(f"channel {name} sees nothing in any monochromatic capture; check frames and cfa.pattern")
+            raise InputFileError(
+                f'channel {name} has no signal in any monochromatic capture; check the frames and "cfa.pattern"'
+            )
     left_out = [
         f"{capture.name}: saturated in {' '.join(name for name, ok in zip(body.channels, usable, strict=True) if not ok)}"
         for capture, usable in zip(captures, sweep.valid, strict=True)
@@ -145,15 +153,15 @@ def measure_sweep(
 def measure_charts(
     captures: Sequence[ChartCapture], nodes: Array, body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> Charts:
-    """Measure the mean DN of every patch, and compute the photons that come from it.
+    """Measure the mean DN of every patch, and compute the photons that pixels receive from the patches.
 
-    Raises InputFileError if the measured radiances do not cover the nodes.
+    Raises InputFileError if the measured radiances do not cover the wavelengths of the nodes.
     """
     for capture in captures:
         first, last = capture.wavelength[[0, -1]]
         if first > nodes[0] + responsivity.NODE_STEP or last < nodes[-1] - responsivity.NODE_STEP:
             raise InputFileError(
-                f"{capture.name}: the radiances of {first:g}…{last:g} nm do not cover the responsivity's "
+                f"{capture.name}: the radiances cover {first:g}…{last:g} nm, but the responsivity needs "
                 f"{nodes[0]:g}…{nodes[-1]:g} nm; measure a wider range"
             )
     read = functools.partial(responsivity.unsaturated_values, body=body, limit=sensor.saturation, defects=sensor.defects)
@@ -165,43 +173,49 @@ def measure_charts(
 
 
 def flat_field(response: Array, body: Body) -> FlatField:
-    """Fit the gains that make the response (row, col) to an even white uniform.
+    """Fit the gains that make the response to a uniform white target uniform.
 
-    A polynomial is fitted to the square root of the gain, which has degree two if the fall-off is cos⁴. Raises
-    InputFileError if the response is not smooth, or if it falls off more than lenses do.
+    A polynomial is fitted to the square root of the gain. If the fall-off is cos⁴, this root is a polynomial of degree
+    two. Raises InputFileError if the response is not smooth, or if it falls off more than the response of real lenses.
     """
     gains = []
     for channel, name in enumerate(body.channels):
         y, x, mean = _means(response, body, channel)
         if mean.min() <= 0:
-            raise InputFileError(f"channel {name}: parts of the white frames are dark; give frames of an even white")
+            raise InputFileError(
+                f"channel {name}: parts of the white frames are dark; use frames of an evenly lit white target"
+            )
         terms = np.linalg.lstsq(_surface(y, x), mean**-0.5, rcond=None)[0]
         rough = float(np.sqrt(np.mean((mean * (_surface(y, x) @ terms) ** 2 - 1.0) ** 2)))
         if rough > UNEVEN:
             raise InputFileError(
-                f"channel {name}: the white frames differ by {rough:.0%} RMS from a smooth surface; give an even white"
+                f"channel {name}: the white frames deviate by {rough:.0%} RMS from a smooth surface; use frames of an "
+                "evenly "
+                "lit white target"
             )
         lines = np.meshgrid(np.linspace(-1, 1, GRID[0]), np.linspace(-1, 1, GRID[1]), indexing="ij")
         root = (_surface(*map(np.ravel, lines)) @ terms).reshape(GRID)
         gains.append((root / terms[0]) ** 2)
-    with raised_as(InputFileError, "the white frames make no flat field"):
+    with raised_as(InputFileError, "no flat field can be computed from the white frames"):
         return FlatField(np.linspace(0, body.rows - 1, GRID[0]), np.linspace(0, body.cols - 1, GRID[1]), np.array(gains))
 
 
 def corner_falloff(field: FlatField) -> Array:
-    """Return the fraction of light, per channel, that is lost in the darkest corner."""
+    """Return the fraction of light that each channel loses in the darkest corner."""
     corners = field.shading_gain[:, [0, 0, -1, -1], [0, -1, 0, -1]]
     return np.asarray(1.0 - 1.0 / corners.max(axis=1))
 
 
 def _surface(y: Array, x: Array) -> Array:
-    """Return the terms (place, term) of the polynomial at coordinates y, x from −1 to 1. The first term is 1."""
+    """Return the terms of the polynomial at coordinates from −1 to 1, with the shape (place, term). The first term is 1."""
     powers = [(down, across) for down in range(DEGREE + 1) for across in range(DEGREE + 1 - down)]
     return np.stack([y**down * x**across for down, across in powers], axis=1)
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Divide the pixels of a channel into cells. Return the mean y, x (from −1 to 1) and response of each cell."""
+    """Divide the pixels of a channel into cells. Return the mean coordinates (y and x, from −1 to 1) and the mean
+    response of each cell.
+    """
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
     down = np.broadcast_to(y[:, None], response.shape)
@@ -224,9 +238,9 @@ def _by_cell(site: Array) -> Array:
 
 
 def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraModel:
-    """Return the camera with its defect map, and with a flat field if the white frames are even.
+    """Return the camera with its defect map, and with a flat field if the white frames are evenly lit.
 
-    Uneven white frames are not an error, because noise can be measured with them.
+    Uneven white frames are not an error, because they are sufficient for measuring noise.
     """
     shape = (body.rows, body.cols)
     defects = statistics.defect_map(sensor.defects, sensor.dark.hot, shape)
@@ -237,10 +251,10 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera with a new defect map and flat field from dark and white frames. Nothing else changes.
+    """Return the camera with a new defect map and a new flat field. All other properties stay the same.
 
-    The frames may have one exposure time or several. Raises InputFileError if the white frames are too dark, clipped or
-    uneven, or if too many pixels are defective.
+    The dark and white frames may have one or several exposure times. Raises InputFileError if the white frames are too
+    dark, clipped or uneven, or if too many pixels are defective.
     """
     body, darks = measurements.body, measurements.darks
     means = [statistics.mean_frame(capture).astype(np.float64) for capture in darks]
@@ -255,15 +269,17 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     every = statistics.joined_defects(hot, dead)
     if len(every) > MOST_DEFECTIVE * response.size:
         raise InputFileError(
-            f"{len(every) / response.size:.0%} of the pixels would count as defective; check that the dark frames are "
-            "without light and the white frames even"
+            f"{len(every) / response.size:.0%} of the pixels would count as defective; check that the dark frames contain "
+            "no light and that the white frames are evenly lit"
         )
     found = statistics.defect_map(every, hot, (body.rows, body.cols))
     return replace(camera, defects=found, flat_field=flat_field(response, body), fit=camera.fit or Fit())
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the index of the dark capture with the nearest exposure time, by ratio."""
+    """Return the index of the dark capture whose exposure time has the smallest ratio to `exposure`, in either
+    direction.
+    """
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 
@@ -272,18 +288,18 @@ def _check_level(mean: NDArray[np.floating], camera: CameraModel, name: str) -> 
     for channel, label in enumerate(camera.channels):
         values = mean[camera.channel_map(mean.shape) == channel]
         if np.quantile(values, 0.999) >= camera.black_level + noise.SATURATED * span:
-            raise InputFileError(f"{name}: channel {label} is clipped; expose the white frames shorter")
+            raise InputFileError(f"{name}: channel {label} is clipped; use a shorter exposure for the white frames")
         if np.median(values) < camera.black_level + LEAST_SIGNAL * span:
-            raise InputFileError(f"{name}: channel {label} is dark; expose the white frames longer")
+            raise InputFileError(f"{name}: channel {label} is too dark; use a longer exposure for the white frames")
 
 
 @dataclass(frozen=True)
 class Series:
-    """Patch values in all captures of a chart behind filters. The dark signal is subtracted."""
+    """Patch values in all captures of a chart behind narrow-band filters. The dark signal is subtracted."""
 
-    lights: tuple[str, ...]  # names of the bands, sorted by centre wavelength
-    light: NDArray[np.int64]  # (capture) index of the band
-    lit: Array  # (capture) time under light in s
+    lights: tuple[str, ...]  # names of the filters, sorted by central wavelength
+    light: NDArray[np.int64]  # (capture) index of the filter
+    lit: Array  # (capture) exposure time in s, corrected for the brightness of the lamp
     values: Array  # (capture, patch, channel) DN
     valid: NDArray[np.bool_]  # (capture, patch, channel) whether the value is not saturated
 
@@ -291,32 +307,32 @@ class Series:
 def fit_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, white_level: float
 ) -> tuple[Curves, SeriesFit]:
-    """Fit the response to each band of a chart behind narrow filters, and check linearity.
+    """Fit the response of each channel to the light behind each narrow-band filter, and check linearity.
 
     Saturated patches are left out.
 
     Parameters
     ----------
     captures : sequence of BandCapture
-        The chart behind each filter, with at least two exposures per filter.
+        Captures of the chart behind each filter, with at least two exposure times per filter.
     darks : sequence of Capture
-        Dark frames, if there are any.
+        Dark captures. The sequence may be empty.
     body : Body
-        Camera.
+        Geometry of the camera.
     black_level, white_level : float
         DN.
 
     Returns
     -------
     Curves
-        Relative responsivity at the centres of the bands.
+        Relative responsivity at the central wavelengths of the filters.
     SeriesFit
         Details of the fit.
 
     Raises
     ------
     InputFileError
-        If a channel is saturated in all captures of a band, or if a band has a single exposure.
+        If a channel has fewer than two unsaturated exposure times behind a filter.
     """
     limit = black_level + noise.SATURATED * (white_level - black_level)
     series = measure_series(captures, darks, body, black_level, limit)
@@ -324,7 +340,9 @@ def fit_series(
     rates, predicted, used = follow_exposure(series)
     for band, name in enumerate(series.lights):
         if not used[series.light == band].any(axis=(0, 1)).all():
-            raise InputFileError(f"band {name}: a channel has fewer than two exposures below saturation; give shorter ones")
+            raise InputFileError(
+                f"filter {name}: a channel has fewer than two exposure times below saturation; add shorter exposures"
+            )
     centres, photons = band_photons(captures, series)
     response, spread = respond(rates, photons)
     compared = [(series.values[..., c][used[..., c]], predicted[..., c][used[..., c]]) for c in range(len(body.channels))]
@@ -349,7 +367,7 @@ def fit_series(
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches in every capture. Bands are sorted by centre wavelength."""
+    """Measure the patches in every capture. The filters are sorted by central wavelength."""
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)
@@ -364,9 +382,14 @@ def measure_series(
 
 
 def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body, black_level: float) -> Array:
-    """Return the dark signal (exposure, channel) in DN, interpolated between dark frames.
+    """Return the dark signal at each exposure time, interpolated between dark captures.
 
-    Without dark frames, the dark signal is `black_level`.
+    If there are no dark captures, the dark signal is `black_level`.
+
+    Returns
+    -------
+    ndarray, (exposure, channel)
+        Dark signal in DN.
     """
     if not darks:
         return np.full((len(exposures), len(body.channels)), black_level)
@@ -379,16 +402,17 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals that are proportional to the exposure time. Predict each capture from the others of the same band.
+    """Fit signals that are proportional to the exposure time. Each capture is also predicted from the other captures
+    behind the same filter.
 
     Returns
     -------
-    rates : ndarray, (light, patch, channel)
-        DN/s, from all unsaturated captures of a band.
+    rates : ndarray, (filter, patch, channel)
+        DN/s, fitted to all unsaturated captures behind a filter.
     predicted : ndarray, (capture, patch, channel)
-        Signal in DN that the other captures of the band predict.
+        Signal in DN, predicted from the other captures.
     used : ndarray of bool, (capture, patch, channel)
-        True where the value is not saturated and has a prediction.
+        Whether the value is not saturated and has a prediction.
     """
     weight = series.lit[:, None, None] * series.valid
     products, squares = weight * series.values, weight * series.lit[:, None, None]
@@ -402,39 +426,44 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the centre of a filter's band in nm: the centroid of the part with at least half the peak radiance."""
+    """Return the central wavelength of a filter in nm, as in `light_centre`, for the sum of the radiances of all
+    patches.
+    """
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
 def band_photons(captures: Sequence[BandCapture], series: Series) -> tuple[Array, Array]:
-    """Return the centre (light) of each band in nm, and the radiance (light, patch), integrated over the band."""
+    """Return the central wavelength of each filter in nm, and the radiance of each patch behind each filter.
+
+    The radiances are integrated over wavelength and have the shape (filter, patch).
+    """
     first = [captures[int(np.argmax(series.light == band))] for band in range(len(series.lights))]
     photons = [capture.radiance @ spectra.bin_widths(capture.wavelength) for capture in first]
     return np.array([band_centre(capture) for capture in first]), np.array(photons)
 
 
 def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
-    """Return the response to each light, averaged over the patches, and its relative spread.
+    """Return the response behind each filter, averaged over the patches, and its relative spread.
 
-    Uneven illumination changes the signal of a patch by the same factor in all bands. The factor is estimated from the
-    brightest channel in each band, and divided out before the spread is computed.
+    Uneven illumination changes the signal of a patch by the same factor behind all filters. This factor is estimated
+    from the channel with the largest response behind each filter. The spread is computed after division by this factor.
 
     Parameters
     ----------
-    rates : ndarray, (light, patch, channel)
-        Signals per second of exposure. Saturated values are NaN.
-    photons : ndarray, (light, patch)
-        Photons per second that the patches send.
+    rates : ndarray, (filter, patch, channel)
+        Signal per second of exposure. Saturated values are NaN.
+    photons : ndarray, (filter, patch)
+        Photons per second from each patch.
 
     Returns
     -------
-    response : ndarray, (light, channel)
+    response : ndarray, (filter, channel)
         Mean signal per photon.
-    spread : ndarray, (light, channel)
+    spread : ndarray, (filter, channel)
         Standard deviation over the patches, relative to the mean.
     """
     each = rates / photons[..., None]
-    response = np.nanmean(each, axis=1)  # a patch may be saturated in every capture
+    response = np.nanmean(each, axis=1)  # a patch that is saturated in every capture is NaN
     relative = each / response[:, None]
     brightest = np.take_along_axis(relative, response.argmax(axis=1)[:, None, None], axis=2)[..., 0]
     spread = np.nanstd(relative / np.nanmedian(brightest, axis=0)[:, None], axis=1, ddof=1)
@@ -442,9 +471,9 @@ def respond(rates: Array, photons: Array) -> tuple[Array, Array]:
 
 
 def linearity_errors(series: Series, span: float) -> Array:
-    """Return the linearity error per channel, averaged over bands and patches.
+    """Return the linearity error of each channel, averaged over filters and patches.
 
-    A patch is used if at least three captures lie within 5–95 % of `span`, the range from black to white level in DN.
+    A patch is used if at least three captures are between 5 % and 95 % of full scale (`span`, in DN).
     """
     low, high = (share * span for share in noise.LINEAR)
     errors: list[list[float]] = [[] for _ in range(series.values.shape[2])]
@@ -458,7 +487,9 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Return, for each capture with saturated patches, a line with the number of these patches in each channel."""
+    """Describe each capture with saturated patches in a line of text, with the number of saturated patches in each
+    channel.
+    """
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

@@ -1,9 +1,9 @@
-"""Estimate unmonitored lamp drift from disagreements between the charts (docs/method.md#drift-of-lamps).
+"""Estimates the drift of lamps from disagreements between charts (docs/method.md#drift-of-lamps).
 
 If a lamp is brighter during a capture than when its spectrum was measured, the responses of all channels increase by the
-same factor. During a monochromator sweep, such factors deform the curves slowly over wavelength, and the curves alone do not
-reveal the deformation. In chart captures, the factors change the scale. Both effects show when the curves' prediction for
-each chart and channel is compared with the measurement.
+same factor. In a monochromator sweep, such factors vary slowly over wavelength and deform the curves. The curves alone
+do not reveal this deformation. In a chart capture, the factor changes the scale. Both effects become visible if the
+prediction of the curves for each chart and channel is compared with the measured values.
 """
 
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from l3cli.calibration.captures import Charts
 from l3cli.calibration.responsivity import Sweep, chart_factors, fit_gain, smoothers
 
 MEMORY = 0.8  # correlation of the drift between consecutive captures in the measurement file
-CHART_ERROR = 0.002  # relative error of a chart's mean in a channel; errors of 24 patches, 0.5 % each, explain half of it
-TRIED = np.geomspace(2e-4, 0.2, 100)  # relative standard deviations of the drift that are tried
-EVIDENCE = 4.0  # smallest natural log of the likelihood ratio between a drift and the declared drift
+CHART_ERROR = 0.002  # relative error of the mean of a chart in a channel; errors of 0.5 % per patch explain half of it
+TRIED = np.geomspace(2e-4, 0.2, 100)  # candidates for the relative standard deviation of the drift
+EVIDENCE = 4.0  # smallest log likelihood ratio with which an estimated drift replaces the declared drift
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DriftError:
-    """Lamp drift that the charts reveal, and the uncertainty that it causes."""
+    """Lamp drift that was estimated from the charts, and the uncertainty of the responsivities that it causes."""
 
     deviation: float  # relative standard deviation of the lamps from their measured spectra
-    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, without the error of their scale
-    scale_error: float  # relative standard deviation of the scale that the charts give
+    curve_error: Array  # (channel, wavelength) standard deviation of the responsivities, except for the error of the scale
+    scale_error: float  # relative standard deviation of the scale, which the charts determine
 
 
 def estimate_drift(
@@ -44,8 +44,8 @@ def estimate_drift(
     curves : ndarray, (channel, wavelength)
         Responsivities from `sweep` with the smoothing `delta`.
     delta : float
-        Smoothing of Eq. 1.
-    black_level : ndarray, (channel)
+        Smoothing weight in Eq. 1.
+    black_level : ndarray, (channel,)
         DN.
     declared : float
         Relative standard deviation of the drift, as declared in the measurement file.
@@ -53,21 +53,21 @@ def estimate_drift(
     Returns
     -------
     DriftError or None
-        None if the declared drift explains the disagreements.
+        None if the declared drift explains the disagreement.
 
     Notes
     -----
-    In each channel, a chart is brighter than the curves predict by some factor. The logarithms of these factors are linear
-    in the unknown drifts of all captures. The drifts are assumed to be normally distributed, with an exponential
-    correlation. The probability of each standard deviation follows from its likelihood, with a prior that is uniform in its
-    logarithm. The returned deviation is the root of the mean variance. With few charts, it is larger than the most probable
-    deviation.
+    For each chart and channel, the ratio of the measured signal to the predicted signal is computed. The logarithms of
+    these ratios are linear in the unknown drifts of all captures. The drifts are assumed to be normally distributed,
+    with an exponential correlation. The prior of the logarithm of the standard deviation is uniform. The returned
+    deviation is the square root of the posterior mean of the variance. If there are only few charts, it exceeds the most
+    probable deviation.
     """
     steps, count = len(sweep.values), len(charts.values)
     order = np.arange(steps + count)
     correlation = MEMORY ** np.abs(order[:, None] - order)
     factors = np.empty((count, len(curves)))
-    # (chart, channel, capture) change of the logarithm of each factor per drift of a capture
+    # (chart, channel, capture) derivative of the logarithm of each ratio with respect to the drift of a capture
     response = np.zeros((count, len(curves), steps + count))
     deformations = []
     for channel, (curve, smoother) in enumerate(zip(curves, smoothers(sweep, delta), strict=True)):
@@ -82,7 +82,7 @@ def estimate_drift(
         scale = response[:, channel, :steps].mean(axis=0)
         deformations.append(deformation + curve[:, None] * scale)
     if not (factors > 0).all():
-        return None  # charts that contradict the curves altogether are refused elsewhere
+        return None  # fit_charts raises an error if the charts contradict the curves completely
     seen_factors, cause = np.log(factors).ravel(), response.reshape(factors.size, -1)
     seen_factors, cause = seen_factors - seen_factors.mean(), cause - cause.mean(axis=0)
     deviation = _deviation(seen_factors, cause @ correlation @ cause.T, declared)
@@ -95,9 +95,10 @@ def estimate_drift(
 
 
 def _deviation(factors: Array, covariance: Array, declared: float) -> float | None:
-    """Return the drift that explains the logarithms of the factors (factor), or None if the declared drift explains them.
+    """Return the standard deviation of the drift, or None if the declared drift explains the ratios.
 
-    `covariance` is their covariance if the standard deviation of the drift is 1.
+    `factors` contains the logarithms of the ratios of all charts and channels. `covariance` is the covariance of these
+    logarithms for a drift with a standard deviation of 1.
     """
     variance, directions = np.linalg.eigh(covariance)
     seen = (directions.T @ factors) ** 2

@@ -1,4 +1,4 @@
-"""Report on a calibrated camera: its EMVA 1288 figures, their errors against a known truth, and warnings."""
+"""Reports on a calibrated camera: its EMVA 1288 parameters, its errors relative to a known true camera, and warnings."""
 
 from typing import Any
 
@@ -16,21 +16,21 @@ from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 from l3cli.system.text import columns, figure
 
-SHOWN = 8  # number of defects that the text lists; JSON and the artifact contain all defects
-LEAST_EFFICIENCY = 0.01  # peak quantum efficiency; a wrong unit is more likely than a camera with a lower peak
-MOST_MISFIT = 0.03  # largest RMS misfit of a photo's patches, as a fraction of the brightest patch
+SHOWN = 8  # number of defective pixels that the text lists; JSON and the artifact contain all defective pixels
+LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is more likely caused by a wrong unit than by the camera
+MOST_MISFIT = 0.03  # largest RMS error of the patches of a photo, as a fraction of the brightest patch
 LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
-LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # limits for every channel; a calibration that exceeds them has failed
+LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # a calibration fails if R² is lower, or the RMSE higher, in any channel
 
 
 def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
-    """Return the figures that apply to all channels of a camera.
+    """Return the noise parameters and levels that apply to all channels of a camera.
 
     Returns
     -------
     dict
-        EMVA 1288 name → (value, unit). Column noise is included only if a recipe declares it, because calibration does not
-        measure column noise.
+        Value and unit of each parameter, by its name in EMVA 1288. Column noise is included only if a camera recipe
+        declares it, because calibration does not measure column noise.
     """
     noise = camera.noise
     columns = {"column noise": (noise.column_noise, "e-")} if noise.column_noise else {}
@@ -48,13 +48,13 @@ def camera_figures(camera: CameraModel) -> dict[str, tuple[float, str]]:
 
 
 def figures(camera: CameraModel) -> dict[str, Any]:
-    """Return all figures of a camera, ready for JSON.
+    """Return all results of a calibration, ready for JSON.
 
     Returns
     -------
     dict
-        Figures of the camera and, if they were measured, of channels, lights, bands, gains and photos. Entries without
-        measurements are empty or None.
+        Results for the camera and, if they were measured, for the channels, illuminants, filters, gains and photos.
+        Entries without measurements are empty or None.
     """
     fit = camera.fit or Fit()
     columns: dict[str, Any] = {}
@@ -93,9 +93,9 @@ def figures(camera: CameraModel) -> dict[str, Any]:
 
 
 def _curves(camera: CameraModel) -> dict[str, Any]:
-    """Return the wavelength range of the curves, and peak and FWHM of each channel.
+    """Return the wavelength range of the responsivity curves, and the peak and the FWHM of each channel.
 
-    FWHM is None if the curve does not fall to half the peak on both sides.
+    The FWHM is None if the curve does not fall to half its peak on both sides.
     """
     grid = camera.wavelength
     channels = {
@@ -106,7 +106,7 @@ def _curves(camera: CameraModel) -> dict[str, Any]:
 
 
 def _corners(camera: CameraModel) -> dict[str, float] | None:
-    """Return the percentage of light lost in the darkest corner, per channel."""
+    """Return the percentage of light that each channel loses in the darkest corner."""
     if camera.flat_field is None:
         return None
     lost = 100.0 * corner_falloff(camera.flat_field)
@@ -114,7 +114,7 @@ def _corners(camera: CameraModel) -> dict[str, float] | None:
 
 
 def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
-    """Return the peak quantum efficiency of each channel, the 95 % band if known, and the offset in Eq. 2."""
+    """Return the peak quantum efficiency of each channel, its 95 % confidence band if known, and the offset in Eq. 2."""
     peak = camera.responsivity.argmax(axis=1)[:, None]
     height, band = (np.take_along_axis(of, peak, 1)[:, 0] for of in (camera.responsivity, camera.responsivity_band))
     known = {"± 95 % (%)": 100.0 * band} if camera.responsivity_band.any() else {}
@@ -122,7 +122,9 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """Return the EMVA 1288 figures. The dynamic range extends from saturation to a signal-to-noise ratio of 1."""
+    """Return the EMVA 1288 parameters of each channel. The dynamic range is the range from a signal-to-noise ratio of 1
+    to saturation.
+    """
     least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
         "K (DN/e-)": noise.conversion_gain,
@@ -137,7 +139,7 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
 
 
 def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]:
-    """Return R² and relative RMSE of each chart and channel."""
+    """Return R² and the relative RMSE of each chart and channel."""
     rows = {}
     for index, light in enumerate(chart.illuminants):
         measured, predicted = chart.measured[index][None], chart.predicted[index][None]
@@ -149,7 +151,7 @@ def _lights(camera: CameraModel, chart: ChartFit) -> dict[str, dict[str, float]]
 
 
 def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
-    """Return the figures of the camera at each analog gain."""
+    """Return the noise parameters of the camera at each analog gain."""
     rows = {}
     for times in sorted([1.0, *camera.gains.analog_gain]) if camera.gains else []:
         there = camera.at_gain(float(times))
@@ -165,7 +167,7 @@ def _gains(camera: CameraModel) -> dict[str, dict[str, float]]:
 
 
 def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]]:
-    """Return the centre of each band, and the response and its spread over the patches for each channel."""
+    """Return the central wavelength of each filter, and the response and its spread over the patches for each channel."""
     rows = {}
     for index, light in enumerate(series.lights):
         row = {"centre (nm)": float(camera.wavelength[index])}
@@ -177,7 +179,9 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainty of the curves, and the uncertainty of colours that the curves predict under other lights."""
+    """Return the uncertainty of the curves, and the uncertainty of the colours that the curves predict under other
+    illuminants.
+    """
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),
@@ -186,7 +190,7 @@ def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
 
 
 def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
-    """Return light, chart, unevenness, glare and misfit of each photo."""
+    """Return the illuminant, chart, uneven illumination, glare and RMS error of each photo."""
     rows = {}
     for index, name in enumerate(fit.names):
         place = np.stack(np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5)), axis=-1)
@@ -208,7 +212,7 @@ def _photos(fit: PhotoFit) -> dict[str, dict[str, Any]]:
 
 
 def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
-    """Compare a calibrated camera with the true camera, figure by figure and curve by curve.
+    """Compare a calibrated camera with the true camera: all parameters, and the responsivity curves.
 
     Parameters
     ----------
@@ -220,8 +224,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        The entry "camera" contains recovered value, true value, unit and error of each figure. The entry "channels" contains
-        the errors of the curves.
+        The entry "camera" contains the recovered value, true value, unit and error of each parameter. The entry
+        "channels" contains the errors of the curves.
 
     Raises
     ------
@@ -230,8 +234,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     """
     if camera.channels != truth.channels:
         raise InputFileError(
-            f"the truth has the channels {' '.join(truth.channels)}, the measurements {' '.join(camera.channels)}; "
-            "give the camera that was measured"
+            f"the true camera has the channels {' '.join(truth.channels)}, but the measured camera has "
+            f"{' '.join(camera.channels)}; set ‹truth› to the camera that was measured"
         )
     real = spectra.average(truth.responsivity, truth.wavelength, camera.wavelength)
     if not camera.absolute:
@@ -256,7 +260,7 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
 
 
 def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Convert columns, which are arrays (channel), to one dict of Python numbers per channel."""
+    """Convert arrays with one value per channel to one dict of Python numbers per channel."""
     return {
         name: {title: float(column[index]) for title, column in columns.items()}
         for index, name in enumerate(camera.channels)
@@ -264,7 +268,7 @@ def _by_channel(camera: CameraModel, columns: dict[str, Any]) -> dict[str, dict[
 
 
 def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
-    """Format figures as lines of text.
+    """Format the results of a calibration as lines of text.
 
     Parameters
     ----------
@@ -293,18 +297,18 @@ def as_text(result: dict[str, Any], width: int | None = None) -> list[str]:
     lines += _photo_lines(result) if result["photos"] else []
     lines += ["", *matrix_lines(result["matrices"], width)] if result.get("matrices") else []
     lines += ["", f"responsivity: {result['responsivity']}"]
-    source = "not measured, taken as 0" if "dark current" in result["declared"] else "from the data sheet"
+    source = "not measured, assumed to be 0" if "dark current" in result["declared"] else "from the data sheet"
     lines += [f"{source}: {', '.join(result['declared'])}"] if result["declared"] else []
     lines += [f"left out: {capture}" for capture in result["left out"]]
     defects = result["defects"]
     if defects:
         shown = " ".join(f"({row}, {col})" for row, col in defects[:SHOWN]) + (" …" if len(defects) > SHOWN else "")
-        lines.append(f"hot and dead pixels left out, row and col: {len(defects)}: {shown}")
+        lines.append(f"{len(defects)} hot and dead pixels left out (row, column): {shown}")
     return lines + _correction_lines(result) + _curve_lines(result["curves"], width)
 
 
 def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
-    """Format the peak and width of each channel's curve."""
+    """Format the peak wavelength and the width of each channel's curve."""
     rows = []
     for name, curve in curves["channels"].items():
         wide = "–" if curve["FWHM (nm)"] is None else f"{curve['FWHM (nm)']:.0f}"
@@ -314,7 +318,7 @@ def _curve_lines(curves: dict[str, Any], width: int | None) -> list[str]:
 
 
 def _correction_lines(result: dict[str, Any]) -> list[str]:
-    """Format the defect map and the flat field."""
+    """Format the numbers of defects and the light that is lost in the corners."""
     lines = []
     if found := result["defect map"]:
         lines.append("defect map: " + ", ".join(f"{what} {count}" for what, count in found.items()))
@@ -325,12 +329,12 @@ def _correction_lines(result: dict[str, Any]) -> list[str]:
 
 
 def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | None = None) -> list[str]:
-    """Format the colour errors of the exported matrices, for each light and matrix.
+    """Format the colour errors of the exported matrices, for each illuminant and matrix.
 
     Parameters
     ----------
     matrices : dict
-        Light → matrix → errors in ΔE00 over measured surfaces.
+        CIEDE2000 errors over measured surfaces, by illuminant and matrix.
     width : int, optional
         Largest width in characters.
     """
@@ -349,72 +353,75 @@ def matrix_lines(matrices: dict[str, dict[str, dict[str, Any]]], width: int | No
 
 
 def _table(rows: dict[str, dict[str, float]], width: int | None) -> list[str]:
-    """Format a table with two heading lines. Units in brackets are moved from the titles to the second line."""
+    """Format a table with two heading lines. The second line contains the units, which are in brackets in the titles."""
     titles = list(next(iter(rows.values())))
     headings = ["channel\n", *("\n".join(title.rstrip(")").partition(" (")[::2]) for title in titles)]
     return columns(headings, [[name, *(figure(row[title], ".5g") for title in titles)] for name, row in rows.items()], width)
 
 
 def _photo_lines(result: dict[str, Any]) -> list[str]:
-    """Format the results from photos of charts, and explain how to compare the confidence bands."""
+    """Format the results from photos of charts, and explain which confidence bands matter."""
     lines = [""]
     for name, photo in result["photos"].items():
         light = guessed_light(photo["probable lights"]) if photo["guessed"] else photo["light"]
-        nearest = "" if photo["nearest"] == photo["light"] else f", nearest of the usual ones {photo['nearest']}"
+        nearest = "" if photo["nearest"] == photo["light"] else f" (most similar common illuminant: {photo['nearest']})"
         lines.append(
-            f"{name}: {photo['chart']}, light {light}{nearest}, uneven by {photo['uneven %']:.0f} %, glare up to "
-            f"{max(photo['glare %']):.1f} %, patches within {max(photo['misfit %']):.1f} % RMS of the brightest"
+            f"{name}: {photo['chart']}, light {light}{nearest}, illumination uneven by {photo['uneven %']:.0f} %, glare up "
+            f"to {max(photo['glare %']):.1f} %, RMS error of the patches up to {max(photo['misfit %']):.1f} % of the "
+            "brightest patch"
         )
     further = result["next light"]
     return [
         *lines,
-        f"prior of the curves: {result['prior']}; the curves stay uncertain, colours do not: compare their bands",
-        f"one more photo, under {further['light']}, would leave {further['remaining %']:.0f} % of the colours' error",
+        f"prior of the curves: {result['prior']}; colours are less uncertain than curves, as the bands of both show",
+        f"one more photo, under {further['light']}, would reduce the colour error to {further['remaining %']:.0f} %",
     ]
 
 
 def doubts(camera: CameraModel) -> list[str]:
-    """Return warnings that do not make a camera unusable.
+    """Return warnings about a camera that can still be used.
 
-    They concern lamps that drifted more than declared, and photos whose patches contradict the light that the user named.
+    A warning is returned if the lamps have drifted more than declared, or if the patches of a photo contradict the
+    illuminant that the user specified.
     """
     if camera.fit and camera.fit.drift:
         drift = camera.fit.drift
         return [
-            f"the charts disagree as if the lamps had drifted by {100 * drift.deviation:.2g} %, beyond the "
-            f"{100 * drift.declared:.2g} % that [uncertainty] lamp_drift declares; the confidence bands allow for it; give "
-            "readings of the lamps as monitor"
+            f"the differences between the charts suggest that the lamps drifted by {100 * drift.deviation:.2g} %, more than "
+            f"the {100 * drift.declared:.2g} % of [uncertainty] lamp_drift; the confidence bands were widened accordingly; "
+            'set "monitor" to the readings of the lamps to correct the drift'
         ]
     fit = camera.fit.photo if camera.fit else None
     if fit is None:
         return []
     return [
-        f"{name}: its patches are {_times(fit.deficit[index])} times more probable under {fit.nearest[index]} than under "
-        f"{fit.lights[index]}, which is used, since it was named; check it"
+        f"{name}: the patches are {_times(fit.deficit[index])} times more probable under {fit.nearest[index]} than under "
+        "the "
+        f"specified illuminant {fit.lights[index]}, which is used; check the illuminant"
         for index, name in enumerate(fit.names)
         if not fit.guessed[index] and fit.deficit[index] > NOTICED
     ]
 
 
 def _times(logarithm: float) -> str:
-    """Format a factor given by its natural logarithm."""
+    """Format a factor, given its natural logarithm."""
     power = logarithm / np.log(10)
     return f"{float(f'{10**power:.1g}'):.0f}" if power < LARGEST_POWER else f"10^{power:.0f}"
 
 
 def shortfall(camera: CameraModel) -> str | None:
-    """Return why a camera should not be trusted, or None.
+    """Return the reason why a camera should not be used, or None if there is no such reason.
 
-    Reasons are captures that disagree, an implausible efficiency, a photo whose patches do not fit, and a channel that fails
-    the validation.
+    Possible reasons are captures that contradict each other, an implausible quantum efficiency, patches of a photo that
+    do not fit, and a channel that fails the validation.
     """
     if camera.fit and camera.fit.sweep and camera.fit.sweep.odd:
         odd = camera.fit.sweep.odd
         more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
-        return f"{odd[0]}{more}; check exposure, monitor and spectrum"
+        return f"{odd[0]}{more}; check the exposure time, the monitor reading and the spectrum"
     peak = float(camera.responsivity.max())
     if camera.absolute and peak < LEAST_EFFICIENCY:
-        return f"the peak quantum efficiency is {100 * peak:.3g} % only; {likely_mistake(peak)}"
+        return f"the peak quantum efficiency is only {100 * peak:.3g} %; {likely_mistake(peak)}"
     if camera.fit and camera.fit.photo and (wrong := _photo_shortfall(camera.fit.photo, camera.channels)):
         return wrong
     validation = camera.fit.validation if camera.fit else None
@@ -424,8 +431,9 @@ def shortfall(camera: CameraModel) -> str | None:
         fit, rmse = float(validation.r_squared[index]), float(validation.relative_rmse[index])
         if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
             return (
-                f"channel {name} is predicted with R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, but the limits "
-                f"are {LEAST_R_SQUARED} and {100 * MOST_RMSE:g} %; check lights and captures"
+                f"the validation of channel {name} has R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, but the "
+                "limits "
+                f"are {LEAST_R_SQUARED} and {100 * MOST_RMSE:g} %; check the illuminants and the captures"
             )
     return None
 
@@ -436,7 +444,8 @@ def _photo_shortfall(fit: PhotoFit, channels: tuple[str, ...]) -> str | None:
         worst = int(fit.misfit[index].argmax())
         if fit.misfit[index, worst] > MOST_MISFIT:
             return (
-                f"{name}: the patches of the chart are off by {100 * fit.misfit[index, worst]:.1f} % of the brightest in "
-                f"channel {channels[worst]}, more than the allowed {100 * MOST_MISFIT:g} %; check chart and light"
+                f"{name}: the RMS error of the patches in channel {channels[worst]} is "
+                f"{100 * fit.misfit[index, worst]:.1f} % of the brightest patch, but at most {100 * MOST_MISFIT:g} % is "
+                "allowed; check the chart and the illuminant"
             )
     return None

@@ -1,4 +1,4 @@
-"""Build a camera model from measurements. The steps follow docs/method.md#calibration in order."""
+"""Builds a camera model from measurements. The functions follow the order of docs/method.md#calibration."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
 from l3cli.frames.measurement import Body, Measurements, SensorFigures
 
-DELTAS = np.geomspace(1e-7, 1e1, 33)  # smoothing weights that are tried in Eq. 1 (docs/method.md#responsivity)
+DELTAS = np.geomspace(1e-7, 1e1, 33)  # candidates for the smoothing weight in Eq. 1 (docs/method.md#responsivity)
 LEAST_R_SQUARED = 0.5  # if R² is lower, the measurement file does not describe the charts correctly
 Array = NDArray[np.float64]
-TOLERANCE = 0.1  # largest relative difference between a setting in the measurement file and in the frames
-SAME_SPEED = 1.25  # largest factor, up or down, between a measured gain and the gain that the ISO speed implies
-CERTAIN = 4.0  # a gain counts as wrong only if it differs by more than this number of standard deviations
+TOLERANCE = 0.1  # largest relative difference between a gain or exposure in the measurement file and its measured value
+SAME_SPEED = 1.25  # largest ratio, in either direction, between a measured gain and the gain that the ISO speed implies
+CERTAIN = 4.0  # a measured gain is an error only if it deviates by more than this number of standard deviations
 
 
 def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
@@ -41,7 +41,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     measurements : Measurements
         Captures and settings from a measurement file.
     each : callable
-        Maps a function over captures: the built-in `map`, or a map that spreads the work over several processes.
+        A function with the signature of the built-in `map`, which applies a function to each capture. It may use several
+        processes.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     Raises
     ------
     InputFileError
-        If a capture cannot be used or contradicts the others. The message identifies the capture.
+        If a capture cannot be used or contradicts other captures. The message names the capture.
     """
     body, drift = measurements.body, measurements.lamp_drift
     if measurements.base is not None:
@@ -92,8 +93,15 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
 def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = map) -> AnalogGains | None:
     """Measure gain and read noise at each ISO speed from dark and white frames (docs/method.md#gains).
 
-    Returns None if the measurement file has no ISO speed. Raises InputFileError if a measured gain does not match the ISO
-    speed.
+    Returns
+    -------
+    AnalogGains or None
+        None if the measurement file does not specify an ISO speed.
+
+    Raises
+    ------
+    InputFileError
+        If a measured gain does not agree with the ISO speed.
     """
     body, found = measurements.body, {}
     if measurements.iso is None:
@@ -105,8 +113,8 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
         times, stated = noise.gain / camera.gain, captures.iso / measurements.iso
         if not 1 / SAME_SPEED < times / stated < SAME_SPEED:
             raise InputFileError(
-                f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but should be "
-                f"{stated:.3g} times; give frames with analog gain only, or correct iso"
+                f"the gain at ISO {captures.iso:g} is {times:.3g} times the gain at ISO {measurements.iso:g}, but the ISO "
+                f'speeds imply {stated:.3g} times; use frames with analog gain only, or correct "iso"'
             )
         found[times] = noise.noise.read_noise
     known = sorted(found)
@@ -114,16 +122,18 @@ def measure_gains(measurements: Measurements, camera: CameraModel, each: Each = 
 
 
 def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
-    """Build a camera with relative curves from photographs of charts.
+    """Build a camera model with relative responsivity curves from photographs of charts.
 
-    The noise and levels of the sensor come from dark and white frames. Without these, they come from the photos and the data
-    sheet.
+    Dark and white frames determine the noise and the levels of the sensor. If there are no white frames, the noise is
+    estimated from the photographs, and the levels are read from the measurement file.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)
     except np.linalg.LinAlgError as error:
         name = measurements.photos[0].name
-        raise InputFileError(f"{name}: no responsivities fit its patches; check chart, light and levels") from error
+        raise InputFileError(
+            f"{name}: no responsivities explain the values of the patches; check the chart, the light and the levels"
+        ) from error
     if not measurements.whites:
         return assemble(measurements.body, sensor, curves, Fit(photo=fit))
     measured = measure_sensor(measurements, each)
@@ -133,9 +143,10 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
 
 
 def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
-    """Build a camera with relative curves from the figures in a data sheet.
+    """Build a camera model with relative responsivity curves. The noise and the levels come from a data sheet.
 
-    The curves come from a sweep beside a photodiode, from finished curves, or from a chart photographed behind filters.
+    The curves are finished curves, or are measured with a monochromator and a photodiode, or on a chart behind
+    narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
     if measurements.curve is not None:
@@ -150,11 +161,12 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit, DriftError | None]:
-    """Fit the curves (Eq. 1 in docs/method.md#responsivity), and estimate the lamp drift from the charts.
+    """Fit the responsivity curves (Eq. 1 in docs/method.md#responsivity), and estimate the drift of the lamps from the
+    charts.
 
-    The smoothing with the best prediction of the charts is used. Each channel is scaled to a peak of 1. If the charts
-    disagree by more than the declared drift explains, the estimated drift is returned and included in the confidence band.
-    Otherwise the drift is None.
+    The smoothing weight is the one that predicts the charts best. If the charts disagree more than the declared drift
+    explains, the estimated drift is returned, and the confidence bands include it. Otherwise the returned drift is None.
+    Every curve is scaled to a peak of 1.
     """
     errors = np.array([_validation_error(sweep, charts, delta, black_level) for delta in DELTAS])
     delta = responsivity.choose_smoothing(DELTAS, errors)
@@ -170,7 +182,9 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the cross-validated relative RMSE over the charts with the smoothing `delta`, averaged over channels."""
+    """Return the relative RMSE of cross-validation over the charts, averaged over the channels, for one smoothing
+    weight.
+    """
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -181,7 +195,9 @@ def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, b
 def check_charts(
     measurements: Measurements, charts: Charts, sweep: responsivity.Sweep, smoothing: float, black_level: Array
 ) -> None:
-    """Raise InputFileError if one chart contradicts the others, or if all charts contradict the monochromator."""
+    """Raise InputFileError if one chart contradicts the other charts, or if all charts contradict the monochromatic
+    captures.
+    """
     curves = responsivity.solve_channels(sweep, smoothing)
     measured = (charts.values - black_level).sum(axis=1)
     predicted = (charts.photons @ curves.T).sum(axis=1)
@@ -192,10 +208,27 @@ def check_charts(
 def fit_charts(
     charts: Charts, relative: Array, black_level: Array, drift: float, body: Body, odd: tuple[str, ...] = ()
 ) -> ChartFit:
-    """Fit the gain and offset of every channel (Eq. 2 in docs/method.md#gain-and-offset), and check the fit.
+    """Fit the gain and the offset of every channel (Eq. 2 in docs/method.md#gain-and-offset), and check the fit.
 
-    Raises InputFileError if the charts contradict the curves. `odd` describes suspicious monochromatic captures. If there
-    are any, the message tells the user to check the first.
+    Parameters
+    ----------
+    charts : Charts
+        Measured values and photons of the patches.
+    relative : ndarray, (channel, wavelength)
+        Relative responsivity curves.
+    black_level : ndarray, (channel,)
+        DN.
+    drift : float
+        Relative standard deviation of the lamp drift.
+    body : Body
+        Geometry and channels of the camera.
+    odd : tuple of str
+        Descriptions of implausible monochromatic captures. The error message mentions the first of them.
+
+    Raises
+    ------
+    InputFileError
+        If the charts contradict the curves.
     """
     photons = charts.photons @ relative.T
     fits = []
@@ -208,9 +241,10 @@ def fit_charts(
     r_squared = responsivity.r_squared(charts.values, predicted)
     worst = int(r_squared.argmin())
     if r_squared[worst] < LEAST_R_SQUARED:
-        cure = f"check {odd[0]}" if odd else "check the order of corners and radiances, exposures and cfa.pattern"
+        cure = f"check {odd[0]}" if odd else 'check "corners", the order of the radiances, the exposures and "cfa.pattern"'
         raise InputFileError(
-            f"channel {body.channels[worst]}: the charts do not fit the responsivity (R² {r_squared[worst]:.2f}); {cure}"
+            f"channel {body.channels[worst]}: the responsivity predicts the values of the charts poorly "
+            f"(R² {r_squared[worst]:.2f}); {cure}"
         )
     return ChartFit(
         alpha=alphas,
@@ -228,9 +262,9 @@ def fit_charts(
 
 
 def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
-    """Convert the noise in dark and white frames to electrons, with the conversion gain of the whole sensor.
+    """Convert the noise in dark and white frames from DN to electrons.
 
-    Raises InputFileError if the channels' measured gains contradict the measurement file.
+    Raises InputFileError if the measured gains of the channels contradict the measurement file.
     """
     dark, transfer = sensor.dark, sensor.transfer
     own = conversion_gain(sensor, body) * body.channel_gains  # (channel) DN/e-
@@ -255,8 +289,8 @@ def describe_noise(sensor: Sensor, body: Body) -> NoiseFit:
 def conversion_gain(sensor: Sensor, body: Body) -> float:
     """Return the conversion gain K of the whole sensor in DN/e-.
 
-    K is the mean of the gains of all channels, weighted by the number of pixels in each channel. If channels differ in
-    exposure time or amplification, the weights are the inverse variances of the gains.
+    K is the mean of the gains of all channels, weighted by the number of pixels in each channel. If the channels differ
+    in exposure time or amplification, the gains are weighted by their inverse variances instead.
     """
     each = sensor.transfer.gain / body.channel_gains
     if body.readout is None:
@@ -265,7 +299,9 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the figures of the channels, weighted by the number of pixels, into one set for the whole sensor."""
+    """Average the noise parameters of the channels to obtain one set for the whole sensor. The weight of a channel is
+    its number of pixels.
+    """
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)
 
@@ -283,19 +319,20 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 
 
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
-    """Assemble the camera model. Its responsivity is absolute if charts gave the scale.
+    """Assemble the camera model. Its responsivity is absolute if charts determine the scale of the curves.
 
-    Raises InputFileError if the values do not make a valid camera.
+    Raises InputFileError if the values do not form a valid camera model.
     """
     curve, band = curves.relative, curves.band
     if fit.chart is not None:
         curve, band = efficiency(curves, fit, sensor.gain, body)
-        band = band if curves.band.any() else np.zeros_like(band)  # the error of the scale alone is not a confidence band
+        # Without bands of the curves, the error of the scale alone would be too narrow a confidence band.
+        band = band if curves.band.any() else np.zeros_like(band)
         check_exposures(curve, body)
         check_efficiency(curve, fit.sweep.odd if fit.sweep else ())
     elif body.readout is not None:
         curve, band = filter_curves(curve, band, body)
-    with raised_as(InputFileError, "the measurements do not give a valid camera", cure="; check dark and white frames"):
+    with raised_as(InputFileError, "the measurements result in an invalid camera", cure="; check the dark and white frames"):
         return CameraModel(
             name=body.name,
             rows=body.rows,
@@ -330,9 +367,9 @@ def _declared(fit: Fit) -> tuple[str, ...]:
 
 
 def check_gains(measured: Array, error: Array, body: Body) -> None:
-    """Raise InputFileError if measured conversion gains contradict the channel gains of the measurement file.
+    """Raise InputFileError if measured conversion gains contradict the channel gains in the measurement file.
 
-    `measured` and its standard deviation `error` are per channel, in DN/e-.
+    `measured` contains the conversion gain of each channel in DN/e-, and `error` its standard deviation.
     """
     if body.readout is None:
         return
@@ -343,15 +380,16 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
     for channel in np.flatnonzero(certain & (np.abs(relative / usual - 1.0) > TOLERANCE)).tolist():
         name, seen = body.channels[channel], measured[channel] / usual
         raise InputFileError(
-            f"channel {name}: the white frames give {seen:.3g} times the gain of the other channels, the measurement "
-            f"file {body.channel_gains[channel]:.3g} times; correct channel.{name}.gain"
+            f"channel {name}: in the white frames, the gain is {seen:.3g} times that of the other channels, but the "
+            f'measurement file states {body.channel_gains[channel]:.3g} times; correct "channel.{name}.gain"'
         )
 
 
 def check_exposures(responsivity: Array, body: Body) -> None:
-    """Raise InputFileError if channels with the same filter differ in efficiency (channel, wavelength).
+    """Raise InputFileError if channels with the same filter differ in quantum efficiency.
 
-    They differ if the exposure time of a channel is wrong in the measurement file.
+    They differ if the measurement file states a wrong exposure time for one of them. `responsivity` has the shape
+    (channel, wavelength).
     """
     if body.readout is None:
         return
@@ -361,14 +399,17 @@ def check_exposures(responsivity: Array, body: Body) -> None:
         if abs(ratio - 1.0) > TOLERANCE:
             name, seen = body.channels[channel], body.channel_exposures[channel] * ratio
             raise InputFileError(
-                f"channel {name} responds as if exposed for {seen:.3g} of the frame's time, compared with "
-                f"{body.channels[first]}, but the measurement file states {body.channel_exposures[channel]:.3g}; correct "
-                f"channel.{name}.exposure"
+                f"compared with channel {body.channels[first]}, channel {name} responds as if it were exposed for "
+                f"{seen:.3g} of the frame's exposure time, but the measurement file states "
+                f'{body.channel_exposures[channel]:.3g}; correct "channel.{name}.exposure"'
             )
 
 
 def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]:
-    """Divide curves and bands (channel, wavelength) by gain and exposure of each channel. Scale the highest peak to 1."""
+    """Divide curves and bands by the gain and the exposure of each channel, and scale the highest peak to 1.
+
+    Both arrays have the shape (channel, wavelength).
+    """
     setting = (body.channel_gains * body.channel_exposures)[:, None]
     peak = float((curves / setting).max())
     return curves / setting / peak, band / setting / peak
@@ -377,7 +418,7 @@ def filter_curves(curves: Array, band: Array, body: Body) -> tuple[Array, Array]
 def measured_readout(body: Body, noise: NoiseFit | None, read_noise: float) -> Readout | None:
     """Return the exposure, gain and read noise of each channel, or None if all channels have the same exposure and gain.
 
-    Without noise measurements, `read_noise` (e-) is used for every channel.
+    `read_noise`, in electrons, is used for every channel if the noise was not measured.
     """
     if body.readout is None:
         return None

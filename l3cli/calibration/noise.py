@@ -1,7 +1,7 @@
-"""Measure sensor noise, as defined in EMVA 1288, from stacks of frames (docs/method.md#dark-and-white-frames).
+"""Measures sensor noise as defined in EMVA 1288 (docs/method.md#dark-and-white-frames).
 
-Temporal variances come from differences between two frames, in which the fixed pattern cancels. Spatial variances are
-corrected for the temporal noise that remains in averaged frames. Hot and dead pixels are left out.
+Temporal variances are computed from differences between two frames, in which the fixed pattern cancels. Spatial
+variances are corrected for the temporal noise that remains in averaged frames. Hot and dead pixels are left out.
 """
 
 import functools
@@ -33,16 +33,16 @@ from l3cli.calibration.statistics import (
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-SATURATED = 0.985  # fraction of the span from black to white level from which a pixel counts as saturated
-TOLERATED = 1e-4  # largest fraction of saturated pixels that does not distort a variance
+SATURATED = 0.985  # fraction of full scale from which a pixel counts as saturated
+TOLERATED = 1e-4  # largest fraction of saturated pixels in frames from which a variance is computed
 LINEAR = (0.05, 0.95)  # fractions of saturation between which EMVA 1288 evaluates linearity
-WINDOW = 7  # side of the window of local means, in samples of one CFA site; windows larger than 9 respond to dust
+WINDOW = 7  # side of the window of local means, in samples of one CFA site; with more than 9, dust increases the PRNU
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Results from dark frames, per channel."""
+    """Results from dark frames. All fields except `hot` contain one value per channel."""
 
     black_level: Array  # DN at zero exposure time
     slope: Array  # DN/s; dark signal per exposure time
@@ -53,13 +53,13 @@ class DarkNoise:
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Results from white frames: temporal variance against signal."""
+    """Results from white frames: the photon transfer curve and the quantities that are computed from it."""
 
-    mean: Array  # (level, channel) mean signal in DN above black
-    variance: Array  # (level, channel) temporal variance in DN²
-    used: NDArray[np.bool_]  # (level, channel) whether the level is below saturation
+    mean: Array  # (exposure, channel) mean signal in DN above black
+    variance: Array  # (exposure, channel) temporal variance in DN²
+    used: NDArray[np.bool_]  # (exposure, channel) whether the signal is below saturation
     white_level: float  # DN at which pixels saturate
-    white_level_reached: bool  # False if no frame saturates and the white level is the converter's maximum
+    white_level_reached: bool  # False if no frame saturates; the white level is then the maximum of the converter
     gain: Array  # (channel) conversion gain K in DN/e-
     gain_error: Array  # (channel) standard deviation of K in DN/e-
     linearity_error: Array  # (channel) linearity error LE of EMVA 1288, as a fraction
@@ -69,7 +69,9 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights of values at `exposures` that give the intercept and the slope of the least-squares line."""
+    """Return the weights with which values at these exposure times are added to get the intercept and the slope of a
+    line fit.
+    """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope
@@ -80,20 +82,21 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
     Three variances are involved:
 
-    1. The temporal variance comes from differences between frames. It contains all noise that changes from frame to frame,
-       including the noise of whole rows and columns. It gives the read noise.
-    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row means
-       and column means are left out, because column noise does not count as DSNU. The spatial variance contains the DSNU and
-       the temporal noise that remains after averaging.
-    3. The remaining temporal noise is the temporal variance without row and column means, divided by the number of frames.
-       It is subtracted from the spatial variance.
+    1. The temporal variance is computed from differences between frames. It contains all noise that changes from frame
+       to frame, including row noise and column noise. The read noise is computed from this variance.
+    2. The spatial variance is the variance of the mean frame, extrapolated to zero exposure time. The variances of row
+       means and column means are subtracted, because DSNU does not include row noise and column noise. The spatial
+       variance consists of the DSNU and the temporal noise that remains after averaging.
+    3. The remaining temporal noise is the temporal variance without row noise and column noise, divided by the number of
+       frames. It is subtracted from the spatial variance.
 
     Raises InputFileError if all frames have the same exposure time.
     """
     exposures = np.array([capture.exposure for capture in captures])
     if np.unique(exposures).size < 2:
         raise InputFileError(
-            "all dark frames have the same exposure; measuring dark current takes two or more, up to a second"
+            "all dark frames have the same exposure time; use two or more exposure times, up to about 1 s, so that the "
+            "dark current can be measured"
         )
     intercept, slope = line_weights(exposures)
     weights = np.repeat(np.stack([intercept, slope])[..., None], len(body.channels), axis=2)
@@ -119,15 +122,31 @@ def dark_noise(captures: Sequence[Capture], body: Body, each: Each = map) -> Dar
 
 
 def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> PhotonTransfer:
-    """Fit the conversion gain, the slope of temporal variance over mean signal (docs/method.md#dark-and-white-frames).
+    """Fit the conversion gain, which is the slope of the temporal variance over the mean signal.
 
-    `levels` are sorted by exposure. The well or the converter saturates where the variance begins to fall. Higher levels are
-    not used. Raises InputFileError if a channel has fewer than two levels below saturation.
+    The well or the converter saturates where the variance begins to fall. Longer exposures are not used
+    (docs/method.md#dark-and-white-frames).
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Statistics of the white captures, sorted by exposure time.
+    body : Body
+        Channels and bit depth of the camera.
+    dark : DarkNoise
+        Results from dark frames.
+
+    Raises
+    ------
+    InputFileError
+        If a channel has fewer than two exposure times below saturation.
     """
     mean = np.array([mean_value(level.counts) for level in levels]) - dark.black_level
     variance = np.array([level.variance for level in levels])
     if not variance.max(axis=0).all():
-        raise InputFileError("the white frames contain no noise, being saturated or copies of one frame; take them again")
+        raise InputFileError(
+            "the white frames contain no noise, because they are saturated or copies of one frame; capture new white frames"
+        )
     white_level, reached = saturation(levels, variance, 2**body.bits - 1)
     limit = dark.black_level.mean() + SATURATED * (white_level - dark.black_level.mean())
     clipped = np.array([share_from(level.counts, limit) for level in levels]) > TOLERATED
@@ -138,19 +157,22 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
         chosen = [level for level, usable in zip(levels, used[:, channel], strict=True) if usable]
         if len({level.exposure for level in chosen}) < 2:
             raise InputFileError(
-                f"channel {name} needs at least two white exposures below saturation, but has "
+                f"channel {name} needs white frames with at least two exposure times below saturation, but has "
                 f"{len({level.exposure for level in chosen})}; add shorter exposures"
             )
         lines.append(_transfer_line(chosen, mean[used[:, channel], channel], channel))
     gain, error = np.array(lines).T
     if gain.min() <= 0:
-        raise InputFileError("the noise of the white frames does not grow with exposure; check exposures and frames")
+        raise InputFileError(
+            "the noise of the white frames does not increase with exposure time; check the frames and their exposure times"
+        )
     linearity = linearity_errors(levels, mean, used, dark, white_level)
     return PhotonTransfer(mean, variance, used, white_level, reached, gain, error, linearity)
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Return the slope of the variance over `mean` (level), and the standard deviation of the slope.
+    """Return the slope of the temporal variance over the mean signal of one channel, and the standard deviation of the
+    slope.
 
     The standard deviation of a variance from n samples is √(2/n) times the variance.
     """
@@ -163,9 +185,10 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return the linearity error LE of EMVA 1288 per channel, the mean relative deviation of the signal from a line.
+    """Return the linearity error LE of EMVA 1288 for each channel: the mean relative deviation of the signal from a
+    line.
 
-    The error is 0 if a channel has fewer than three usable levels.
+    The error is 0 if a channel has fewer than three usable exposures.
     """
     lit, exposure = np.array([(level.lit, level.exposure) for level in levels]).T
     errors = []
@@ -177,16 +200,18 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a line over `lit` that minimises squared relative deviations."""
+    """Return the mean relative deviation of `signal` from a line over `lit` that minimises the squared relative
+    deviations.
+    """
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))
 
 
 def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[float, bool]:
-    """Return the DN at which pixels saturate, and whether any pixel did.
+    """Return the DN at which pixels saturate, and whether any pixel reached this value.
 
-    If the variance of a channel has collapsed at the longest exposure, the saturation level is the median of this channel.
-    Otherwise it is the maximum of the converter, `top`.
+    If the variance of a channel is below half its maximum at the longest exposure, the channel is saturated, and the
+    result is its median. Otherwise the result is `top`, the maximum of the converter.
     """
     fallen = variance[-1] / variance.max(axis=0)
     channel = int(fallen.argmin())
@@ -199,7 +224,7 @@ def saturation(levels: Sequence[Level], variance: Array, top: int) -> tuple[floa
 def prnu(
     captures: Sequence[Capture], levels: Sequence[Level], used: NDArray[np.bool_], body: Body, hot: Defects, each: Each = map
 ) -> tuple[Array, Defects, Array]:
-    """Measure PRNU and dead pixels from the slopes of the pixels over exposure.
+    """Measure PRNU and dead pixels from the slopes of the pixels over exposure time.
 
     Parameters
     ----------
@@ -207,21 +232,22 @@ def prnu(
         White captures.
     levels : sequence of Level
         Statistics of the captures.
-    used : ndarray of bool, (level, channel)
-        Levels below saturation.
+    used : ndarray of bool, (capture, channel)
+        Whether the channel is below saturation in the capture.
     body : Body
-        Camera.
+        Geometry of the camera.
     hot : ndarray, (defect, 2)
-        Hot pixels.
+        Row and column of the hot pixels.
     each : callable
-        Maps a function over captures.
+        Applies a function to each capture.
 
     Returns
     -------
-    prnu : ndarray, (channel)
-        Relative spread of the slopes about their local mean. Uneven light changes both and cancels.
+    prnu : ndarray, (channel,)
+        Relative spread of the slopes around their local mean. Uneven light changes the slopes and the local mean by the
+        same factor, so it does not increase the PRNU.
     dead : ndarray, (defect, 2)
-        Pixels whose slope differs from the local mean by a tenth or more.
+        Row and column of the pixels whose slope differs from the local mean by a tenth or more.
     slopes : ndarray, (row, col)
         Slopes in DN/s. Defective pixels are replaced.
     """
@@ -239,10 +265,17 @@ def prnu(
 
 
 def dead_pixels(response: Array, cfa: NDArray[np.uint8]) -> tuple[Defects, Array]:
-    """Find pixels whose response (row, col) to even light differs from the local mean by a tenth or more.
+    """Find pixels whose response to uniform light differs from the local mean by a tenth or more.
 
-    Returns the pixels, and the response with these pixels replaced. The search runs twice. The second local mean leaves out
-    the pixels that the first search found, so that good pixels beside a defective row or cluster are not found as well.
+    The search runs twice. The local means of the second run do not contain the pixels from the first run. Otherwise,
+    intact pixels next to a defective row or cluster would be found, too.
+
+    Returns
+    -------
+    dead : ndarray, (defect, 2)
+        Row and column of each pixel.
+    response : ndarray, (row, col)
+        The response. The pixels in `dead` are replaced.
     """
     suspect = outliers(_over_local_mean(response, response, cfa), cfa, LEAST_LOSS)
     if not suspect.size:
@@ -269,7 +302,7 @@ def _over_local_mean(picture: Array, patched: Array, cfa: NDArray[np.uint8]) -> 
 
 
 def _local_spread(site: Array, temporal: float) -> float:
-    """Return the variance of the ratio of pixels to the local mean, without the temporal variance `temporal` of a pixel."""
+    """Return the variance of the ratio of pixels to their local mean. The temporal variance of a pixel is subtracted."""
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0

@@ -1,7 +1,8 @@
-"""Estimate spectral responsivities, and the gain of each channel.
+"""Estimates spectral responsivities, and the gain of each channel.
 
-Eq. 1 gives the responsivities from monochromatic captures (docs/method.md#responsivity). Tables and finished curves need no
-fit. Eq. 2 gives the gain and offset of each channel from charts under known lights (docs/method.md#gain-and-offset).
+Eq. 1 determines the responsivities from monochromatic captures (docs/method.md#responsivity). Eq. 2 determines the gain
+and the offset of each channel from charts under known illuminants (docs/method.md#gain-and-offset). Sweep tables and
+finished curves are used without a fit.
 """
 
 from dataclasses import dataclass, replace
@@ -17,39 +18,41 @@ from l3cli.frames.measurement import CHART_COLS, CHART_ROWS, PATCHES, Body, Char
 from l3cli.physics import spectra
 
 NODE_STEP = 5.0  # nm; distance between hat functions; 10 nm would double the error (docs/method.md#responsivity)
-EDGE = 0.01  # fraction of its peak below which the radiance of a light is ignored
-PLATEAU = 1.05  # a smoothing whose error is within 5 % of the best counts as equally good
-PILOT = 10.0  # the residuals for the confidence band refer to a pilot curve with this multiple of the smoothing
+EDGE = 0.01  # radiances below this fraction of the peak are ignored
+PLATEAU = 1.05  # smoothing weights whose error is at most 5 % above the smallest error count as equally good
+PILOT = 10.0  # the pilot curve for the confidence band has this multiple of the smoothing weight
 BAND_FLOOR = 0.0002  # smallest half width of a confidence band, as a fraction of the peak
 COVERAGE = 1.96  # half width of a 95 % band in standard deviations
 Array = NDArray[np.float64]
-USUAL = (0.03, 1.0)  # plausible peak quantum efficiencies of cameras, lens and filters included
+USUAL = (0.03, 1.0)  # range of plausible peak quantum efficiencies, including lens and filters
 PHOTONS_PER_JOULE = 2.5e18  # at 500 nm
-MISTAKES = {  # common mistakes, and the factor by which each multiplies the quantum efficiency
-    "exposures were in ms (exposure_ms)": 1e-3,
-    "exposures were in µs (exposure_us)": 1e-6,
-    'radiances were in watts (unit = "W/(sr m² nm)")': PHOTONS_PER_JOULE,
-    'radiances were in milliwatts (unit = "mW/(sr m² nm)")': 1e-3 * PHOTONS_PER_JOULE,
-    "radiances were per cm²": 1e4,
-    "radiances were per µm": 1e-3,
-    "exposures were in s where ms are stated": 1e3,
+# Likely mistakes in a measurement file, and the factor by which each mistake multiplies the quantum efficiency.
+MISTAKES = {
+    "exposure times are in ms (use exposure_ms)": 1e-3,
+    "exposure times are in µs (use exposure_us)": 1e-6,
+    'radiances are in watts (use unit = "W/(sr m² nm)")': PHOTONS_PER_JOULE,
+    'radiances are in milliwatts (use unit = "mW/(sr m² nm)")': 1e-3 * PHOTONS_PER_JOULE,
+    "radiances are per cm²": 1e4,
+    "radiances are per µm": 1e-3,
+    "exposure times are in s but declared as ms": 1e3,
 }
-CORE = 0.25  # half the side of the core of a patch that is averaged, in chart cells
-RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3  # errors of a patch: fraction of signal, and DN (docs/method.md#gain-and-offset)
+CORE = 0.25  # half the side of the central square of a patch that is averaged, as a fraction of the distance of patches
+# Relative and absolute (DN) error of a patch (docs/method.md#gain-and-offset).
+RELATIVE_ERROR, ABSOLUTE_ERROR = 0.005, 0.3
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Linear system of Eq. 1 for all channels: values = design @ responsivity."""
+    """The linear systems of Eq. 1 for all channels: values = design @ responsivity."""
 
     nodes: Array  # (wavelength) nm
-    design: Array  # (capture, wavelength) fraction of the photons that each hat function contains
+    design: Array  # (capture, wavelength) fraction of the capture's photons in each hat function
     values: Array  # (capture, channel) DN/photon
     valid: NDArray[np.bool_]  # (capture, channel) whether the value is not saturated
 
 
 def node_grid(lights: list[tuple[Array, Array]]) -> Array:
-    """Return nodes in nm, at steps of 5 nm, that cover all lights. Each light is a pair (wavelength, radiance)."""
+    """Return nodes every 5 nm that cover all spectra, in nm. Each spectrum is a pair (wavelength, radiance)."""
     lit = [wavelength[radiance >= EDGE * radiance.max()] for wavelength, radiance in lights]
     first = np.floor(min(part[0] for part in lit) / NODE_STEP) * NODE_STEP
     last = np.ceil(max(part[-1] for part in lit) / NODE_STEP) * NODE_STEP
@@ -57,18 +60,25 @@ def node_grid(lights: list[tuple[Array, Array]]) -> Array:
 
 
 def light_centre(wavelength: Array, radiance: Array) -> float:
-    """Return the centre of a light in nm: the centroid of the part with at least half the peak radiance."""
+    """Return the central wavelength of a narrow spectrum in nm.
+
+    The central wavelength is the centroid of the part of the spectrum with at least half the peak radiance.
+    """
     inside = np.where(radiance >= radiance.max() / 2, radiance * spectra.bin_widths(wavelength), 0.0)
     return float(inside @ wavelength / inside.sum())
 
 
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
-    """Integrate radiance (…, wavelength) times the hat function of each node. Returns (…, node) in photons/s/sr/m²."""
+    """Integrate the product of a radiance and the hat function of each node.
+
+    The wavelength axis of the radiance is the last. In the result, which is in photons/s/sr/m², the node axis replaces
+    it.
+    """
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
 
 def roughness(nodes: int) -> Array:
-    """Return the matrix (nodes − 2, nodes) that takes second differences."""
+    """Return the matrix that computes second differences, with the shape (nodes − 2, nodes)."""
     return np.diff(np.eye(nodes), n=2, axis=0)
 
 
@@ -79,14 +89,15 @@ def solve(design: Array, values: Array, delta: float) -> Array:
     ----------
     design : ndarray, (capture, node)
         System matrix.
-    values : ndarray, (capture)
-        Right-hand side. It is scaled to a peak of 1 for the fit, so that `delta` means the same for every channel and unit.
+    values : ndarray, (capture,)
+        Right-hand side. It is scaled to a peak of 1 for the fit, so that the effect of `delta` does not depend on the
+        channel or the unit.
     delta : float
-        Weight of the smoothing.
+        Smoothing weight.
 
     Returns
     -------
-    ndarray, (node)
+    ndarray, (node,)
         Responsivity r in the unit of `values`.
     """
     from scipy.optimize import nnls
@@ -98,13 +109,19 @@ def solve(design: Array, values: Array, delta: float) -> Array:
 
 
 def solve_channels(sweep: Sweep, delta: float) -> Array:
-    """Solve Eq. 1 for each channel from unsaturated captures. Returns (channel, wavelength) in DN/photon."""
+    """Solve Eq. 1 for each channel. Captures in which the channel is saturated are not used.
+
+    Returns
+    -------
+    ndarray, (channel, wavelength)
+        Responsivities in DN/photon.
+    """
     columns = zip(sweep.values.T, sweep.valid.T, strict=True)
     return np.array([solve(sweep.design[valid], values[valid], delta) for values, valid in columns])
 
 
 def residuals(sweep: Sweep, responsivity: Array) -> Array:
-    """Return the RMS residual of Eq. 1 for each channel, relative to the channel's largest value."""
+    """Return the RMS residual of Eq. 1 for each channel, relative to the largest value of the channel."""
     relative = []
     for values, valid, curve in zip(sweep.values.T, sweep.valid.T, responsivity, strict=True):
         rest = values[valid] - sweep.design[valid] @ curve
@@ -113,10 +130,10 @@ def residuals(sweep: Sweep, responsivity: Array) -> Array:
 
 
 def choose_smoothing(deltas: Array, errors: Array) -> float:
-    """Return the geometric middle of the plateau around the smallest error.
+    """Return the geometric middle of the smoothing weights with nearly the smallest error.
 
-    The plateau contains the neighbouring smoothings with nearly the same error. Which of these has the smallest error
-    depends on chance (docs/method.md#responsivity).
+    Neighbouring smoothing weights have nearly the same error, and chance decides which error is smallest
+    (docs/method.md#responsivity).
     """
     best = int(errors.argmin())
     good = errors <= PLATEAU * errors[best]
@@ -129,26 +146,37 @@ def choose_smoothing(deltas: Array, errors: Array) -> float:
 
 
 def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: float, wavelength_error: float) -> Array:
-    """Return the half width (channel, wavelength) of the 95 % confidence band (docs/method.md#confidence-bands).
+    """Compute the half width of the 95 % confidence bands of the responsivities (docs/method.md#confidence-bands).
 
     Parameters
     ----------
     sweep : Sweep
         Monochromatic captures.
     responsivity : ndarray, (channel, wavelength)
-        Curves from `sweep` with the smoothing `delta`.
+        Responsivities from `sweep` with the smoothing weight `delta`.
     delta : float
-        Smoothing of Eq. 1.
+        Smoothing weight in Eq. 1.
     drift : float
         Relative standard deviation of the lamp drift.
     wavelength_error : float
         Standard deviation of the wavelengths in nm.
 
+    Returns
+    -------
+    ndarray, (channel, wavelength)
+        Half width of the bands.
+
     Notes
     -----
-    The residuals about a smoother pilot curve are corrected for their leverage. The spread is the standard deviation that
-    the curve would have if the signs of these residuals were random. It has a closed form, because the estimate is linear
-    where r > 0. The bias of the pilot curve, the lamp drift, the wavelength error and a floor are added in quadrature.
+    The bands add five errors in quadrature:
+
+    1. The standard deviation that the curve would have if the signs of the residuals were random (wild bootstrap). The
+       residuals are those of a smoother pilot curve, divided by 1 − leverage. The estimate is linear where r > 0, so
+       this error has a closed form.
+    2. The bias of the pilot curve.
+    3. The lamp drift.
+    4. The wavelength error.
+    5. A minimum, BAND_FLOOR.
     """
     bands = []
     for channel, curve in enumerate(responsivity):
@@ -175,15 +203,16 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix (node, capture) that maps values to the responsivity, if no node is limited to zero."""
+    """Return the matrix that converts values to responsivities, with the shape (node, capture). It is exact where r > 0."""
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 
 
 def smoothers(sweep: Sweep, delta: float) -> list[Array]:
-    """Return, for each channel, the matrix (node, capture) that maps the values to the responsivity.
+    """Return, for each channel, the matrix that converts the values of the captures to the responsivity.
 
-    Captures that saturate the channel have columns of zeros.
+    The matrices have the shape (node, capture). They contain columns of zeros for captures in which the channel is
+    saturated.
     """
     matrices = []
     for valid in sweep.valid.T:
@@ -202,19 +231,19 @@ class Curves:
     band: Array  # (channel, wavelength) half width of the 95 % band; 0 everywhere if unknown
 
     def to_common_peak(self) -> "Curves":
-        """Return the curves, scaled so that the largest value of all channels is 1."""
+        """Scale all curves by a common factor, so that the highest peak is 1."""
         peak = self.relative.max()
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def to_channel_peaks(self) -> "Curves":
-        """Return the curves, scaled so that the largest value of each channel is 1."""
+        """Scale each curve to a peak of 1."""
         peak = self.relative.max(axis=1, keepdims=True)
         return replace(self, relative=self.relative / peak, band=self.band / peak)
 
     def widened(self, light_error: float, wavelength_error: float) -> "Curves":
-        """Return the curves with a wider band, which includes errors of the light.
+        """Widen the bands by the errors of the illumination.
 
-        `light_error` is the relative standard deviation of the light's brightness, and `wavelength_error` the standard
+        `light_error` is the relative standard deviation of its brightness, and `wavelength_error` is the standard
         deviation of its wavelength in nm.
         """
         slope = np.gradient(self.relative, self.wavelength, axis=1) if self.wavelength.size > 1 else 0.0
@@ -223,29 +252,41 @@ class Curves:
 
 
 def from_sweep(table: SweepTable, body: Body) -> Array:
-    """Return the responsivity (channel, wavelength) per photon from a sweep measured beside a photodiode.
+    """Compute the responsivities per photon from a sweep that was measured with a photodiode.
 
-    Dark readings are subtracted from camera and photodiode. Negative values become zero. Raises InputFileError if the
-    photodiode or a channel sees no light.
+    Dark readings are subtracted from the camera and the photodiode. Negative values become zero.
+
+    Returns
+    -------
+    ndarray, (channel, wavelength)
+        Relative responsivities.
+
+    Raises
+    ------
+    InputFileError
+        If the photodiode or a channel receives no light.
     """
     energy = (table.diode_light - table.diode_dark) / table.diode_response
     dark = np.flatnonzero(~(energy > 0))
     if dark.size:
         raise InputFileError(
-            f"the photodiode sees no light at {table.wavelength[dark[0]]:g} nm; leave that row of the sweep's table out"
+            f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the table of "
+            "the sweep"
         )
     per_energy = np.maximum(table.light - table.dark, 0.0) / energy
     blind = np.flatnonzero(per_energy.max(axis=1) <= 0)
     if blind.size:
-        raise InputFileError(f"channel {body.channels[blind[0]]} sees nothing in the sweep's table; check its columns")
+        raise InputFileError(
+            f"channel {body.channels[blind[0]]} has no signal in the table of the sweep; check the columns of the table"
+        )
     return np.asarray(per_energy / table.wavelength, dtype=np.float64)
 
 
 def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: float, wavelength_error: float) -> Curves:
-    """Return the curves from a sweep table, or finished curves, scaled to a common peak of 1.
+    """Convert a sweep table or finished curves to responsivities, whose highest peak is 1.
 
-    The band follows from the declared errors of light and wavelength. If either error is not declared, the band is 0, which
-    means unknown.
+    The bands are computed from the declared errors of brightness and wavelength. If one of these errors is not declared,
+    the bands are 0, which means unknown.
     """
     relative = from_sweep(curve, body) if isinstance(curve, SweepTable) else curve.responsivity
     curves = Curves(curve.wavelength, relative, np.zeros_like(relative))
@@ -256,9 +297,10 @@ def without_fit(curve: SweepTable | FinishedCurves, body: Body, light_error: flo
 
 
 def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array, Array]:
-    """Return the absolute quantum efficiency alpha · r / K and the half width of its 95 % band, both (channel, wavelength).
+    """Return the absolute quantum efficiency alpha · r / K, and the half width of its 95 % band.
 
-    The band includes the errors of alpha and K (docs/method.md#gain-and-offset).
+    Both have the shape (channel, wavelength). The band includes the errors of alpha and K
+    (docs/method.md#gain-and-offset).
     """
     assert fit.chart is not None
     assert fit.noise is not None
@@ -270,40 +312,59 @@ def efficiency(curves: Curves, fit: Fit, gain: float, body: Body) -> tuple[Array
 
 
 def check_efficiency(responsivity: Array, odd: tuple[str, ...] = ()) -> None:
-    """Raise InputFileError if a quantum efficiency (channel, wavelength) exceeds 1.
+    """Raise InputFileError if a quantum efficiency exceeds 1.
 
-    `odd` describes suspicious captures. If there are any, the message tells the user to check the first.
+    `odd` contains descriptions of implausible captures. The error message mentions the first of them.
     """
     peak = float(responsivity.max())
     if peak > 1.0:
         cure = f"check {odd[0]}" if odd else likely_mistake(peak)
         raise InputFileError(
-            f"the peak quantum efficiency would be {100 * peak:.4g} %, more than one electron per photon; {cure}"
+            f"the peak quantum efficiency would be {100 * peak:.4g} %, which is more than one electron per photon; {cure}"
         )
 
 
 def likely_mistake(peak: float) -> str:
-    """Return an instruction to check the units, with the mistakes that would explain the peak quantum efficiency `peak`."""
-    likely = [what for what, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
-    general = "the units of radiances (photons/s/sr/m²/nm), exposures, pixel_pitch_um and f_number"
-    return f"check {general}" + (f", as if {' or '.join(likely)}" if likely else "")
+    """Return advice to check the units. It lists the mistakes that would explain the given peak quantum efficiency."""
+    likely = [mistake for mistake, factor in MISTAKES.items() if USUAL[0] <= peak / factor <= USUAL[1]]
+    general = "the units of radiances (photons/s/sr/m²/nm), exposure times, pixel_pitch_um and f_number"
+    return f"check {general}" + (f"; perhaps {' or '.join(likely)}" if likely else "")
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Return, for each pixel (row, col), the ColorChecker patch whose core contains the pixel, or 24 outside all cores.
+    """Return, for each pixel, the index of the ColorChecker patch whose central square contains the pixel, or 24 for no
+    patch.
 
-    `corners` (4, 2) contains col and row of the outer corners of patches 1, 6, 24 and 19. The chart may be rotated and in
-    perspective.
+    The chart may be rotated and seen in perspective.
+
+    Parameters
+    ----------
+    corners : ndarray, (4, 2)
+        Column and row of the outer corners of patches 1, 6, 24 and 19.
+    rows, cols : int
+        Size of the frame.
     """
     cells = chart.corner_cells(CHART_ROWS, CHART_COLS)
     return chart.patch_map(chart.homography(cells, corners), (CHART_ROWS, CHART_COLS), (rows, cols), CORE)
 
 
 def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the mean DN (patch, channel) over all frames of a chart, and which values are saturated (patch, channel).
+    """Measure the patches of a chart, averaged over all frames of the capture.
 
-    A value is saturated if, in any frame, more than 0.1 % of the pixels in the core of the patch have at least `limit` DN.
-    Raises InputFileError if a corner lies outside the frame, or if a core contains no pixel of a channel.
+    A value is saturated if, in any frame, more than 0.1 % of the pixels in the central square of the patch have at least
+    `limit` DN.
+
+    Returns
+    -------
+    values : ndarray, (patch, channel)
+        Mean DN.
+    saturated : ndarray of bool, (patch, channel)
+        Whether the value is saturated.
+
+    Raises
+    ------
+    InputFileError
+        If a corner of the chart lies outside the frame, or if a central square contains no pixel of a channel.
     """
     channels = len(body.channels)
     pixels, label, count = _cores(capture, body, defects)
@@ -318,7 +379,7 @@ def patch_values(capture: ChartCapture, body: Body, limit: float, defects: Defec
 
 
 def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects: Defects) -> Array:
-    """Return the mean DN (patch, channel) of a chart. Raises InputFileError if a patch is saturated."""
+    """Measure the patches of a chart, as in `patch_values`. Raises InputFileError if a patch is saturated."""
     values, saturated = patch_values(capture, body, limit, defects)
     if saturated.any():
         patch, channel = np.argwhere(saturated)[0]
@@ -329,7 +390,7 @@ def unsaturated_values(capture: ChartCapture, body: Body, limit: float, defects:
 
 
 def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> Array:
-    """Return the relative illumination (patch, 1) of patches through the lens, which is 1 on the axis and falls off."""
+    """Return the illumination of each patch through the lens, relative to the optical axis, with the shape (patch, 1)."""
     pixels, label, count = _cores(capture, body, defects)
     channels = len(body.channels)
     light = _per_label(label, body.relative_illumination.ravel()[pixels], channels)
@@ -337,19 +398,29 @@ def patch_illumination(capture: ChartCapture, body: Body, defects: Defects) -> A
 
 
 def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the pixels inside the cores of patches, the label of each pixel, and the number of pixels (patch, channel).
+    """Find the pixels in the central squares of the patches. Defective pixels are left out.
 
-    A label is patch · channels + channel. Defective pixels are left out.
+    Returns
+    -------
+    pixels : ndarray
+        Indices of the pixels.
+    label : ndarray
+        Label of each pixel: patch · channels + channel.
+    count : ndarray, (patch, channel)
+        Number of pixels.
     """
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():
         raise InputFileError(
-            f"{capture.name}: a chart corner lies outside the frame of {cols}×{rows}; give col, row of the four corners"
+            f'{capture.name}: a corner of the chart is outside the {cols}×{rows} frame; correct "corners", which contains '
+            "the column and row of each corner"
         )
     try:
         patches = patch_map(capture.corners, rows, cols)
     except np.linalg.LinAlgError:
-        raise InputFileError(f"{capture.name}: the chart corners lie on a line; give them clockwise from patch 1") from None
+        raise InputFileError(
+            f'{capture.name}: the corners of the chart are on a line; correct "corners", clockwise from patch 1'
+        ) from None
     patches[defects[:, 0], defects[:, 1]] = PATCHES
     patch = patches.ravel()
     pixels = np.flatnonzero(patch < PATCHES)
@@ -357,12 +428,14 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
     label = patch[pixels] * channels + channel
     count = _per_label(label, np.ones(label.size), channels)
     if not count.all():
-        raise InputFileError(f"{capture.name}: patches hold too few pixels; check the corners, clockwise from patch 1")
+        raise InputFileError(
+            f'{capture.name}: a patch contains too few pixels; check "corners", which must be clockwise from patch 1'
+        )
     return pixels, label, count
 
 
 def _per_label(label: NDArray[np.int64], weights: NDArray, channels: int) -> Array:
-    """Add up `weights` (pixel) for each label. Returns (patch, channel)."""
+    """Sum the weights of the pixels with the same label. The result has the shape (patch, channel)."""
     sums = np.bincount(label, weights=weights, minlength=PATCHES * channels)
     return sums.astype(np.float64).reshape(PATCHES, channels)
 
@@ -372,12 +445,12 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 
     Parameters
     ----------
-    photons : ndarray, (sample)
+    photons : ndarray, (sample,)
         Photons, weighted by the responsivity.
-    values : ndarray, (sample)
+    values : ndarray, (sample,)
         Mean DN.
     black_level : float
-        Black level in DN, which affects the weights (docs/method.md#gain-and-offset).
+        Black level in DN, which affects the weights of the samples (docs/method.md#gain-and-offset).
 
     Returns
     -------
@@ -396,8 +469,9 @@ def fit_gain(photons: Array, values: Array, black_level: float) -> tuple[float, 
 def gain_error(photons: Array, values: Array, black_level: float, alpha: float, beta: float, drift: float) -> float:
     """Return the standard error of alpha.
 
-    It follows from the scatter of alpha over charts that are fitted one by one, or from the declared drift if that is
-    larger. `photons` and `values` are (chart, patch).
+    Alpha is also fitted to each chart separately. The standard error is computed from the standard deviation of these
+    values, or from the declared drift of the lamp if that is larger. `photons` and `values` have the shape (chart,
+    patch).
     """
     single, _ = chart_factors(photons, values, black_level, beta)
     charts = len(single)
@@ -407,27 +481,39 @@ def gain_error(photons: Array, values: Array, black_level: float, alpha: float, 
 def chart_factors(photons: Array, values: Array, black_level: float, beta: float) -> tuple[Array, Array]:
     """Fit the slope of Eq. 2 for each chart separately, with the common offset `beta`.
 
-    Returns the slopes (chart), and the weights (chart, patch) of the patches.
+    Returns
+    -------
+    slopes : ndarray, (chart,)
+        Slope of each chart.
+    weights : ndarray, (chart, patch)
+        Weights of the patches in the fit.
     """
     weight = 1.0 / np.hypot(RELATIVE_ERROR * (values - black_level), ABSOLUTE_ERROR) ** 2
     return (weight * photons * (values - beta)).sum(axis=1) / (weight * photons**2).sum(axis=1), weight
 
 
 def relative_rmse(measured: Array, predicted: Array, black_level: Array | float) -> Array:
-    """Return the RMSE over the axes (chart, patch), relative to the mean signal above black. Other axes are kept."""
+    """Return the RMSE over charts and patches, divided by the mean signal above black.
+
+    Charts and patches are the first two axes. Further axes are kept.
+    """
     return np.sqrt(np.mean((measured - predicted) ** 2, axis=(0, 1))) / np.mean(measured - black_level, axis=(0, 1))
 
 
 def r_squared(measured: Array, predicted: Array) -> Array:
-    """Return, over the axes (chart, patch), the fraction of the variance of `measured` that `predicted` explains."""
+    """Return the fraction of the variance over charts and patches that the prediction explains.
+
+    Charts and patches are the first two axes. Further axes are kept.
+    """
     residual = np.sum((measured - predicted) ** 2, axis=(0, 1))
     return 1.0 - residual / np.sum((measured - measured.mean(axis=(0, 1))) ** 2, axis=(0, 1))
 
 
 def cross_validate(photons: Array, values: Array, black_level: float) -> float:
-    """Return the relative RMSE of cross-validation over charts.
+    """Return the relative RMSE of leave-one-out cross-validation over the charts.
 
-    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` are (chart, patch).
+    Each chart is predicted with alpha and beta from the other charts. `photons` and `values` have the shape (chart,
+    patch).
     """
     predicted = np.empty_like(values)
     for left_out in range(len(values)):

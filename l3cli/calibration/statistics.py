@@ -1,7 +1,8 @@
-"""Statistics of frames per CFA site or channel: histograms, means, temporal variances, weighted sums and defective pixels.
+"""Statistics of frames per CFA site or channel: histograms, means, temporal variances, weighted sums and defective
+pixels.
 
-Defective pixels are left out. The argument `each` maps a function over captures. It is the built-in `map`, or a replacement
-that uses several processes.
+Defective pixels are left out. The parameter `each` is a function with the signature of the built-in `map`, which applies
+a function to each capture. It may use several processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,8 +16,8 @@ from l3cli.artifacts.camera import DefectMap
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Capture
 
-OUTLIER = 6.0  # number of robust standard deviations; fewer than one Gaussian pixel in a hundred million is farther off
-LEAST_LOSS = 0.1  # a response that differs from its neighbours by a smaller fraction is nonuniformity, not a defect
+OUTLIER = 6.0  # robust standard deviations; normally distributed pixels exceed them with a probability below 10⁻⁸
+LEAST_LOSS = 0.1  # a smaller relative deviation from the neighbouring pixels is PRNU and not a defect
 WHOLE_LINE = 0.9  # fraction of defective pixels from which a whole row or column counts as defective
 Defects = NDArray[np.int64]  # (defect, 2) row, col
 Array = NDArray[np.float64]
@@ -25,15 +26,14 @@ Each = Callable[[Callable, Iterable], Iterator]
 
 
 def no_defects() -> Defects:
-    """Return an empty list of defects."""
     return np.zeros((0, 2), dtype=np.int64)
 
 
 def outliers(picture: Array, cfa: NDArray[np.uint8], least: float = 0.0) -> Defects:
     """Find pixels that differ from the median of their CFA site by much more than the spread, and by at least `least`.
 
-    All pixels of a row or column are included if its median differs from the medians of the other rows or columns by much
-    more than their spread, and by more than the spread of pixels.
+    All pixels of a row or column are included if the median of this line differs from the medians of the other lines by
+    much more than their spread, and by more than the spread of pixels.
     """
     rows, cols = cfa.shape
     defects = []
@@ -57,12 +57,12 @@ def _middle_and_spread(values: Array) -> tuple[float, float]:
 
 
 def joined_defects(*parts: Defects) -> Defects:
-    """Merge lists of pixels. The result contains each pixel once, sorted by row and column."""
+    """Merge lists of defective pixels. Each pixel occurs once in the result, which is sorted by row and column."""
     return np.unique(np.concatenate(parts), axis=0).astype(np.int64)
 
 
 def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
-    """Return the picture (row, col) with every defect replaced by the median of its neighbours on the same CFA site."""
+    """Replace every defective pixel of a picture by the median of its neighbours on the same CFA site."""
     rows, cols = cfa.shape
     result = picture.copy()
     for row, col in defects:
@@ -75,20 +75,16 @@ def patched(picture: Array, cfa: NDArray[np.uint8], defects: Defects) -> Array:
 def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> DefectMap:
     """Build the defect map of a sensor.
 
+    If nearly all pixels of a row or column are defective, all its pixels are marked as a defective row or column.
+
     Parameters
     ----------
     defects : ndarray, (defect, 2)
-        Row and col of every defective pixel.
+        Row and column of every defective pixel.
     hot : ndarray, (defect, 2)
-        Defective pixels that are conspicuous without light.
+        Row and column of the defective pixels that were found in dark frames.
     shape : tuple of int
         Rows and columns of the sensor.
-
-    Returns
-    -------
-    DefectMap
-        The defective pixels and their kinds. If nearly all pixels of a row or column are defective, the whole line is
-        marked.
     """
     bad, warm = np.zeros(shape, bool), np.zeros(shape, bool)
     bad[tuple(defects.T)] = True
@@ -102,7 +98,7 @@ def defect_map(defects: Defects, hot: Defects, shape: tuple[int, int]) -> Defect
 
 
 def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
-    """Count the hot and dead pixels, rows and columns of a defect map, and its clusters of touching single pixels."""
+    """Count the hot pixels, dead pixels, rows and columns of a defect map, and its clusters of adjacent single pixels."""
     from scipy.ndimage import label
 
     kind, (row, col) = np.array(defects.pixel_kind, dtype=str), defects.position.T
@@ -122,31 +118,39 @@ def defect_counts(defects: DefectMap, shape: tuple[int, int]) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Level:
-    """Statistics of the frames that were captured with one exposure."""
+    """Statistics of the frames that were captured with the same exposure time."""
 
     exposure: float  # s
     lit: float  # s; exposure time, corrected for the brightness of the lamp
     trials: int  # number of frames
-    counts: Counts  # (channel, value) number of pixels with each value in all frames
-    variance: Array  # (channel) DN²; temporal variance, including the noise of rows and columns
-    pixel_variance: Array  # (channel) DN²; temporal variance without the noise of rows and columns
+    counts: Counts  # (channel, value) number of pixels with each value, added over all frames
+    variance: Array  # (channel) DN²; temporal variance, including row noise and column noise
+    pixel_variance: Array  # (channel) DN²; temporal variance without row noise and column noise
 
 
 def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDArray]]:
-    """Yield, for each site of the super-pixel, its channel and a picture of its pixels."""
+    """Yield the channel and the pixels of each CFA site. The pixels form a picture."""
     rows, cols = cfa.shape
     for row, col in np.ndindex(rows, cols):
         yield int(cfa[row, col]), values[row::rows, col::cols]
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average one number per site over the sites of each channel. The sites are in the order of `by_site`."""
+    """Average numbers over the CFA sites of each channel. `per_site` contains one number per site, in the order of
+    `by_site`.
+    """
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count
 
 
 def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Counts:
-    """Return how many pixels of each channel have each value (channel, value). Defects are left out."""
+    """Count the pixels of each channel that have each raw value. Defective pixels are left out.
+
+    Returns
+    -------
+    ndarray, (channel, value)
+        Number of pixels.
+    """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for channel, site in by_site(values, body.cfa):
         counts[channel] += np.bincount(site.ravel(), minlength=2**body.bits)
@@ -157,7 +161,7 @@ def histogram(values: NDArray[np.uint16], body: Body, defects: Defects) -> Count
 
 
 def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
-    """Return the histogram (channel, value) over all frames of a capture, without defects."""
+    """Return the sum of the histograms of all frames of a capture. Defective pixels are left out."""
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     for frame in capture.frames:
         counts += histogram(frame, body, defects)
@@ -165,21 +169,21 @@ def count_values(capture: Capture, body: Body, defects: Defects) -> Counts:
 
 
 def mean_value(counts: Counts) -> Array:
-    """Return the mean DN of each channel from a histogram (channel, value)."""
+    """Return the mean DN of each channel, computed from its histogram."""
     return counts @ np.arange(counts.shape[1]) / counts.sum(axis=1)
 
 
 def share_from(counts: Counts, value: float) -> Array:
-    """Return, for each channel, the fraction of pixels with at least `value` DN."""
+    """Return the fraction of the pixels of each channel that have at least `value` DN, computed from its histogram."""
     return counts[:, int(np.ceil(value)) :].sum(axis=1) / counts.sum(axis=1)
 
 
 def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
-    """Return the histogram and the temporal variance of a capture under even light or without light.
+    """Measure the histogram and the temporal variance of a capture in uniform light or in the dark.
 
-    The temporal variance is half the variance of the difference between two frames, averaged over pairs of frames. The fixed
-    pattern and drifts of the lamp or the black level cancel in the difference. Frames 1 and 2 form a pair, frames 3 and 4
-    the next pair. Raises InputFileError if the capture is a single frame.
+    The temporal variance is half the variance of the difference between two frames, averaged over pairs of frames.
+    Fixed-pattern noise, and drifts of the lamp or of the black level, cancel in the difference. Frames 1 and 2 form a
+    pair, frames 3 and 4 form the next pair. Raises InputFileError if the capture contains a single frame.
     """
     counts = np.zeros((len(body.channels), 2**body.bits), dtype=np.int64)
     variances, pixel_variances, trials = [], [], 0
@@ -197,15 +201,15 @@ def measure_level(capture: Capture, body: Body, defects: Defects) -> Level:
         pixel_variances.append(pooled([pixel_variance(site) / 2 for site in sites], body.cfa))
         previous = None
     if not variances:
-        raise InputFileError(f"{capture.name} is a single frame; noise needs two or more of each exposure")
+        raise InputFileError(f"{capture.name} is a single frame; measure noise with two or more frames per exposure time")
     variance, of_pixels = np.mean(variances, axis=0), np.mean(pixel_variances, axis=0)
     return Level(capture.exposure, capture.lit, trials, counts, variance, of_pixels)
 
 
 def pixel_variance(picture: NDArray[Any]) -> float:
-    """Return the variance of a picture (row, col) without the variances of the row means and the column means.
+    """Return the variance of a picture without the variances of its row means and column means.
 
-    The estimate is unbiased: without row and column noise, its expected value is the variance of the pixels.
+    The estimate is unbiased. If there is no row noise or column noise, its expected value is the variance of the pixels.
     """
     rows, cols = picture.shape
     lines = [picture.mean(axis=axis, dtype=np.float64).var() for axis in (0, 1)]
@@ -214,9 +218,23 @@ def pixel_variance(picture: NDArray[Any]) -> float:
 
 
 def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each: Each = map) -> Array:
-    """Return weighted sums (sum, row, col) of the mean frames of captures.
+    """Return weighted sums of the mean frames of captures. Captures are read one at a time.
 
-    `weights` is (sum, capture, channel). Captures are read one by one.
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Captures.
+    weights : ndarray, (sum, capture, channel)
+        Weight of each capture in each sum, for each channel.
+    body : Body
+        Geometry of the camera.
+    each : callable
+        Applies a function to each capture.
+
+    Returns
+    -------
+    ndarray, (sum, row, col)
+        The weighted sums.
     """
     total = np.zeros((len(weights), body.rows, body.cols))
     used = [index for index in range(len(captures)) if weights[:, index].any()]
@@ -229,7 +247,7 @@ def weighted_sums(captures: Sequence[Capture], weights: Array, body: Body, each:
 
 
 def mean_frame(capture: Capture) -> NDArray[np.float32]:
-    """Return the mean frame (row, col) of a capture in DN."""
+    """Return the mean of all frames of a capture in DN."""
     total: NDArray | None = None
     trials = 0
     for frame in capture.frames:
@@ -240,5 +258,5 @@ def mean_frame(capture: Capture) -> NDArray[np.float32]:
 
 
 def channel_shares(body: Body) -> Array:
-    """Return, for each channel, its fraction of all pixels."""
+    """Return the fraction of all pixels that belong to each channel."""
     return np.bincount(body.cfa.ravel(), minlength=len(body.channels)) / body.cfa.size

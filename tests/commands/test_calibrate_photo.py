@@ -78,7 +78,7 @@ def test_a_dng_alone_makes_a_camera(folder: Path, bayer: CameraModel, tmp_path: 
     assert np.mean(np.abs(model.responsivity - truth) <= model.responsivity_band + 0.005) > 0.85
     assert "chart.dng: classic, light D65" in out
     assert "one more photo, under" in out
-    assert "not measured, taken as 0: dark current, DSNU, PRNU" in out
+    assert "not measured, assumed to be 0: dark current, DSNU, PRNU" in out
     code, out, err = l3("calibrate", "--photo", tmp_path / "chart.dng", "-o", tmp_path / "guessed.h5", "--json")
     assert code == 0, err
     photo = json.loads(out)["photos"]["chart.dng"]
@@ -188,16 +188,16 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
-        ('frames = ["none.npy"]', 3, "no chart of 4×6 patches"),
+        ('frames = ["none.npy"]', 3, "no chart with 4×6 patches"),
         ('frames = ["clipped.npy"]\nCORNERS', 3, "shorten the exposure"),
         ('frames = ["d65.npy"]\nlight = "D66"', 2, '"D66" is unknown'),
         ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "do not cover 400…700 nm"),
         ('frames = ["d65.npy"]\nchart = "clasic"', 2, 'did you mean "classic"'),
         ('frames = ["d65.npy"]\nlayout = [10, 14]', 2, "layout = [10, 14] has 140"),
         ('frames = ["d65.npy"]\ncorners = [[1, 2], [3, 4]]', 2, "corners has 2 values; the least is 4"),
-        ('frames = ["d65.npy"]\ncorners = [[0, 0], [900, 0], [900, 500], [0, 500]]', 3, "outside the photo"),
+        ('frames = ["d65.npy"]\ncorners = [[0, 0], [900, 0], [900, 500], [0, 500]]', 3, "corner of the chart is outside"),
         ('frames = ["d65.npy"]\ncorners = [[10, 10], [20, 20], [30, 30], [40, 40]]', 3, "on a line"),
-        ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "not those of the chart"),
+        ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "do not resemble the patches"),
         ('frames = ["d65.npy"]\nlayout = [6, 4]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "4, 24 and 21"),
         ('frames = ["d65.npy", "small.npy"]', 3, "another size or phase"),
         ("frames = []", 2, "frames has 0 values; the least is 1"),

@@ -149,7 +149,9 @@ def test_a_missing_spectrum_is_named(copied: Path, tmp_path: Path, refused: Refu
     assert "mono.csv" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
 
 
-@pytest.mark.parametrize(("name", "words"), [("mono.csv", "does not cover its light"), ("chart_*_A.csv", "do not cover")])
+@pytest.mark.parametrize(
+    ("name", "words"), [("mono.csv", "does not fall to zero"), ("chart_*_A.csv", "measure a wider range")]
+)
 def test_spectra_that_end_too_early_are_named(name: str, words: str, copied: Path, tmp_path: Path, refused: Refused) -> None:
     (path,) = (copied / "spectra").glob(name)
     lines = path.read_text().splitlines()
@@ -168,11 +170,11 @@ def test_a_lost_channel_is_named_by_the_validation(copied: Path, tmp_path: Path,
     (copied / "MEASUREMENTS.toml").write_text(f"{before}[[chart]]{chart}")
     command = ("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     line = refused(1, *command)
-    assert "channel r is predicted with R² 0.99" in line
+    assert "the validation of channel r has R² 0.99" in line
     assert "--accept" in line
     code, _, err = l3(*command, "--accept")
     assert code == 0
-    assert "accepted although channel r" in err
+    assert "accepted although the validation of channel r" in err
     assert load(CameraModel, tmp_path / "camera.h5").history[0].options == {"accept": True}
 
 
@@ -287,7 +289,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
         ("sweep.csv", ",1\n600", "\n600", 3, "same number of values"),
         ("diode.csv", "390,", "450,", 3, "do not cover the sweep's 400…700 nm"),
         ("diode.csv", "0.5", "-0.5", 3, "photodiode responds to"),
-        ("sweep.csv", "64,50.0,1", "64,1.0,1", 3, "sees no light at 500 nm"),
+        ("sweep.csv", "64,50.0,1", "64,1.0,1", 3, "receives no light at 500 nm"),
         ("MEASUREMENTS.toml", '"diode.csv"', '"none.csv"', 3, "none.csv"),
         ("MEASUREMENTS.toml", '["r", "g", "b"]', '["r", "g", "b", "w"]', 2, "cfa.pattern"),
         ("MEASUREMENTS.toml", '"r g", "g b"', '"r g", "g g"', 2, "cfa.pattern"),
@@ -335,8 +337,8 @@ def corners_of(folder: Path) -> str:
 @pytest.mark.parametrize(
     ("corners", "code", "words"),
     [
-        ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "outside the frame"),
-        ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "outside the frame"),
+        ("corners = [[-5, 10], [240, 10], [240, 180], [10, 180]]", 3, "corner of the chart is outside"),
+        ("corners = [[10, 10], [240, 10], [240, 1800], [10, 180]]", 3, "corner of the chart is outside"),
         ("corners = [[10, 10], [10, 10], [10, 10], [10, 10]]", 3, "corners"),
         ("corners = [[10, 10], [14, 10], [14, 14], [10, 14]]", 3, "too few pixels"),
         ("corners = [[10, 10], [14, 10]]", 2, "corners has 2 values"),
@@ -353,7 +355,9 @@ def test_charts_upside_down_do_not_make_a_camera(copied: Path, tmp_path: Path, r
     line = corners_of(copied)
     first, second, third, fourth = json.loads(line.partition("= ")[2])
     edit(copied, line, f"corners = {[third, fourth, first, second]}", count=-1)
-    assert "do not fit" in refused(3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
+    assert "the values of the charts poorly" in refused(
+        3, "calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5"
+    )
 
 
 def test_saturated_captures_are_refused(copied: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:

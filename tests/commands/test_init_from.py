@@ -85,7 +85,7 @@ def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: P
     assert (code, out) == (0, "")
     assert err.count("\n") == 1
     assert "curves from the colour matrices for A and D65" in err
-    assert "noise as the file's noise profile says" in err
+    assert "noise from the noise profile of the file" in err
     assert "assumed: peak efficiency, pixel pitch;" in err
     assert f"make -C {folder} picture.png; to render another photo: l3 render {folder}/table.h5 RAW -o PICTURE.png" in err
     camera = load_camera(folder / "camera.toml")

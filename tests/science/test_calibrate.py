@@ -381,7 +381,9 @@ def test_single_frames_and_single_exposures_are_refused(body: Body) -> None:
     with pytest.raises(InputFileError, match="all dark frames have the same exposure"):
         noise.dark_noise([Capture("a", 0.1, [frame, frame])], body)
     captures, _ = white_levels(9000.0, [0.3, 0.3], trials=2)
-    with pytest.raises(InputFileError, match="channel r needs at least two white exposures below saturation, but has 1"):
+    with pytest.raises(
+        InputFileError, match="channel r needs white frames with at least two exposure times below saturation, but has 1"
+    ):
         noise.photon_transfer([measure_level(capture, body, no_defects()) for capture in captures], body, DARK)
 
 
@@ -471,8 +473,8 @@ def test_a_nonlinear_channel_shows(body: Body) -> None:
 
 def test_a_band_without_two_usable_exposures_is_named(body: Body) -> None:
     captures = [capture(band, t, body) for band in (0, 1) for t in (0.05, 0.1)]
-    with pytest.raises(InputFileError, match="band band 1: a channel has fewer than two exposures"):
+    with pytest.raises(InputFileError, match="filter band 1: a channel has fewer than two exposure times"):
         fit_series(captures[:3], [], body, BLACK, WHITE)
     full = [dataclasses.replace(c, frames=[np.full((192, 256), 3800, dtype=np.uint16)]) for c in captures]
-    with pytest.raises(InputFileError, match="fewer than two exposures below saturation"):
+    with pytest.raises(InputFileError, match="fewer than two exposure times below saturation"):
         fit_series(full, [], body, BLACK, WHITE)

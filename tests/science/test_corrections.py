@@ -439,9 +439,9 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
     ("change", "message"),
     [
         ('[[white]]\nframes = ["white0.npy"]\nexposure_ms = 0', "white[1].exposure_ms is 0; give more than 0"),
-        ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is dark; expose"),
-        ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped; expose"),
-        ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "give an even white"),
+        ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is too dark"),
+        ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped"),
+        ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "evenly lit white target"),
         ('[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10', "deep.npy contains 4096 DN, more than 12 bits"),
         ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "whole raw frames"),
         ('[[white]]\nframes = ["nowhere.npy"]\nexposure_ms = 10', "nowhere.npy"),

@@ -197,7 +197,7 @@ def test_milliseconds_for_seconds_are_guessed(copied: Path, tmp_path: Path, refu
     edit(copied, r"exposure_s = (\S+)", lambda match: f"exposure_s = {1e3 * float(match[1])}")
     command = ("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     line = refused(1, *command)
-    assert "peak quantum efficiency is 0.04 % only" in line
+    assert "peak quantum efficiency is only 0.04 %" in line
     assert "exposure_ms" in line
     edit(copied, "exposure_s", "exposure_ms")
     assert l3(*command)[0] == 0
@@ -247,7 +247,7 @@ def test_an_odd_step_can_be_accepted(copied: Path, tmp_path: Path, refused: Refu
     command = ("calibrate", copied / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
     line = refused(1, *command)
     assert frame in line
-    assert "darker than its neighbours; check exposure" in line
+    assert "darker than its neighbours; check the exposure time" in line
     code, _, err = l3(*command, "--accept")
     assert code == 0
     assert f"accepted although {frame}" in err

@@ -165,7 +165,7 @@ def test_real_bands_follow_exposure(l3_data: Path, tmp_path: Path, l3: L3) -> No
     command = ("calibrate", file, "-o", tmp_path / "camera.h5")
     code, out, err = l3(*command)
     assert (code, out) == (1, "")  # 8 bits and a flickering projector: a relative RMSE of 4 % where 2 % are wanted
-    assert "channel r is predicted with R² 0.999" in err
+    assert "the validation of channel r has R² 0.999" in err
     assert not (tmp_path / "camera.h5").exists()
     code, out, err = l3(*command, "--accept", "--json")
     assert code == 0

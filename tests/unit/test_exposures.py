@@ -243,12 +243,14 @@ def a_body(model: CameraModel) -> Body:
 def test_settings_that_frames_contradict_are_refused() -> None:
     body, error = a_body(camera(0.25, 4.0)), np.full(4, 0.001)
     model.check_gains(np.array([0.2, 0.2, 0.8, 0.8]), error, body)
-    with pytest.raises(InputFileError, match=r"channel x?\w+: the white frames give 2 .* correct channel\.\w+\.gain"):
+    with pytest.raises(
+        InputFileError, match=r"channel x?\w+: in the white frames, the gain is 2 .* correct .channel\.\w+\.gain"
+    ):
         model.check_gains(np.array([0.2, 0.2, 0.4, 0.8]), error, body)
     curves = np.ones((4, 5))
     model.check_exposures(curves, body)
     curves[2] *= 2
-    with pytest.raises(InputFileError, match=r"responds as if exposed for 0\.5 of the frame's time"):
+    with pytest.raises(InputFileError, match=r"as if it were exposed for 0\.5 of the frame"):
         model.check_exposures(curves, body)
 
 

@@ -1,1 +1,1 @@
-"""Responsivities from raw photographs of a chart whose reflectances are known (docs/method.md#charts-in-photographs)."""
+"""Responsivities from raw photographs of a chart with known reflectances (docs/method.md#charts-in-photographs)."""

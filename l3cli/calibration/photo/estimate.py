@@ -1,8 +1,8 @@
-"""Estimate responsivities from the patches of a chart, and the light under which the chart was photographed.
+"""Estimates responsivities, and the illuminant of a photo, from the patches of a chart.
 
-The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The model also gives the
-probability of each light under which the photo may have been taken. It finds the light under which one more photo would help
-most.
+The responsivities are the posterior of a Gaussian model (docs/method.md#charts-in-photographs). The model is also used
+to compute the probability of each candidate illuminant, and to find the illuminant under which one more photo would
+reduce the colour error most.
 """
 
 import functools
@@ -18,37 +18,41 @@ from l3cli.physics import spectra
 
 WAVELENGTH = np.arange(400.0, 721.0, 10.0)  # nm; all published curves of cameras cover this range
 ROLES = ("r", "g", "b")  # channels that all measured cameras have
-MODES = 16  # principal components of measured cameras; more do not change results
-SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0  # deviations that no measured camera shows: fraction of the variance, smoothness in nm
+MODES = 16  # number of principal components of measured cameras; a larger number does not change the results
+# The prior of measured cameras includes smooth deviations: their fraction of the variance, and correlation length in nm.
+SMOOTH_SHARE, SMOOTH_NM = 0.1, 25.0
 LEAST_SPREAD = 0.01  # smallest standard deviation between cameras, as a fraction of the peak
-UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0  # mean, spread and smoothness (nm) of an unknown filter
-UNKNOWN_PEAK = 0.7  # standard deviation of the natural log of an unknown channel's peak
+# Mean, standard deviation and correlation length (nm) of the responsivity of an unknown filter.
+UNKNOWN_MEAN, UNKNOWN_SPREAD, UNKNOWN_NM = 0.3, 0.35, 45.0
+UNKNOWN_PEAK = 0.7  # standard deviation of the natural logarithm of the peak of an unknown channel
 PEAK_FLOOR = 0.25  # added in quadrature to the spread of known peaks, because converter gains differ between channels
-MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # sources of a prior
-WIDENING = 2.0  # factor by which a camera unlike the measured ones has more spread
-UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0  # further deviations of this camera: fraction of the peak, smoothness in nm
-# The evidence for a light is overconfident, because no prior describes a camera exactly. Dividing its logarithm by these
-# factors makes the stated probabilities match how often guesses are right (tests/studies/test_photo_study.py).
-TEMPERING = {True: 1.5, False: 6.0}  # True if one of the priors is based on measured cameras
+MEASURED, UNLIKE, SMOOTH = "measured cameras", "cameras unlike the measured ones", "smooth"  # names of the priors
+# The prior of unusual cameras has WIDENING times the standard deviation of measured cameras, plus smooth deviations with
+# this standard deviation (fraction of the peak) and this correlation length (nm).
+WIDENING = 2.0
+UNLIKE_SPREAD, UNLIKE_NM = 0.05, 35.0
+# The evidence for an illuminant is overconfident, because no prior describes a camera exactly. If its logarithm is divided
+# by these factors, the stated probabilities match the frequency of correct guesses (tests/studies/test_photo_study.py).
+TEMPERING = {True: 1.5, False: 6.0}  # key: whether one of the priors is based on measured cameras
 JITTER = 1e-6  # added to the diagonals of covariances, so that they can be inverted
-STEPS = 4  # number of linearisations of the product of curve and illumination; the third no longer changes visible results
-SCALE_SPREAD = 0.5  # relative standard deviation of a channel's scale about the first guess, nearly uninformative
-SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of each further shot about the first guess
-FARTHEST = 4.0  # largest factor by which scales and exposures may move from the first guess
-CURVATURE = 0.5  # spread of a quadratic term of the illumination relative to a linear term
+STEPS = 4  # number of linearisations of the product of curve and illumination; from the third on, results hardly change
+SCALE_SPREAD = 0.5  # relative standard deviation of the scale of a channel around the first guess, nearly uninformative
+SHOT_SPREAD = 0.3  # relative standard deviation of the exposure of every shot after the first around the first guess
+FARTHEST = 4.0  # largest factor by which scales and exposures may differ from the first guess
+CURVATURE = 0.5  # standard deviation of a quadratic term of the illumination, relative to a linear term
 FLOOR = 0.001  # unexplained error, as a fraction of the brightest patch
-ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # relative model errors that are tried (reflectances, texture)
+ERRORS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.035, 0.06)  # candidates for the relative model error (reflectances, texture)
 TERMS = 6  # number of terms of the illumination: constant, x, y, x², xy, y²
 Array = NDArray[np.floating]
 MOST_EVIDENCES = 1000  # largest number of cached results
-_EVIDENCES: dict[bytes, float] = {}  # results by a digest of shots and prior; each photo needs the same lights three times
-IMPROBABLE = 0.02  # lights with a lower probability do not widen the band
-NOTICED = 3.0  # l3 warns if another light is more probable than the named light by more than this factor, as a natural log
+_EVIDENCES: dict[bytes, float] = {}  # cached results, because the same shots and illuminants are evaluated three times
+IMPROBABLE = 0.02  # illuminants with a lower probability do not widen the band
+NOTICED = 3.0  # l3 warns if the log probability ratio of another illuminant and the specified illuminant is larger
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian distribution of the curves of a camera, and of the heights of their peaks."""
+    """Gaussian distribution of the responsivity curves of a camera, and of the heights of their peaks."""
 
     mean: Array  # (channel, wavelength)
     covariance: Array  # (channel · wavelength, channel · wavelength)
@@ -58,7 +62,7 @@ class Prior:
 
 
 def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
-    """Summarise measured cameras, all with the same channels, by their mean and at most MODES principal components."""
+    """Summarise measured cameras with the same channels by their mean and at most MODES principal components."""
     curves = np.array([spectra.average(each.responsivity, each.wavelength, WAVELENGTH) for each in cameras])
     peaks = curves.max(axis=2)
     shapes = curves / peaks[..., None]
@@ -72,7 +76,7 @@ def statistics(cameras: Sequence[FinishedCurves]) -> CurveStatistics:
 
 
 def camera_prior(known: CurveStatistics) -> Prior:
-    """Return the prior of a camera that has the same channels as the measured cameras."""
+    """Return the prior of a camera with the same channels as the measured cameras."""
     count, size = known.mean.shape
     covariance = _covariance(known.modes).reshape(count * size, count * size) + JITTER * np.eye(count * size)
     return Prior(
@@ -85,9 +89,9 @@ def camera_prior(known: CurveStatistics) -> Prior:
 
 
 def unlike(prior: Prior) -> Prior:
-    """Return the prior of a camera unlike the measured ones.
+    """Return the prior of a camera that differs from the measured cameras.
 
-    Its spread is wider than that of `prior`, and it includes smooth deviations that no measured camera shows.
+    Its covariance is larger than that of `prior`, and it includes smooth deviations that no measured camera has.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))
@@ -95,9 +99,10 @@ def unlike(prior: Prior) -> Prior:
 
 
 def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
-    """Extend a prior to a camera with more channels, or with channels in another order.
+    """Extend a prior to a camera with more channels, or with the channels in a different order.
 
-    The channels with the indices `places` follow `prior`, in the order of `prior`. Nothing is known about other channels.
+    The channels with the indices `places` get the distribution of `prior`, in the same order. Other channels get the
+    smooth prior.
     """
     whole, size = smooth(channels), WAVELENGTH.size
     at = np.array(places)
@@ -110,9 +115,11 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 
 
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
-    """Return the priors that a camera may come from: like the measured cameras, unlike these, and merely smooth.
+    """Return the possible priors of a camera: like the measured cameras, different from the measured cameras, and
+    smooth.
 
-    Measured cameras have the channels r, g and b. If a camera lacks one of these, only the smooth prior is returned.
+    The measured cameras have the channels r, g and b. If the camera lacks one of these channels, the only possible prior
+    is the smooth one.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -122,7 +129,9 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels whose curves are smooth and respond to visible light, but are otherwise unknown."""
+    """Return the prior of channels about which nothing is known except that they respond to visible light and have
+    smooth curves.
+    """
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -131,9 +140,11 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return the covariance (channel, wavelength, channel, wavelength) from modes (mode, channel, wavelength).
+    """Return the covariance of curves, given their principal components. A fraction of the variance is replaced by
+    smooth deviations.
 
-    A part of the variance is replaced by smooth deviations.
+    `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel,
+    wavelength).
     """
     _, count, size = modes.shape
     flat = modes.reshape(len(modes), -1)
@@ -146,14 +157,14 @@ def _covariance(modes: Array) -> Array:
 
 
 def _smooth(spread: Array, correlation_nm: float) -> Array:
-    """Return the covariance (wavelength, wavelength) of smooth deviations with standard deviation `spread` (wavelength)."""
+    """Return the covariance matrix of smooth deviations, whose standard deviation at each wavelength is `spread`."""
     distance = (WAVELENGTH[:, None] - WAVELENGTH) / correlation_nm
     return np.exp(-0.5 * distance**2) * np.outer(spread, spread)
 
 
 @dataclass(frozen=True)
 class Shot:
-    """The patches of a chart in one photo, under one light."""
+    """The patches of a chart in one photo under one illuminant."""
 
     light: Array  # (wavelength) relative photon radiance of a perfect white
     reflectance: Array  # (patch, wavelength)
@@ -161,22 +172,22 @@ class Shot:
     values: Array  # (patch, channel) DN above black
     deviation: Array  # (patch, channel) standard deviation of each value in DN
     used: NDArray[np.bool_]  # (patch, channel) whether the value is used
-    uneven: float = 0.2  # relative spread of the illumination terms; smaller if a white shot has corrected the illumination
-    glare: float = 0.03  # spread of the glare as a fraction of the brightest patch
+    uneven: float = 0.2  # standard deviation of the illumination terms; smaller after a correction by a white target
+    glare: float = 0.03  # standard deviation of the glare, as a fraction of the brightest patch
 
     @functools.cached_property
     def stimuli(self) -> Array:
-        """Photons (patch, wavelength) from each patch."""
+        """Relative photon radiance of each patch, with the shape (patch, wavelength)."""
         return self.reflectance * self.light
 
     @functools.cached_property
     def terms(self) -> Array:
-        """Illumination terms (patch, term) at each patch."""
+        """Illumination terms at each patch, with the shape (patch, term)."""
         return terms(self.place)
 
     @functools.cached_property
     def brightest(self) -> Array:
-        """DN above black (channel) of the brightest usable patch, or 1 if there is none."""
+        """DN above black of the brightest usable patch in each channel, or 1 if no patch is usable."""
         top = np.where(self.used, self.values, 0.0).max(axis=0)
         return np.where(top > 0, top, 1.0)
 
@@ -185,24 +196,25 @@ class Shot:
 class Posterior:
     """Estimate of a camera from the patches of its shots."""
 
-    responsivity: Array  # (channel, wavelength) in the unit of the values per unit of the light; never negative
-    covariance: Array  # (channel · wavelength, channel · wavelength) of the responsivity
+    responsivity: Array  # (channel, wavelength) DN per unit of the illuminant; never negative
+    covariance: Array  # (channel · wavelength, channel · wavelength) covariance of the responsivity
     glare: Array  # (shot, channel) DN
     illumination: Array  # (shot, term)
     error: float  # relative model error of patch values, in addition to noise
-    evidence: float  # natural log of the probability of the values, up to a constant
-    predicted: tuple[Array, ...]  # for each shot: (patch, channel) DN
+    evidence: float  # natural logarithm of the probability of the values, up to a constant
+    predicted: tuple[Array, ...]  # (patch, channel) predicted DN of each shot
 
 
 def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
-    """Return the posterior given all shots, with the model error that makes the values most probable."""
+    """Return the posterior given all shots. The model error is the candidate under which the values are most probable."""
     candidates = [_solve(shots, prior, error) for error in ERRORS]
     best = max(candidates, key=lambda solution: solution.evidence)
     return best.posterior()
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural log of the probability of the values under the shots' lights, up to a constant.
+    """Return the natural logarithm of the probability of the values under the illuminants of the shots, up to a
+    constant.
 
     The probability is averaged over the candidate model errors.
     """
@@ -217,12 +229,15 @@ def evidence(shots: Sequence[Shot], prior: Prior) -> float:
 
 
 def _log_mean(logarithms: Sequence[float]) -> float:
-    """Return the log of the mean of numbers given by their logs."""
+    """Return the logarithm of the mean of numbers, given their logarithms."""
     return float(np.logaddexp.reduce(logarithms) - np.log(len(logarithms)))
 
 
 def terms(place: Array) -> Array:
-    """Return the illumination terms (patch, term) at positions x, y (patch, 2)."""
+    """Return the illumination terms at each position, with the shape (patch, term).
+
+    `place` contains the coordinates x and y of the patches on the chart.
+    """
     x, y = place.T
     return np.stack([np.ones_like(x), x, y, x * x - np.mean(x * x), x * y, y * y - np.mean(y * y)], axis=1)
 
@@ -232,13 +247,16 @@ def terms(place: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Last linearisation of the model: values ≈ design @ state. The state has a Gaussian prior."""
+    """Last linearisation of the model: values ≈ design @ state.
+
+    The state contains the responsivities, the glare and the illumination terms, and has a Gaussian prior.
+    """
 
     shots: Sequence[Shot]
     shape: tuple[int, int]  # channels, wavelengths
     design: Array  # (value, state)
-    values: Array  # (value) right-hand side of the linearisation
-    noise: Array  # (value) variances
+    values: Array  # (value) right-hand side of the linearised model
+    noise: Array  # (value) variance of each value
     mean: Array  # (state) mean of the prior
     covariance: Array  # (state, state) covariance of the prior
     state: Array  # (state) solution
@@ -246,7 +264,7 @@ class _Solution:
     evidence: float
 
     def posterior(self) -> Posterior:
-        """Return the posterior, with responsivities that are never negative."""
+        """Return the posterior. Its responsivities are not negative."""
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()
@@ -264,7 +282,7 @@ class _Solution:
         )
 
     def _not_negative(self) -> Array:
-        """Return the most probable state without negative responsivities."""
+        """Return the most probable state in which no responsivity is negative."""
         from scipy.optimize import lsq_linear
 
         curves = self.shape[0] * self.shape[1]
@@ -295,9 +313,10 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
         off = right - design @ mean
         solved = np.linalg.solve(spread, off)
         state = mean + across @ solved
-        # Under a wrong light the iteration may diverge, so it is kept near the first guess.
+        # Under a wrong illuminant the iteration may diverge, so the scale must remain close to the first guess.
         scale = np.clip(_scale(state, prior), first / FARTHEST, first * FARTHEST)
-        exposures = slice(state.size - len(shots) * TERMS, None, TERMS)  # kept near the previous exposures
+        # The exposures must remain close to the previous exposures.
+        exposures = slice(state.size - len(shots) * TERMS, None, TERMS)
         state[exposures] = np.clip(state[exposures], mean[exposures] / FARTHEST, mean[exposures] * FARTHEST)
     logarithm = np.log(np.diag(np.linalg.cholesky(spread))).sum()
     probability = -0.5 * off @ solved - logarithm + _peaks(state, prior)
@@ -305,7 +324,9 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: the mean curves of the prior, scaled to the first shot, with even light and no glare."""
+    """Return the initial state: the mean curves of the prior, scaled to the first shot, with uniform illumination and no
+    glare.
+    """
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
 
@@ -322,7 +343,7 @@ def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
 
 
 def _scale(state: Array, prior: Prior) -> Array:
-    """Return the factors (channel) with which the mean of the prior fits a state best."""
+    """Return the factor for each channel with which the mean curves of the prior fit a state best."""
     count, size = prior.mean.shape
     curves = state[: count * size].reshape(count, size)
     return np.maximum((curves * prior.mean).sum(axis=1) / (prior.mean**2).sum(axis=1), 1e-12)
@@ -361,9 +382,9 @@ def _exposure(shots: Sequence[Shot], index: int, curves: Array) -> float:
 
 
 def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error: float) -> tuple[Array, Array, Array]:
-    """Linearise the model about a state. Returns the design, the right-hand side and the variances of all values.
+    """Linearise the model around a state. Return the design matrix, the right-hand side and the variances of all values.
 
-    Values are ordered by shot, channel and patch.
+    The values are sorted by shot, channel and patch.
     """
     responsivity, glare, illumination = _split_state(state, len(shots), count, size)
     designs, rights, variances = [], [], []
@@ -386,7 +407,9 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
 
 
 def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
-    """Split a state into responsivity (channel, wavelength), glare (shot, channel) and illumination (shot, term)."""
+    """Split a state into responsivities (channel, wavelength), glare (shot, channel) and illumination terms (shot,
+    term).
+    """
     curves, offsets = count * size, shots * count
     return (
         state[:curves].reshape(count, size),
@@ -396,12 +419,12 @@ def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array
 
 
 def _predict(shot: Shot, responsivity: Array, glare: Array, illumination: Array) -> Array:
-    """Predict the DN (patch, channel) of a shot."""
+    """Predict the DN of each patch and channel of a shot."""
     return (shot.terms @ illumination)[:, None] * (shot.stimuli @ responsivity.T) + glare
 
 
 def _peaks(state: Array, prior: Prior) -> float:
-    """Return the log-probability of the relative heights of the peaks of all channels."""
+    """Return the log probability of the relative heights of the peaks of all channels."""
     count, size = prior.mean.shape
     heights = np.log(np.maximum(state[: count * size].reshape(count, size).max(axis=1), 1e-300))
     off = heights - heights.mean() - (prior.log_peak - prior.log_peak.mean())
@@ -409,7 +432,7 @@ def _peaks(state: Array, prior: Prior) -> float:
 
 
 def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]) -> tuple[str, float]:
-    """Compare the light of a shot with the usual lights.
+    """Compare the illuminant of a shot with common illuminants.
 
     Parameters
     ----------
@@ -418,16 +441,17 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
     index : int
         Index of the shot.
     among : sequence of Prior
-        Priors that the camera may be drawn from (`plausible`).
-    candidates : mapping of str to ndarray, (wavelength)
-        Relative photon radiance of the usual lights.
+        Possible priors of the camera (`plausible`).
+    candidates : mapping of str to ndarray, (wavelength,)
+        Relative photon radiance of the common illuminants.
 
     Returns
     -------
     nearest : str
         The most probable of the candidates.
     deficit : float
-        Natural logarithm of the factor by which the light of the shot is less probable than `nearest`, at least 0.
+        Natural logarithm of the ratio of the probability of `nearest` to the probability of the illuminant of the shot,
+        at least 0.
     """
     others = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     nearest = max(others, key=lambda name: others[name])
@@ -437,9 +461,9 @@ def compare(shots: Sequence[Shot], index: int, among: Sequence[Prior], candidate
 def probabilities(
     shots: Sequence[Shot], index: int, among: Sequence[Prior], candidates: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Return the probability of each candidate light for shot `index`, assuming that one of the candidates is correct.
+    """Return the probability of each candidate illuminant of the shot `index`, if one of the candidates is correct.
 
-    Parameters are the same as for `compare`.
+    `compare` describes the parameters.
     """
     logarithms = {name: _likelihood(_under(shots, index, light), among) for name, light in candidates.items()}
     top = max(logarithms.values())
@@ -455,10 +479,11 @@ def unsure_of_light(
     likely: Mapping[str, float],
     candidates: Mapping[str, Array],
 ) -> Posterior:
-    """Widen the covariance of a posterior for the uncertainty of a guessed light.
+    """Widen the covariance of a posterior to account for the uncertainty of a guessed illuminant.
 
-    The added covariance is the scatter of the curves under all candidate lights, weighted by the probabilities `likely`. All
-    curves are scaled to the same sum. `index` is the index of the shot whose light is guessed.
+    The responsivities are estimated under every candidate illuminant and scaled to the same sum. Their scatter, weighted
+    by the probabilities `likely`, is added to the covariance. `index` is the index of the shot whose illuminant was
+    guessed.
     """
     added = np.zeros_like(posterior.covariance)
     for name, probability in likely.items():
@@ -471,24 +496,36 @@ def unsure_of_light(
 
 
 def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
-    """Return the tempered log-probability of the values under the shots' lights, averaged over the priors."""
+    """Return the tempered log probability of the values under the illuminants of the shots, averaged over the priors."""
     measured = any(prior.source == MEASURED for prior in among)
     return _log_mean([evidence(shots, prior) for prior in among]) / TEMPERING[measured]
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots, with another light for the shot `index`."""
+    """Return the shots with a different illuminant for the shot `index`."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 
-# ------------------------------------------------------------------------------------------------- what is known of colours
+# ---------------------------------------------------------------------------------------------------- colour errors
 
 
 def response_errors(responsivity: Array, covariance: Array, light: Array, surfaces: Array) -> Array:
-    """Return the uncertainty (channel) of the responses to surfaces under a light.
+    """Return the uncertainty of the signals of surfaces under an illuminant, for each channel.
 
-    The uncertainty is the RMS, over `surfaces` (surface, wavelength), of the standard deviation relative to the largest
-    response. The mean response counts as known, because exposure and white balance determine it.
+    For each surface, the standard deviation of the signal is divided by the largest signal of all surfaces. The result
+    is the RMS over the surfaces. The mean signal is assumed to be known, because exposure and white balance determine
+    it.
+
+    Parameters
+    ----------
+    responsivity : ndarray, (channel, wavelength)
+        Estimated responsivities.
+    covariance : ndarray, (channel · wavelength, channel · wavelength)
+        Covariance of the responsivities.
+    light : ndarray, (wavelength,)
+        Photon radiance of the illuminant.
+    surfaces : ndarray, (surface, wavelength)
+        Reflectances.
     """
     count, size = responsivity.shape
     stimuli = surfaces * light
@@ -505,7 +542,7 @@ def response_errors(responsivity: Array, covariance: Array, light: Array, surfac
 def next_light(
     shot: Shot, posterior: Posterior, candidates: Mapping[str, Array], judged_under: Sequence[Array], surfaces: Array
 ) -> tuple[str, float]:
-    """Find the light under which one more photo of the same chart would help most.
+    """Find the illuminant under which one more photo of the same chart would reduce the colour error most.
 
     Parameters
     ----------
@@ -513,19 +550,19 @@ def next_light(
         A photo of the chart.
     posterior : Posterior
         Estimate from the existing photos.
-    candidates : mapping of str to ndarray, (wavelength)
-        Lights to choose from.
-    judged_under : sequence of ndarray, (wavelength)
-        Lights under which colour errors count.
+    candidates : mapping of str to ndarray, (wavelength,)
+        Illuminants from which the result is chosen.
+    judged_under : sequence of ndarray, (wavelength,)
+        Illuminants under which colour errors are computed.
     surfaces : ndarray, (surface, wavelength)
-        Reflectances whose colour errors count.
+        Reflectances for which colour errors are computed.
 
     Returns
     -------
     light : str
         The best candidate.
     remaining : float
-        Fraction of the present colour error that would remain.
+        Colour error with one more photo, divided by the present colour error.
     """
 
     def error(covariance: Array) -> float:
@@ -539,7 +576,9 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after one more shot under a light, with unknown exposure and glare."""
+    """Return the covariance of the responsivities after one more shot under an illuminant. Its exposure and glare are
+    unknown.
+    """
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())
     predicted = (stimuli @ posterior.responsivity.T).T

@@ -1,4 +1,5 @@
-"""Write the recipe and the curves of a camera from its raw files, or from what is known about a camera of that name.
+"""Writes a camera recipe and its responsivity curves. The data come from raw files, or from what l3 knows about the
+camera model of that name.
 
 Comments in the recipe mark assumed values.
 """
@@ -21,15 +22,15 @@ from l3cli.system.text import printable
 PEAK_EFFICIENCY = 0.4  # typical peak quantum efficiency of a silicon camera with its lens
 ELECTRONS_PER_UM2 = 1500.0  # typical full-well capacity per µm² at ISO 100
 BASE_ISO = 100.0  # typical lowest ISO speed
-READ_NOISE_E = 3.0  # e-, typical read noise
-USUAL_GAINS = (4.0, 16.0, 64.0)  # gains relative to the lowest ISO speed for which transforms are learned
-FEWEST_ELECTRONS = 100.0  # e-, smallest plausible full scale
+READ_NOISE_E = 3.0  # e-; typical read noise
+USUAL_GAINS = (4.0, 16.0, 64.0)  # gains, relative to the lowest ISO speed, for which transforms are trained
+FEWEST_ELECTRONS = 100.0  # e-; smallest plausible full scale
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Gain and read noise at the ISO speed of the photo, and the source of these figures."""
+    """Gain and read noise at the ISO speed of the photo, and a comment that states their source."""
 
     gain: float  # DN/e-
     read_noise_e: float
@@ -38,30 +39,30 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """Facts about a camera, from its raw files or from the name alone."""
+    """Data of a camera, from its raw files or from its name alone."""
 
-    photo: Path | None  # None if the camera is known by its name only
+    photo: Path | None  # None if only the name of the camera is known
     body: Body
     black_level: float  # DN
     white_level: float  # DN
     stated: Stated
     wavelength: Array  # (wavelength) nm
-    curves: Array  # (channel, wavelength) response per photon; one scale for all channels, so that the highest peak is 1
-    origin: str  # source of the curves, for the recipe's comment
+    curves: Array  # (channel, wavelength) response per photon, divided by the highest peak of all channels
+    origin: str  # source of the curves, for a comment in the recipe
     noise: SensorNoise
-    white: str | None = None  # value of ‹white› for rendering the photo: the named light, or the light of its chart
-    gains: tuple[tuple[float, float], ...] = ()  # gain relative to the photo and read noise (e-), from other files
-    overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct the raw files
+    white: str | None = None  # value of ‹white› for rendering the photo: the specified illuminant, or that of the chart
+    gains: tuple[tuple[float, float], ...] = ()  # gain relative to the photo, and read noise (e-), from other raw files
+    overrides: Mapping[str, str] = field(default_factory=dict)  # options of l3 render that correct metadata of the raw files
 
     def gain_recipe(self) -> str:
-        """Return the table [gain] of the recipe, or an empty text if the ISO speed of the photo is unknown."""
+        """Return the section [gain] of the recipe, or an empty string if the ISO speed of the photo is unknown."""
         if self.stated.iso is None:
             return ""
         lines = ["", "[gain]", f"iso = {self.stated.iso:g} # at gain_dn_per_e"]
         if self.gains:
             gains = ", ".join(f"{gain:g}" for gain, _ in self.gains)
             noises = ", ".join(f"{noise:.4g}" for _, noise in self.gains)
-            source = "assumed" if self.photo is None else "by the ISO speeds and noise profiles of other files"
+            source = "assumed" if self.photo is None else "from the ISO speeds and noise profiles of other files"
             lines += [f"gains = [{gains}] # {source}", f"read_noise_e = [{noises}] # {source}"]
         return "\n".join(lines) + "\n"
 
@@ -71,7 +72,7 @@ class PhotoCamera:
 
     @property
     def assumed(self) -> list[str]:
-        """Names of the values that the recipe has to assume."""
+        """Names of the quantities whose values are assumed."""
         known = self.stated
         names = {"pixel pitch": known.pitch_um, "focal length": self._focal_mm, "f-number": self._f_number}
         return ["peak efficiency", *(name for name, value in names.items() if value is None)]
@@ -87,27 +88,27 @@ class PhotoCamera:
         return value if value is not None and value >= MIN_F_NUMBER else None
 
     def recipe(self) -> str:
-        """Return the camera recipe, with a comment on the source of each figure."""
+        """Return the text of the camera recipe. A comment states the source of each value."""
         body = self.body
-        known = "as it is known by its name" if self.photo is None else f"as its raw file shows it ({self.photo.name})"
-        source = "nominal; a file states its own" if self.photo is None else "the file's"
+        known = "known by name only" if self.photo is None else f"from the raw file {self.photo.name}"
+        source = "nominal; raw files state the actual values" if self.photo is None else "from the raw file"
         rows = "\n".join(f'  "{row}",' for row in array_rows(body.channels, body.cfa))
         pitch, full = self.stated.pitch_um, (self.white_level - self.black_level) / self.noise.gain
         return f"""\
-# {printable(f"{self.name}, {known}")}. What is not known is assumed, and marked so: correct it if you
-# know better.
+# {printable(f"{self.name}, {known}")}. Values that are not known are marked as assumed. Correct
+# them if you know better values.
 name = {toml_value(self.name)}
 
-[sensor] # size, bits and levels are {source}
+[sensor] # size, bits and levels: {source}
 rows = {body.rows}
 cols = {body.cols}
 pixel_pitch_um = {pitch or PITCH_UM:.4g}{"" if pitch else " # assumed"}
 bits = {body.bits}
-gain_dn_per_e = {self.noise.gain:.4g} # {self.noise.source}: {full:.3g} e- at full scale
+gain_dn_per_e = {self.noise.gain:.4g} # {self.noise.source}; {full:.3g} e- at full scale
 black_level_dn = {self.black_level:g}
 white_level_dn = {self.white_level:g}
 
-[cfa] # from the first pixel on
+[cfa] # the first pixel of a frame has the first filter
 channels = {toml_value(body.channels)}
 pattern = [
 {rows}
@@ -115,9 +116,9 @@ pattern = [
 
 [responsivity] # {printable(self.origin)}
 file = "{CURVES}"
-peak_efficiency = {PEAK_EFFICIENCY} # assumed: the curves are relative; lens and filters included
+peak_efficiency = {PEAK_EFFICIENCY} # assumed, because the curves are relative; includes lens and filters
 
-[noise] # dark current, DSNU and PRNU are taken as 0; dark and white frames tell them (l3 calibrate)
+[noise] # dark current, DSNU and PRNU are assumed to be 0; to measure them, use l3 calibrate
 read_noise_e = {self.noise.read_noise_e:.4g} # {self.noise.source}
 well_capacity_e = {full:.6g}
 
@@ -127,7 +128,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 {self.gain_recipe()}"""
 
     def curve_file(self) -> str:
-        """Return the relative curves per photon as CSV."""
+        """Return the text of a CSV file with the relative curves per photon."""
         heading = ",".join(["wavelength_nm", *self.body.channels])
         lines = (
             f"{at:g}," + ",".join(f"{value:.5f}" for value in row)
@@ -139,7 +140,7 @@ f_number = {self._f_number or F_NUMBER:.3g}{"" if self._f_number else " # assume
 def without_photo(
     body: Body, levels: tuple[float, float], known: Stated, curves: FinishedCurves, origin: str
 ) -> PhotoCamera:
-    """Describe a camera of which only the name is known, and no photo.
+    """Describe a camera of which only the name is known.
 
     Parameters
     ----------
@@ -148,11 +149,11 @@ def without_photo(
     levels : tuple of float
         Black and white level in DN.
     known : Stated
-        Facts about the camera.
+        Data that l3 contains about the camera.
     curves : FinishedCurves
         Responsivities of the camera.
     origin : str
-        Source of the curves, for the recipe's comment.
+        Source of the curves, for a comment in the recipe.
     """
     noise = noise_of(known, levels[1] - levels[0])
     gains = tuple((gain, noise.read_noise_e) for gain in USUAL_GAINS) if known.iso else ()
@@ -160,9 +161,10 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return gains relative to a raw file, and the read noise (e-) at each gain, from other files with noise profiles.
+    """Return gains relative to a raw file, and the read noise in electrons at each gain, from the noise profiles of
+    other raw files.
 
-    Only files with a higher ISO speed count, up to the largest gain that a camera recipe may have.
+    Only files with a higher ISO speed are used, up to the largest gain that a camera recipe may contain.
     """
     found: dict[float, float] = {}
     for each in others:
@@ -173,14 +175,15 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Return the noise from the noise profile of a raw file, or else typical noise at the ISO speed.
+    """Return gain and read noise from the noise profile of a raw file, or typical values at its ISO speed if the file
+    has no profile.
 
-    `span` is the difference between white and black level in DN.
+    `span` is the difference between white level and black level in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise
-        return SensorNoise(span * slope, float(np.sqrt(constant)) / slope, "as the file's noise profile says")
+        return SensorNoise(span * slope, float(np.sqrt(constant)) / slope, "from the noise profile of the file")
     share = BASE_ISO / max(stated.iso or BASE_ISO, BASE_ISO)
     full = max(ELECTRONS_PER_UM2 * (stated.pitch_um or PITCH_UM) ** 2 * share, FEWEST_ELECTRONS)
     where = f"ISO {stated.iso:g}" if stated.iso else f"ISO {BASE_ISO:g}"
-    return SensorNoise(span / full, READ_NOISE_E, f"assumed, as is usual at {where}")
+    return SensorNoise(span / full, READ_NOISE_E, f"assumed, typical at {where}")

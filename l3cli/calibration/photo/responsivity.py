@@ -1,6 +1,6 @@
-"""Estimate responsivities from photographs of charts, or from the colour matrices in a raw file.
+"""Estimates responsivities from photographs of charts, or from the colour matrices in a raw file.
 
-The method is described in docs/method.md#charts-in-photographs.
+docs/method.md#charts-in-photographs describes the method.
 """
 
 import functools
@@ -47,15 +47,17 @@ from l3cli.frames.measurement import Body, CurveStatistics, Measurements, PhotoC
 from l3cli.physics import spectra
 from l3cli.physics.mosaic import shifted_cfa
 
-UNEVEN, UNEVEN_LEFT = 0.2, 0.01  # relative spread of the illumination: uncorrected, and corrected with a white shot
-LEAST_SHARE = 0.5  # smallest fraction of usable patches in every channel
-LEAST_SIGNAL = 20.0  # DN, smallest acceptable value of the brightest patch
-CANDIDATES = (  # lights that a photo may have been taken under
+# Relative standard deviation of the illumination without and with a correction by a photo of a white target.
+UNEVEN, UNEVEN_LEFT = 0.2, 0.01
+LEAST_SHARE = 0.5  # smallest acceptable fraction of usable patches in a channel
+LEAST_SIGNAL = 20.0  # DN; smallest acceptable value of the brightest patch
+CANDIDATES = (  # illuminants that l3 considers if the illuminant of a photo is unknown
     "A", "2400K", "3200K", "4000K", "D50", "D55", "D65", "D75", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5",
 )  # fmt: skip
-JUDGED_UNDER = ("A", "D65", "F11")  # lights under which the uncertainty of colours is evaluated
+JUDGED_UNDER = ("A", "D65", "F11")  # illuminants under which the uncertainty of colours is evaluated
 SURFACES_EVERY = 7  # only every seventh surface of the library is evaluated, to save time
-FAR, MOST_FAR = 4.0, 4  # outliers: distance from the fit in standard deviations, and largest number that is left out
+# Outliers are farther from the fit than FAR standard deviations. At most MOST_FAR outliers are left out.
+FAR, MOST_FAR = 4.0, 4
 Array = NDArray[np.floating]
 ERROR = 0.02  # relative error of the patch values that a colour matrix predicts, in addition to the model error
 
@@ -65,7 +67,7 @@ class Photograph:
     """The measured patches of a photo."""
 
     capture: PhotoCapture
-    corners: Array  # (4, 2) col and row of the corners of the chart
+    corners: Array  # (4, 2) column and row of the corners of the chart
     values: PatchValues
     black_level: float  # DN
     white_level: float  # DN
@@ -74,11 +76,13 @@ class Photograph:
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
-    """Measure the patches of a photo. Raises InputFileError if the chart is not found or too few patches are usable."""
+    """Measure the patches of a photo. Raises InputFileError if the chart is not found or if too few patches are usable."""
     frame = capture.frames[0]
     black = frame.black_level if not capture.darks else float(np.mean([dark.values.mean() for dark in capture.darks]))
     if not black < frame.white_level:
-        raise InputFileError(f"{capture.name}: its dark frames are as bright as its white level; give frames without light")
+        raise InputFileError(
+            f"the dark frames of {capture.name} are as bright as the white level; use frames captured without light"
+        )
     cfa = shifted_cfa(body.cfa, frame.phase)
     chart = capture.chart
     reflectance = spectra.average(chart.reflectance, chart.wavelength, WAVELENGTH)
@@ -109,55 +113,61 @@ def measure(capture: PhotoCapture, body: Body) -> Photograph:
 
 
 def light_of(capture: PhotoCapture) -> Array:
-    """Return the relative photon radiance (wavelength) of a photo's light, with mean 1."""
+    """Return the photon radiance of the illuminant of a photo at each wavelength, divided by its mean."""
     light = np.maximum(spectra.resample(capture.radiance, capture.wavelength, WAVELENGTH), 0.0)
     return np.asarray(light / light.mean())
 
 
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
-    """Return the homography (3, 3) from chart cells to pixels."""
+    """Return the homography from chart coordinates, in patches, to pixels."""
     rows, cols = capture.chart.grid
     if capture.corners is None:
         located = locate(mosaic, cfa, reflectance, capture.chart.grid)
         if located is None:
             raise InputFileError(
-                f"{capture.name}: no chart of {rows}×{cols} patches found; give its corners in a measurement file, "
-                "or photograph the chart larger, sharp and evenly lit"
+                f'{capture.name}: no chart with {rows}×{cols} patches was found; set "corners" in a measurement file, or '
+                "take a photo in which the chart is larger, in focus and evenly lit"
             )
         return located.to_pixels
     height, width = mosaic.shape
     if (capture.corners < 0).any() or (capture.corners > (width, height)).any():
-        raise InputFileError(f"{capture.name}: a corner lies outside the photo of {width}×{height}; give col, row of four")
+        raise InputFileError(
+            f'{capture.name}: a corner of the chart is outside the {width}×{height} photo; correct "corners", which '
+            "contains "
+            "the column and row of each corner"
+        )
     try:
         matrix = homography(corner_cells(rows, cols), capture.corners)
         np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
-        raise InputFileError(f"{capture.name}: the corners lie on a line; give them clockwise from patch 1") from None
+        raise InputFileError(
+            f'{capture.name}: the corners of the chart are on a line; correct "corners", clockwise from patch 1'
+        ) from None
     return matrix
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if too few patches are usable, or if they do not look like patches of the chart."""
+    """Raise InputFileError if too few patches are usable, or if their values do not resemble the patches of the chart."""
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]
         if used.sum() < LEAST_SHARE * count:
             reasons = [why for _, each, why in values.left_out if each == channel]
             most = max(reasons, key=reasons.count)
-            cure = "shorten the exposure" if most == "clipped" else "check chart and corners"
+            cure = "shorten the exposure" if most == "clipped" else "check the chart and its corners"
             raise InputFileError(
-                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, most of the others are "
-                f"{most}; {cure}"
+                f"{capture.name}: only {used.sum()} of {count} patches are usable in channel {name}, and most of the "
+                f"unusable patches are {most}; {cure}"
             )
         if values.mean[used, channel].max() < LEAST_SIGNAL:
             raise InputFileError(
-                f"{capture.name}: channel {name} sees nothing of the chart; expose longer, or check the black level"
+                f"{capture.name}: the chart is too dark in channel {name}; expose longer, or check the black level"
             )
     if capture.corners is not None and fit(values.mean, components(reflectance)) < MIN_FIT / 2:
         cols = capture.chart.grid[1]
         raise InputFileError(
-            f"{capture.name}: the patches at the given corners are not those of the chart; give col, row of the outer "
-            f"corners of patches 1, {cols}, {count} and {count - cols + 1} in this order"
+            f'{capture.name}: the patches within "corners" do not resemble the patches of the chart; write the column and '
+            f"row of the outer corners of patches 1, {cols}, {count} and {count - cols + 1}, in this order"
         )
 
 
@@ -169,12 +179,15 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative light (patch, channel) on each patch, from a photo of an even white in the place of the chart."""
+    """Return the relative illumination of each patch and channel, from a photo of a uniform white target in place of the
+    chart.
+    """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
     if not values.used.all() or values.mean.min() <= 0:
         raise InputFileError(
-            f"{whites[0].name}: the white shot is clipped, dark or uneven where the chart lies; take it again"
+            f"{whites[0].name}: the photo of the white target is clipped, dark or uneven in the area of the chart; "
+            "take a new photo of the white target"
         )
     return np.asarray(values.mean / values.mean.mean(axis=0))
 
@@ -185,16 +198,17 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     Returns
     -------
     Curves
-        Responsivities, scaled to a common peak.
+        Responsivities. The highest peak is 1.
     PhotoFit
         Details of the fit.
     SensorFigures
-        The sensor from its data sheet, or from the noise of the patches.
+        Noise and levels of the sensor, from its data sheet or from the patches.
 
     Raises
     ------
     InputFileError
-        If a photo shows no usable chart, or if there is no data sheet and the noise does not grow with the signal.
+        If a photo contains no usable chart, or if there is no data sheet and the noise does not increase with the
+        signal.
     """
     photographs = [measure(capture, measurements.body) for capture in measurements.photos]
     among = _priors(measurements)
@@ -210,7 +224,7 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
     errors = [priors.response_errors(posterior.responsivity, posterior.covariance, light, _surfaces()) for light in judged]
     next_light, remaining = priors.next_light(shots[0], posterior, candidates(), judged, _surfaces())
     guessed = [photo.capture.light is None for photo in photographs]
-    names = {id(light): name for name, light in candidates().items()}  # a guessed light is one of these
+    names = {id(light): name for name, light in candidates().items()}  # every guessed illuminant is a candidate
     named = [photo.capture.light or names[id(shot.light)] for photo, shot in zip(photographs, shots, strict=True)]
     sensor, from_patches = _sensor(photographs, measurements)
     fit = PhotoFit(
@@ -241,14 +255,14 @@ def fit_photos(measurements: Measurements) -> tuple[Curves, PhotoFit, SensorFigu
 
 
 def _window(frames: Sequence[RawFrame], body: Body) -> PhotoWindow | None:
-    """Return which part of the sensor the frames show, or None if they show all of it."""
+    """Return the parts of the sensor that the frames contain, or None if all frames contain the whole sensor."""
     if all(frame.phase == (0, 0) and frame.values.shape == (body.rows, body.cols) for frame in frames):
         return None
     return PhotoWindow(np.array([frame.phase for frame in frames]), np.array([frame.values.shape for frame in frames]))
 
 
 def curves_of(posterior: Posterior) -> Curves:
-    """Return the posterior's curves, scaled to a common peak of 1, with 95 % bands."""
+    """Return the curves of a posterior with 95 % bands. The highest peak is 1."""
     count, size = posterior.responsivity.shape
     deviation = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0)).reshape(count, size)
     relative = posterior.responsivity.astype(np.float64)
@@ -257,7 +271,7 @@ def curves_of(posterior: Posterior) -> Curves:
 
 @functools.cache
 def candidates() -> Mapping[str, Array]:
-    """Return the relative photon radiance (wavelength) of each light that a photo may have been taken under."""
+    """Return the relative photon radiance of each candidate illuminant at each wavelength."""
     return {name: spectra.illuminant(name, WAVELENGTH) for name in CANDIDATES}
 
 
@@ -270,7 +284,7 @@ def _surfaces() -> Array:
 
 
 def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> list[Shot]:
-    """Return the shots. If the light of a shot is unknown, it gets the most probable common light."""
+    """Return the shots. If the illuminant of a shot is unknown, the shot gets the most probable candidate illuminant."""
     shots = [photo.shot for photo in photographs]
     for index, photo in enumerate(photographs):
         if photo.capture.light is None:
@@ -280,7 +294,7 @@ def _under_lights(photographs: Sequence[Photograph], among: Sequence[Prior]) -> 
 
 
 def _priors(measurements: Measurements) -> list[Prior]:
-    """Return the priors that the camera may come from."""
+    """Return the possible priors of the camera."""
     known = measurements.cameras
     table = known if known is None or isinstance(known, CurveStatistics) else priors.statistics(known)
     return plausible(measurements.body.channels, table)
@@ -290,10 +304,18 @@ def _priors(measurements: Measurements) -> list[Prior]:
 
 
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
-    """Fit the shots, and fit again without the values that are far from the first fit.
+    """Fit the shots, and repeat the fit without outliers.
 
-    At most MOST_FAR values are left out. Returns the posterior, the shots, and the values that were left out, as (shot,
-    patch, channel).
+    At most MOST_FAR outliers are left out.
+
+    Returns
+    -------
+    posterior : Posterior
+        Result of the fit.
+    shots : list of Shot
+        The shots without outliers.
+    outliers : list of tuple
+        Index of the shot, the patch and the channel of each outlier.
     """
     posterior = estimate(shots, prior)
     far: list[tuple[float, int, int, int]] = []
@@ -316,13 +338,13 @@ def _far_lines(
 ) -> tuple[str, ...]:
     names = measurements.body.channels
     return tuple(
-        f"{photographs[shot].capture.name}: patch {patch + 1} in {names[channel]}: far off all others"
+        f"{photographs[shot].capture.name}: patch {patch + 1} in {names[channel]}: outlier in the fit of all patches"
         for shot, patch, channel in far
     )
 
 
 def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
-    """Stack one array per photo into (photo, patch, channel). Charts with fewer patches are padded with `fill`."""
+    """Stack one array per photo. Charts with fewer patches are padded with `fill`."""
     most = max(len(part) for part in parts)
     shape = (len(parts), most, parts[0].shape[1])
     result = np.full(shape, fill, dtype=bool if isinstance(fill, bool) else np.float64)
@@ -335,23 +357,24 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 
 
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
-    """Return the sensor, and whether its figures come from the patches.
+    """Return the noise and the levels of the sensor, and whether the noise was estimated from the patches.
 
-    The figures come from the data sheet. Without one, the levels come from the files, and gain and noise from the patches.
+    If there is a data sheet, gain and noise are read from the data sheet. Otherwise they are estimated from the patches.
+    The levels are always read from the files.
     """
     first = photographs[0]
     if measurements.datasheet is not None:
         return replace(measurements.datasheet, black_level=first.black_level, white_level=first.white_level), False
     if first.white_level > 2**measurements.body.bits - 1:
         raise InputFileError(
-            f"{first.capture.name} has the white level {first.white_level:g}, more than {measurements.body.bits} bits can "
-            "store; correct sensor.bits"
+            f"the white level of {first.capture.name} is {first.white_level:g} DN, which does not fit into "
+            f'{measurements.body.bits} bits; correct "sensor.bits"'
         )
     transfer = photon_transfer([photo.values for photo in photographs])
     if transfer is None:
         raise InputFileError(
-            f"{first.capture.name}: its noise does not grow with the signal as in a raw file; give the camera's raw file, "
-            "or declare gain and noise in a [datasheet]"
+            f"{first.capture.name}: the noise does not increase with the signal as in a raw file; use an unprocessed raw "
+            "file, or declare gain and noise in [datasheet]"
         )
     gain, dark_noise = transfer
     well = (first.white_level - first.black_level) / gain
@@ -360,16 +383,17 @@ def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tu
 
 @dataclass(frozen=True)
 class ColourMatrix:
-    """Colour matrix of a camera for one light, as in the ColorMatrix tags of DNG 1.7."""
+    """Colour matrix of a camera for one illuminant, as in the ColorMatrix tags of DNG 1.7."""
 
-    light: str  # name of the light
-    values: Array  # (channel, 3) matrix from XYZ to the signals of the channels
+    light: str  # name of the illuminant
+    values: Array  # (channel, 3) matrix that converts XYZ to the signals of the channels
 
 
 def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves:
-    """Return the most probable relative curves, with 95 % bands, of a camera with the given colour matrices.
+    """Return the most probable responsivity curves of a camera with these colour matrices, with 95 % bands.
 
-    The matrices predict the responses to a ColorChecker. The curves are the posterior of `prior` given these responses.
+    The matrices predict the channel values of a ColorChecker. The curves are the posterior of `prior` given these
+    values.
     """
     reflectance = spectra.colorchecker(WAVELENGTH)[1]
     shots = [_shot(matrix, reflectance) for matrix in matrices]
@@ -377,7 +401,7 @@ def curves_of_matrices(matrices: Sequence[ColourMatrix], prior: Prior) -> Curves
 
 
 def usual_curves(prior: Prior) -> Curves:
-    """Return the mean curves of measured cameras, for a camera about which nothing is known."""
+    """Return the mean curves of the measured cameras, for a camera about which nothing is known."""
     peaks = np.exp(prior.log_peak)[:, None]
     deviation = np.sqrt(np.diag(prior.covariance)).reshape(prior.mean.shape)
     mean = np.asarray(prior.mean * peaks, np.float64)
@@ -385,21 +409,21 @@ def usual_curves(prior: Prior) -> Curves:
 
 
 def balanced_curves(curves: Curves, light: str) -> Curves:
-    """Scale the curves so that a grey surface under a light gives equal signals in all channels."""
+    """Scale each curve so that a grey surface under the illuminant has equal signals in all channels."""
     signals = curves.relative @ spectra.illuminant(light, curves.wavelength)
     scale = (signals.min() / signals)[:, None]
     return Curves(curves.wavelength, curves.relative * scale, curves.band * scale).to_common_peak()
 
 
 def prior_of(channels: Sequence[str], known: CurveStatistics) -> Prior:
-    """Return the prior of measured cameras for channels r, g and b, or the smooth prior for other channels."""
+    """Return the prior of measured cameras for the channels r, g and b, or the smooth prior for other channels."""
     if sorted(channels) != sorted(ROLES):
         return smooth(len(channels))
     return placed(camera_prior(known), [channels.index(role) for role in ROLES], len(channels))
 
 
 def _shot(matrix: ColourMatrix, reflectance: Array) -> Shot:
-    """Return a shot of an evenly lit chart without glare. Its values are the prediction of a colour matrix."""
+    """Return a shot of an evenly lit chart without glare, whose values are predicted by a colour matrix."""
     light = spectra.illuminant(matrix.light, WAVELENGTH)
     weights = spectra.xyz_weights(WAVELENGTH)
     xyz = (reflectance * light) @ weights.T / (weights[1] @ light)
