@@ -1,8 +1,11 @@
 """Add patches to the sums of their classes (docs/method.md#training).
 
-The order of the steps follows from their costs. Patches are first rotated tap by tap, rescaled, exposed and assigned to
-classes, in pieces small enough for the processor's caches. Only class, level and scale are kept. Then all patches are sorted
-by class, computed again without noise, in pieces that end where classes end, weighted, and multiplied class by class.
+This takes two steps, so that intermediate arrays fit into the processor caches:
+
+1. Small groups of patches are scaled to random levels, get noise, and are assigned to classes. Only the class, level and
+   scale of each patch are kept.
+2. The patches are sorted by class. Then they are scaled again, this time without noise, and weighted, and their products are
+   added to the sums of the classes.
 """
 
 import math
@@ -22,9 +25,9 @@ from l3cli.training.sample_weighting import TARGET_FLOOR, SampleWeighting
 from l3cli.training.sums import add_products, add_rounded, empty_sums, grid_steps, pieces_of, rounding_number, runs_of
 from l3cli.training.training_pass import BATCH_PATCHES, TrainingPass
 
-EXPOSED_PATCHES = 4096  # patches exposed at a time, so that their arrays stay in the processor's caches
-CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at clipped edges, such as text on over-exposed paper
-DARKEST_LEVEL = 1e-4  # fraction of full scale below which the weight of a sample no longer rises
+EXPOSED_PATCHES = 4096  # number of patches in a group of step 1, whose arrays must fit into the processor caches
+CLIPPED_GREY_EDGES = 8.0  # weight of colourless patches at edges of clipped areas, such as text on over-exposed paper
+DARKEST_LEVEL = 1e-4  # fraction of full scale; patches at lower levels have the weight of this level
 
 
 def sum_sites(
@@ -32,19 +35,20 @@ def sum_sites(
     blocks: Iterable[tuple[int, tuple[int, ...], Iterator[TrainingPair]]],
     weightings: Mapping[int, SampleWeighting | None],
 ) -> dict[int, ClassSums]:
-    """Add up the sums of canonical sites over blocks of frames.
+    """Compute the sums of canonical sites over blocks of frames.
 
     Parameters
     ----------
     pass_ : TrainingPass
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
-        For each block: index of its first frame, the sites that use it, and its frames, each of which is read once.
+        For each block, the index of its first frame, the sites to sum, and its frames.
     weightings : mapping of int to SampleWeighting or None
-        The sites, and how their samples are weighted. None: all alike.
+        For each site, the weights from the errors of the first pass, or None in the first pass.
 
     Returns
     -------
     dict of int to ClassSums
+        Sums of each site.
     """
     neighbours = neighbourhoods(pass_.head.camera.cfa, pass_.rule.patch, len(pass_.head.camera.channels))
     sums = {site: empty_sums(pass_.rule, len(pass_.head.outputs)) for site in weightings}
@@ -62,9 +66,10 @@ def _batches(
     neighbours: Neighbourhoods,
     rngs: dict[int, np.random.Generator],
 ) -> Iterator[tuple[int, Patches]]:
-    """Yield the patches of a block, which begins with frame `first`, for each site.
+    """Yield (site, patches) for a block of frames. `first` is the index of its first frame.
 
-    They come together or, if one frame has more than `BATCH` patches, in parts.
+    A site usually gets all patches of the block in one batch. If a frame has more than `BATCH_PATCHES` patches, the site
+    gets several batches.
     """
     waiting: dict[int, list[Patches]] = {site: [] for site in rngs}
     for index, frame in enumerate(frames, first):
@@ -84,17 +89,19 @@ def _batches(
 
 
 class _Batch:
-    """The patches of one site, and how they are added to the sums."""
+    """Patches of one site, which `add_to` adds to the sums."""
 
     def __init__(
         self, pass_: TrainingPass, patches: Patches, neighbours: Neighbourhoods, site: int, weighting: SampleWeighting | None
     ) -> None:
         self.pass_, self.patches, self.neighbours, self.site, self.weighting = pass_, patches, neighbours, site, weighting
         member = (neighbours.channel[site][:, None] == np.arange(neighbours.count.shape[1])) / neighbours.count[site]
-        self.tap_share = member.mean(axis=1).astype(np.float32)  # level = mean over channels of the channel means
+        self.tap_share = member.mean(axis=1).astype(
+            np.float32
+        )  # weights of the taps in the level, the mean of the channel means
 
     def add_to(self, sums: ClassSums, rng: np.random.Generator) -> None:
-        """Draw the levels of the patches, decide their classes, and add everything to `sums`."""
+        """Scale the patches to random levels, determine their classes, and add them to `sums`."""
         label, level, scale = self._exposed(rng)
         order = np.argsort(label, kind="stable")
         label = label[order]
@@ -105,7 +112,10 @@ class _Batch:
             self._add_piece(sums, large, label[piece], level[draw], scale[draw], patch, rng)
 
     def _exposed(self, rng: np.random.Generator) -> tuple[NDArray[np.unsignedinteger], Floats, Floats]:
-        """Return the class, the level as the camera sees it, and the scale of each draw of each patch (draw · patch)."""
+        """Scale each patch to several levels, add noise, and determine the classes.
+
+        Returns the class, the level with noise and clipping, and the scale factor, as flat arrays (draw · patch).
+        """
         pass_, signal = self.pass_, self.patches.signal
         patch_level = np.maximum(signal @ self.tap_share, 1e-3)
         start = rng.random(patch_level.size)
@@ -121,7 +131,7 @@ class _Batch:
         return label.reshape(-1), np.maximum(level, np.float32(DARKEST_LEVEL)).reshape(-1), scale.reshape(-1)
 
     def _scale(self, patch_level: Floats, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the factors (patch) that bring patches to the levels at `places` (patch) of the level distribution."""
+        """Return the factors that scale the patches to the levels at `places` in the distribution of levels."""
         if not self.pass_.recipe.rescale:
             return np.ones(patch_level.size)
         return levels_at(self.pass_.recipe, places) / patch_level
@@ -129,7 +139,7 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield the class and the level (patch) of the noisy patches of `batch`, for each draw of `scale` (draw, patch)."""
+        """Yield the classes and the levels of the noisy patches in `batch`, once for each row of `scale` (draw, patch)."""
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]
@@ -143,7 +153,7 @@ class _Batch:
     def _exposed_values(
         self, signal: Floats, rng: np.random.Generator, carried: Floats | None, channel: NDArray[np.int64]
     ) -> NDArray[np.uint32]:
-        """Return DN (tap, patch) of signals of `channel` (tap, 1), with noise unless the recipe excludes it."""
+        """Convert signals (tap, patch) to DN, with noise unless the recipe has noise = "none"."""
         camera = self.pass_.head.camera
         if self.pass_.recipe.noise != "none":
             return expose_patches(signal, camera, rng, carried, self.pass_.dark, channel)
@@ -151,10 +161,7 @@ class _Batch:
         return np.clip(np.rint(values), 0.0, np.floor(camera.white_level)).astype(np.uint32)
 
     def _level(self, sums: NDArray[np.uint32]) -> NDArray[np.float64]:
-        """Return the level (patch) as a fraction of full scale.
-
-        The level is the mean over the channels of the channel means, whose sums are `sums` (channel, patch).
-        """
+        """Return the level of each patch as a fraction of full scale, from the pixel sums (channel, patch)."""
         camera, shift = self.pass_.head.camera, self.pass_.rule.shift
         mean = (1 / (self.neighbours.count[self.site] * len(sums))) @ sums
         seen = (mean * 2**shift + (truncation(shift) - camera.black_level)) / (camera.white_level - camera.black_level)
@@ -170,7 +177,11 @@ class _Batch:
         patch: NDArray[np.int64],
         rng: np.random.Generator,
     ) -> None:
-        """Add the samples of the patches numbered `patch`, sorted by class, rescaled by `scale` and seen at `level`."""
+        """Add patches to `sums`.
+
+        `patch` contains the indices of the patches, sorted by class. `label`, `level` and `scale` contain the class, the
+        noisy level and the scale factor of each patch.
+        """
         clean = self.patches.signal.take(patch, axis=0)
         clean *= scale[:, None]
         target = self.patches.target[patch] * scale[:, None]

@@ -1,6 +1,6 @@
-"""Learn the outputs of uniform areas in which channels clip (docs/method.md#plain-clipped-areas).
+"""Train the outputs of uniform areas in which channels clip (docs/method.md#plain-clipped-areas).
 
-The training data are measured surfaces under increasing light.
+The training data are measured surfaces at increasing exposures.
 """
 
 import numpy as np
@@ -13,30 +13,30 @@ from l3cli.classes.clipping import CLIPS, added_terms, grey_level
 from l3cli.training.plain_surfaces import plain_surfaces
 
 Array = NDArray[np.float64]
-EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure that fills a surface's first channel
-SURFACE_STEP = 7  # every seventh surface is used, because there are many
-SAMPLE_RIDGE = 1e-3  # relative to the samples
-COLOUR_RIDGE = 1e-3  # relative to the power of colour
-EXPOSURE_POWER = 2  # exponent with which the weight falls with exposure, because brighter areas are rarer
-CHANGE_WEIGHT = 3.0  # weight of changes between exposures, because steps are more visible than a wrong colour
+EXPOSURES = np.geomspace(0.35, 4.5, 24)  # relative to the exposure at which the first channel of a surface clips
+SURFACE_STEP = 7  # only every seventh surface is used, to save time
+SAMPLE_RIDGE = 1e-3  # absolute ridge of the fit of the corrections
+COLOUR_RIDGE = 1e-3  # ridge of the colour matrix, relative to the mean power of the channels' deviations from grey
+EXPOSURE_POWER = 2  # clipped samples have the weight exposure^−2, because brighter areas are rarer
+CHANGE_WEIGHT = 3.0  # weight of changes between exposures, because a step is more visible than a wrong colour
 
 
 def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Array) -> Clipping | None:
-    """Learn what plain clipped areas become under a light, or the mean light of a training with several.
+    """Train the correction of uniform clipped areas for one illuminant.
 
     Parameters
     ----------
     camera : CameraModel
     light : LightSpectrum or None
-        None if the light is not known.
+        Mean illuminant of the training, or None if it is unknown.
     white : ndarray, (output)
-        XYZ of a white of Y = 1 under the light.
+        X, Y, Z of a perfect white under the illuminant, with Y = 1.
 
     Returns
     -------
     Clipping or None
-        None if the light is not known, if channels of one filter clip one after the other, or if the camera has only one
-        channel: no other channel then tells what a clipped one would have seen.
+        None if the illuminant is unknown, if the exposures or gains of the channels differ, or if the camera has only one
+        channel. With one channel, no other channel can predict the clipped signal.
     """
     if light is None or camera.readout is not None or len(camera.channels) == 1:
         return None
@@ -57,7 +57,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     weight = np.maximum(over, 1.0) ** -EXPOSURE_POWER / (len(signals) * target[:, 1] * seen.mean(axis=1))
     features, missing = (np.concatenate([each, _changes(each)]) for each in (features, missing))
     weight = np.concatenate([weight, CHANGE_WEIGHT * weight[len(weight) // EXPOSURES.size :]])
-    # Not by BLAS, whose sums depend on how many threads it has.
+    # The result of BLAS would depend on its number of threads.
     system = np.einsum("r,ri,rj->ij", weight, features, features, optimize=False)
     right = np.einsum("r,ri,rj->ij", weight, features, missing, optimize=False)
     system += SAMPLE_RIDGE * np.eye(len(system))
@@ -67,13 +67,13 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
 
 
 def _changes(values: Array) -> Array:
-    """Return the changes of values (exposure · surface, value) from each exposure to the next."""
+    """Return the differences between successive exposures. The rows of `values` are ordered by exposure, then surface."""
     by_exposure = values.reshape(EXPOSURES.size, -1, values.shape[1])
     return np.diff(by_exposure, axis=0).reshape(-1, values.shape[1])
 
 
 def _colours(signals: Array, outputs: Array) -> Array:
-    """Return outputs (channel, output) per signal of surfaces. Both are relative to white, which remains white."""
+    """Fit a matrix (channel, output) from signals to outputs, both relative to white. It reproduces white exactly."""
     weight = 1 / signals.mean(axis=1)
     about, wanted = (each - signals.mean(axis=1, keepdims=True) for each in (signals, outputs))
     power = np.einsum("s,si,sj->ij", weight**2, about, about, optimize=False)
@@ -85,9 +85,10 @@ def _colours(signals: Array, outputs: Array) -> Array:
 
 
 def _target(outputs: Array, over: Array, white: Array, brightest: float) -> Array:
-    """Return the wanted outputs of surfaces at exposures `over`, relative to the exposure that fills their first channel.
+    """Return the wanted outputs of surfaces at the exposures `over`.
 
-    Outputs are no brighter than the white whose last channel just clips, and become paler as the exposure rises.
+    An exposure of 1 just clips the first channel of a surface. At higher exposures, the wanted colour becomes paler. The
+    luminance is limited to `brightest`, the luminance of the white whose last channel just clips.
     """
     luminance = np.minimum(outputs[:, 1:2], brightest)
     chroma = outputs / outputs[:, 1:2] - white

@@ -1,4 +1,7 @@
-"""The goal of the transforms of a training run, which is the same for all sites and passes."""
+"""What the transforms are trained for: outputs, levels of the camera, illuminant and surfaces.
+
+The goal is the same for all sites and for both passes of a training.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,47 +18,47 @@ from l3cli.training.plain_surfaces import PlainSurfaces, plain_surfaces
 from l3cli.training.systems import Integers
 
 Array = NDArray[np.float64]
-ONE_LIGHT = 0.001  # largest spread of lights that count as the same
+ONE_LIGHT = 0.001  # largest spread of illuminants that are treated as one illuminant
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Outputs, levels, lights and surfaces for which the transforms are learned."""
+    """Everything except the training samples on which the transforms of the first layer depend."""
 
     outputs: tuple[str, ...]
     channels: tuple[str, ...]
-    white: Array  # (output) of a perfect white under the training light, Y = 1
-    white_signal: Array | None  # (channel) signals of that white, fractions of full scale; None: not known
-    black_level: float  # DN, of the camera
-    white_level: float  # DN, at which a pixel of the camera saturates
-    white_error: Array | float = 0.0  # (channel) relative error with which surfaces predict white_signal
-    surfaces: PlainSurfaces | None = None  # under the training light; None: light not known, or other outputs
-    filters: tuple[int, ...] = ()  # (channel) first channel with its filter; (): every channel has its own
-    sensitivity: Array | None = None  # (channel) as of the camera; None: all alike
-    integers: Integers | None = None  # formats of the planes for a next layer; None: no layer can follow
+    white: Array  # (output) outputs of a perfect white under the training illuminant, with Y = 1
+    white_signal: Array | None  # (channel) signals of this white, as fractions of full scale, or None if they are unknown
+    black_level: float  # DN
+    white_level: float  # DN
+    white_error: Array | float = 0.0  # (channel) relative error of `white_signal` when measured surfaces predict it
+    surfaces: PlainSurfaces | None = None  # measured surfaces under the training illuminant, if l3 trains on them
+    filters: tuple[int, ...] = ()  # (channel) first channel with the same filter, or () if no channels share a filter
+    sensitivity: Array | None = None  # (channel) relative sensitivity, or None if all channels are equally exposed
+    integers: Integers | None = None  # integer formats of the planes, or None if no refinement layer can follow
 
 
 def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """Return the mean light if it is known and all frames have the same light, otherwise None."""
+    """Return the mean illuminant `light` if all frames have this illuminant, or None if they differ or are unknown."""
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 
 def has_components(head: TrainingSet) -> bool:
-    """Return whether the outputs are a spectrum, whose leading components a layer may refine."""
+    """Whether a refinement layer can refine leading components. The outputs must be a spectrum of more than three values."""
     return len(head.outputs) > PLANES and is_spectrum(head.outputs, head.camera.channels)
 
 
 def goal_of(head: TrainingSet, white_point: Array, light: LightSpectrum | None) -> Goal:
-    """Return the goal of a training run.
+    """Derive the goal of a training from its training sets.
 
     Parameters
     ----------
     head : TrainingSet
-        Head of the training sets.
+        Properties that all training sets share, such as the camera and the outputs.
     white_point : ndarray, (output)
-        Mean outputs of white.
+        Mean outputs of a perfect white, with Y = 1.
     light : LightSpectrum or None
-        Mean light of the frames; None if it is not known.
+        Mean illuminant of the frames, or None if it is unknown.
 
     Returns
     -------

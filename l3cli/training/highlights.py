@@ -1,9 +1,10 @@
-"""Clipped areas are trained to be grey, more strongly the more channels clip (docs/method.md#clipped-areas).
+"""Train clipped areas to become grey (docs/method.md#clipped-areas).
 
-When channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same way is a
-poor estimate, because it gives highlights a colour cast. Most highlights are neutral, and a neutral error is hardly visible.
-So each class of uniform areas near saturation is trained, besides its patches, on uniform greys of the training light that
-clip in the same way. Classes of textures are not, because there other pixels show the colour and detail would be lost.
+If channels clip, the colour of a surface is lost. The mean colour of all training surfaces that clip in the same channels is
+a poor estimate, because it gives highlights a colour cast. Most highlights are neutral, and a neutral error is hardly
+visible. Saturated classes of uniform areas are therefore also trained on uniform greys that clip in the same channels. The
+more channels clip, the more weight the greys have. Classes of textured areas are not trained on greys, because their
+unclipped pixels still show the colour, and greys would remove detail.
 """
 
 import numpy as np
@@ -19,15 +20,18 @@ from l3cli.training.sums import moment_matrix
 
 Array = NDArray[np.float64]
 
-MIN_GREY, MAX_GREY = 0.3, 1.6  # range of greys, relative to those that just clip the first and the last channel
-GREY_RATIO = 1.02  # ratio of successive greys
-CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)  # fractions of the saturation threshold at which noise can make greys clip
-# Greys per patch, times the ratio of clipped to unclipped channels; with 1, seams between classes show
+MIN_GREY = 0.3  # darkest grey, relative to the grey that just clips the first channel
+MAX_GREY = 1.6  # brightest grey, relative to the grey that just clips the last channel
+GREY_RATIO = 1.02  # ratio of the brightness of successive greys
+# Saturation thresholds for the greys, relative to the threshold of the class rule. Noise can clip a slightly darker grey.
+CLIPPING_FRACTIONS = (0.94, 0.97, 1.0)
+# The number of greys per patch is this factor times the ratio of clipped to unclipped filters. With a factor of 1, the
+# borders between classes would be visible.
 GREYS_PER_PATCH = 4.0
-MAX_GREYS_PER_PATCH = 30.0  # greys per patch if every channel clips
-UNCLIPPED_FRACTION = 0.2  # fraction of clipped filters used if none clips: one grey per patch, which prevents a cast
-WHITE_TOLERANCE = 0.1  # tolerated relative difference between known signals of white and those that patches suggest
-OUTPUT_CUTOFF = 1e-6  # relative cut-off for directions in which the outputs hardly vary
+MAX_GREYS_PER_PATCH = 30.0  # largest number of greys per patch, which is used if every channel clips
+UNCLIPPED_FRACTION = 0.2  # assumed fraction of clipped filters if no filter clips; it results in one grey per patch
+WHITE_TOLERANCE = 0.1  # largest relative difference between the computed signals of white and an estimate from the patches
+OUTPUT_CUTOFF = 1e-6  # singular values below this fraction of the largest are ignored in the regression on the outputs
 
 
 def grey_patches(
@@ -41,10 +45,10 @@ def grey_patches(
     filters: tuple[int, ...] = (),
     sensitivity: Array | None = None,
 ) -> dict[int, Array]:
-    """Return moments of uniform greys for the classes of uniform areas near saturation.
+    """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments are the mean over the greys that fall into a class, times the number of greys per patch. If every channel
-    clips, only completely clipped greys are used.
+    The moments of a class are the mean over the greys that belong to the class, times the number of greys per patch. For the
+    case in which every channel clips, only greys that are clipped in every channel are used.
 
     Parameters
     ----------
@@ -53,26 +57,27 @@ def grey_patches(
     window : ndarray, (tap)
         Channel of each tap.
     white : ndarray, (output)
-        White under the training light, Y = 1.
+        Outputs of a perfect white under the training illuminant, with Y = 1.
     black_level, white_level : float
         Levels of the camera, in DN.
-    signal : ndarray or None, (channel)
-        Signals of that white, fractions of full scale; None if not known.
-    filters : tuple of int, (channel)
-        First channel with the same filter, as in `Goal`. A filter counts as clipped only if all of its channels clip.
-    sensitivity : ndarray or None, (channel)
-        Relative sensitivity of the channels, as in `Goal`; None if all are alike.
+    signal : ndarray, (channel), or None
+        Signals of this white, as fractions of full scale, or None if they are unknown.
+    filters : tuple of int
+        For each channel, the first channel with the same filter, as in `Goal`. A filter counts as clipped only if all its
+        channels clip.
+    sensitivity : ndarray, (channel), or None
+        Relative sensitivity of the channels, as in `Goal`.
 
     Returns
     -------
     dict of int to ndarray, (column, column)
-        Moments per class, over taps, intercept and outputs. It is empty if `signal` is None.
+        Moments of each class. The columns are taps, intercept and outputs. The dict is empty if `signal` is None.
     """
     if signal is None:
         return {}
     same = np.array(filters or range(signal.size))[:, None] == np.unique(filters or range(signal.size))  # (channel, filter)
     relative = np.ones(signal.size) if sensitivity is None else sensitivity
-    samples: dict[tuple[int, int], list[Array]] = {}  # by level and saturation case
+    samples: dict[tuple[int, int], list[Array]] = {}  # level and saturation case → weighted greys
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     for grey in np.exp(np.arange(np.log(MIN_GREY / signal.max()), np.log(MAX_GREY / signal.min()), np.log(GREY_RATIO))):
         clipped = np.minimum(grey * signal, 1.0)
@@ -82,12 +87,14 @@ def grey_patches(
         for nearly in CLIPPING_FRACTIONS:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            # Where all channels clip, all greys give the same values. Greys whose last channel is just below clipping would
-            # concentrate the whole rise in its last per cent, and textures, whose taps are far from it, would become black.
+            # Greys that clip in every channel all have the same values. If greys whose last channel almost clips were added,
+            # the class would learn to raise its output steeply over the last per cent of this channel. Textures, whose taps
+            # are far below clipping, would then become black.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
-            share = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION  # of the filters
-            weight = np.sqrt(min(GREYS_PER_PATCH * share / max(1.0 - share, 1e-9), MAX_GREYS_PER_PATCH))
+            clipped_filters = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION
+            ratio = clipped_filters / max(1.0 - clipped_filters, 1e-9)
+            weight = np.sqrt(min(GREYS_PER_PATCH * ratio, MAX_GREYS_PER_PATCH))
             for neighbour in {max(at - 1, 0), at, min(at + 1, rule.levels - 1)}:
                 samples.setdefault((neighbour, case), []).append(weight * sample)
     taught: dict[int, Array] = {}
@@ -100,26 +107,27 @@ def grey_patches(
 def steps_back(
     common: Array, clipping: NDArray[np.int64], rule: ClassRule, signal: Array, black_level: float, white_level: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Find by how much greys would become darker where the last channel clips.
+    """Find by how much the rendered luminance of a grey would fall when its last channel clips.
 
     Parameters
     ----------
     common : ndarray, (class, channel + 1)
-        What a uniform patch of one channel, and the intercept, add to the luminance of each class in `clipping`.
+        Luminance that each class in `clipping` adds per unit signal of each channel, then the intercept.
     clipping : ndarray, (class)
         Numbers of the saturated classes.
     rule : ClassRule
     signal : ndarray, (channel)
-        Signals of white under the training light.
+        Signals of white under the training illuminant.
     black_level, white_level : float
-        In DN.
+        Levels of the camera, in DN.
 
     Returns
     -------
     last : ndarray of int
-        Indices into `clipping` of the classes of a grey that clips every channel.
+        Positions in `clipping` of the classes to which a grey that clips in every channel belongs.
     missing : ndarray
-        Luminance that each of them lacks relative to the brightest darker grey; at least 0.
+        For each of these classes, the luminance by which the clipped grey is darker than the brightest grey that does not
+        clip fully, or 0 if the clipped grey is brighter.
     """
     threshold = (rule.saturation - black_level) / (white_level - black_level)
     greys = np.exp(np.arange(np.log(threshold / signal.max()), np.log(threshold / signal.min()), np.log(GREY_RATIO)))
@@ -143,7 +151,10 @@ def white_channels(
     known: Array | None,
     white_error: Array | float = 0.0,
 ) -> Array | None:
-    """Return the signals of white under the training light, Y = 1.
+    """Return the signals of a white with Y = 1 under the training illuminant.
+
+    The patches can contradict the camera model, for example if real frames were taken through another lens. In this case the
+    signals are estimated from the patches.
 
     Parameters
     ----------
@@ -152,17 +163,16 @@ def white_channels(
     window : ndarray, (tap)
         Channel of each tap.
     white : ndarray, (output)
-        Outputs of white.
+        Outputs of this white.
     known : ndarray, (channel), or None
-        Signals according to the camera model.
+        Signals of this white according to the camera model, or None if they are unknown.
     white_error : ndarray, (channel), or float
-        Relative error with which surfaces predict the signals of white.
+        Relative error to expect if the signals of white are estimated from surfaces.
 
     Returns
     -------
     ndarray, (channel), or None
-        The known signals if the patches agree with them, otherwise those that the patches suggest, for example for frames
-        that were taken through another lens. None without patches.
+        None if there are no patches of uniform areas.
     """
     likely = _channels_of(flat_moments(sums, rule, window.size + 1 + white.size), window, white)
     if known is None or likely is None or (np.abs(known / likely - 1) > np.maximum(white_error, WHITE_TOLERANCE)).any():
@@ -171,9 +181,14 @@ def white_channels(
 
 
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
-    """Return the relative error (channel) with which measured surfaces under a light predict the signals of white.
+    """Return the relative error of the signals of white that a regression on measured surfaces predicts.
 
-    It is a few per cent for visible light, and large for a camera that sees infrared, about which X, Y, Z say nothing.
+    The error is a few per cent for visible light. It is large for a camera that is sensitive to infrared light, which X, Y
+    and Z do not contain.
+
+    Returns
+    -------
+    ndarray, (channel)
     """
     radiance = spectra.resample(light.radiance.astype(np.float64), light.wavelength, camera.wavelength)
     lit = np.vstack([radiance, spectra.reflectance_library(camera.wavelength) * radiance])
@@ -186,9 +201,12 @@ def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
 
 
 def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -> Array:
-    """Return second moments (channel, channel) of the channel means over uniform, unsaturated patches.
+    """Return the second moments of the channel means over all unsaturated patches of the lowest contrast.
 
-    Uniform patches are those of the lowest contrast. The trace of the result is 1.
+    Returns
+    -------
+    ndarray, (channel, channel)
+        The moments are scaled so that their trace is 1.
     """
     width = int((np.sqrt(8 * sums.moments.shape[1] + 1) - 1) / 2)
     means = (window == np.arange(window.max() + 1)[:, None]) / np.bincount(window)[:, None]
@@ -198,14 +216,14 @@ def plain_colours(sums: ClassSums, rule: ClassRule, window: NDArray[np.int64]) -
 
 
 def flat_moments(sums: ClassSums, rule: ClassRule, width: int) -> Array:
-    """Return summed moments (column, column) of all unsaturated patches of the lowest contrast."""
+    """Return the sum of the moments of all unsaturated classes of the lowest contrast, (column, column)."""
     return moment_matrix(rule.by_feature(sums.moments)[0, :, 0, :, rule.kinds_of(0)].sum(axis=(0, 1, 2)), width)
 
 
 def _channels_of(moments: Array, window: NDArray[np.int64], white: Array) -> Array | None:
-    """Return the signals (channel) of white, Y = 1, by regression of the channels on the outputs.
+    """Estimate the signals of white by a regression of the channels on the outputs, or return None without patches.
 
-    The result is one or two per cent off if the training surfaces differ from white. None without patches.
+    The error is one or two per cent, because few training surfaces are white.
     """
     taps = window.size
     power = moments[taps + 1 :, taps + 1 :]

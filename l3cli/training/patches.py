@@ -1,4 +1,4 @@
-"""Patches of a training frame, and their levels (docs/method.md#patches, docs/method.md#level-rescaling)."""
+"""Patches from training frames, their levels and their noise (docs/method.md#patches, docs/method.md#level-rescaling)."""
 
 import functools
 import math
@@ -23,18 +23,18 @@ Y = 1  # index of Y among the outputs X, Y, Z
 
 @dataclass(frozen=True)
 class Patches:
-    """Noise-free, unclipped patches of one canonical site, with their targets."""
+    """Patches of one canonical site, with their targets. Patches from simulated frames are free of noise and clipping."""
 
-    signal: Floats  # (patch, tap) fraction of full scale
-    target: Floats  # (patch, output) in the table's output unit
-    carried: Floats | None = None  # (patch, tap) noise variance that a real signal has, in full scale²; None: 0
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None: none does
+    signal: Floats  # (patch, tap) as a fraction of full scale
+    target: Floats  # (patch, output) in the output unit of the table
+    carried: Floats | None = None  # (patch, tap) noise variance that real signals already contain, in full scale², or None
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None means that none does
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scales, limited to those that the patches can follow.
+        """Limit the factors by which patches are made brighter or darker.
 
-        Simulated patches can follow any scale. Patches of real frames contain noise and clipped values. They can be made
-        darker, because noise can be added, but not brighter, and a patch with a clipped tap keeps its level.
+        Simulated patches may be multiplied by any factor. A patch of a real frame can only be made darker, because noise can
+        be added but not removed. If one of its taps clips, a real patch is not scaled.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Patches:
 
     @classmethod
     def concatenated(cls, parts: list["Patches"]) -> "Patches":
-        """Join patches. If some of them are real, the simulated ones get a noise variance of zero."""
+        """Join several sets of patches into one. In mixed sets, simulated patches have a `carried` noise of zero."""
         colourless = [np.zeros(len(p.signal), bool) if p.colourless is None else p.colourless for p in parts]
         carried = None
         if any(part.carried is not None for part in parts):
@@ -71,11 +71,12 @@ def patches_of(
     achromatic: float = 0.0,
     colourless: TrainingFrame | None = None,
 ) -> Patches:
-    """Take patches from a frame, arranged like those of a canonical site.
+    """Take patches for a canonical site from a frame.
 
     Parameters
     ----------
-    frame : TrainingFrame or real pair
+    frame : TrainingPair
+        A simulated frame (TrainingFrame), or a real pair.
     head : TrainingSet
     neighbours : Neighbourhoods
     site : int
@@ -84,12 +85,12 @@ def patches_of(
         Number of patches.
     rng : numpy.random.Generator
     allowed : tuple of int
-        Orientations in which a site may be trained as another one, as in `site_maps`. Only real pairs depend on it: patches
-        of simulated frames are taken from the scene in all orientations, and get their noise afterwards.
+        Orientations in which patches of real pairs may be read, as in `site_maps`. Patches of simulated frames are read in
+        all orientations, because their noise is added later.
     achromatic : float
         Fraction of the patches to take from `colourless`.
     colourless : TrainingFrame, optional
-        The frame without colour. [default: no patch is achromatic]
+        Result of `colourless_frame` for this frame. [default: all patches have colour]
 
     Returns
     -------
@@ -103,7 +104,10 @@ def patches_of(
     side = int(np.sqrt(neighbours.channel.shape[1]))
     if frame.raw.shape[0] < side or frame.raw.shape[1] < side:
         rows, cols = frame.raw.shape
-        raise InputFileError(f"frame of scene {frame.scene} is {rows}×{cols}, smaller than the {side}×{side} patch")
+        raise InputFileError(
+            f"the frame of scene {frame.scene} has {rows}×{cols} pixels, smaller than a patch of {side}×{side} pixels; "
+            "leave the scene out"
+        )
     if isinstance(frame, TrainingFrame):
         grey = round(achromatic * count) if colourless is not None else 0
         how = head.camera.output_unit, neighbours.channel[site]
@@ -116,9 +120,9 @@ def patches_of(
 
 
 def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | None:
-    """Return the frame without colour, which serves all sites.
+    """Return a version of the frame without colour, or None if this is not possible.
 
-    None for a real pair, for an unknown illuminant, and if the outputs do not begin with X, Y, Z.
+    The frame must be simulated under a known illuminant, and its outputs must begin with X, Y, Z.
     """
     if not isinstance(frame, TrainingFrame) or frame.light is None or head.outputs[:3] != XYZ:
         return None
@@ -126,9 +130,12 @@ def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | 
 
 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
-    """Return a frame that shows only the luminance of its scene, in the colour of white under its known light."""
+    """Return a version of the frame in which every surface is a grey with the luminance of the original surface.
+
+    The illuminant of the frame must be known, because the greys have its colour.
+    """
     if frame.light is None:
-        raise ValueError("the light must be known")
+        raise ValueError("the illuminant of the frame must be known")
     luminance = frame.target[Y]
     electrons = white_signal(frame.light, camera) * camera.full_scale / camera.channel_gains
     of_white = electrons * (frame.exposure / camera.output_unit)
@@ -147,8 +154,8 @@ def sample_pair(
 ) -> Patches:
     """Take patches at random places of a real pair.
 
-    Only sites that are a rotation or reflection of the canonical site are used, in that orientation, because the mosaic of a
-    real frame is fixed.
+    The mosaic of a real frame is fixed. Patches are therefore taken only at sites that are a rotation or reflection of the
+    canonical site, and are read in the corresponding orientation.
 
     Parameters
     ----------
@@ -161,7 +168,7 @@ def sample_pair(
         Number of patches.
     rng : numpy.random.Generator
     allowed : tuple of int
-        Orientations in which a site may be trained as another one, as in `site_maps`.
+        Orientations in which patches may be read, as in `site_maps`.
 
     Returns
     -------
@@ -170,7 +177,7 @@ def sample_pair(
     Raises
     ------
     InputFileError
-        If the picture is too small to contain a patch at each site.
+        If the raw frame does not contain a complete patch around any of these sites.
     """
     side = int(np.sqrt(neighbours.channel.shape[1]))
     radius, period = side // 2, camera.cfa.shape
@@ -191,7 +198,8 @@ def sample_pair(
         takes.append(place[:, None] + offset[site_map.permutation])
     if not places:
         raise InputFileError(
-            f"the picture of pair {pair.scene} is too small to contain a patch at each site; give a larger picture"
+            f"the picture of pair {pair.scene} is too small to contain a patch of {side}×{side} pixels at each CFA site; "
+            "use a larger picture"
         )
     values = pair.raw.reshape(-1)[np.concatenate(takes)].astype(np.float32)
     span = np.float32(camera.white_level - camera.black_level)
@@ -213,10 +221,10 @@ def sample_patches(
     orientations: Sequence[NDArray[np.int64]],
     rng: np.random.Generator,
 ) -> Patches:
-    """Take patches at random places and orientations of a simulated frame, seen through a window of the CFA.
+    """Take patches at random places and in random orientations of a simulated frame.
 
-    The mosaic is laid over the full-resolution electrons at any offset, after the scene has been mirrored and rotated. No
-    patch contains an ignored pixel.
+    A simulated frame contains the electrons of all channels at every pixel. The CFA can therefore be placed at any offset
+    and in any orientation. Patches that would contain an ignored pixel are not taken.
 
     Parameters
     ----------
@@ -229,7 +237,7 @@ def sample_patches(
     count : int
         Number of patches.
     orientations : sequence of ndarray, (tap)
-        Permutations of the taps, used equally often.
+        Permutations of the taps. All are used equally often.
     rng : numpy.random.Generator
 
     Returns
@@ -256,9 +264,9 @@ def sample_patches(
 
 
 def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return rows and columns (2, place) of the centres of `count` patches without ignored pixels.
+    """Return the rows and the columns of the centres of `count` patches without ignored pixels.
 
-    Raises an InputFileError if there is no such place.
+    Raises an InputFileError if every possible patch contains an ignored pixel.
     """
     rows, cols = frame.raw.shape[0] - side + 1, frame.raw.shape[1] - side + 1
     if frame.ignored is None:
@@ -266,23 +274,23 @@ def _centres(frame: TrainingFrame, side: int, count: int, rng: np.random.Generat
     free = maximum_filter(frame.ignored.mask, side, mode="nearest")[side // 2 :, side // 2 :][:rows, :cols] == 0
     if not free.any():
         raise InputFileError(
-            f"frame of scene {frame.scene} has no {side}×{side} pixels without an ignored one; leave the scene out"
+            f"the frame of scene {frame.scene} has no {side}×{side} window free of ignored pixels; leave the scene out"
         )
     places = np.flatnonzero(free)[(even_places(count, 1, rng)[:, 0] * np.count_nonzero(free)).astype(np.int64)]
     return np.stack(np.unravel_index(places, free.shape)) + side // 2
 
 
 def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return levels at given places of the level distribution (docs/method.md#level-rescaling).
+    """Draw levels for patches (docs/method.md#level-rescaling).
 
-    Levels are log-uniform over the whole range, except for one fraction over the highlights and one from the darkest level
-    down to half of it.
+    Most levels are log-uniform between `darkest` and `brightest`. The fraction `highlight_share` is log-uniform between
+    `highlight_from` and `brightest`. The fraction `dark_share` is log-uniform between half of `darkest` and `darkest`.
 
     Parameters
     ----------
     recipe : LearningRecipe
     places : ndarray
-        Places between 0 and 1.
+        Random numbers between 0 and 1.
 
     Returns
     -------
@@ -299,14 +307,14 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
 
 
 def even_places(count: int, axes: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return places that cover the unit cube more evenly than random ones (docs/method.md#patches).
+    """Return points that cover the unit cube more evenly than random points (docs/method.md#patches).
 
-    From a random start, steps are the powers of 1/g, where g^(axes + 1) = g + 1.
+    The points are an additive recurrence from a random start. The step along axis k is g^−k, where g^(axes + 1) = g + 1.
 
     Returns
     -------
     ndarray, (place, axis)
-        Between 0 and 1.
+        Coordinates between 0 and 1.
     """
     ratio = 2.0
     for _ in range(40):
@@ -320,9 +328,10 @@ def _normal_deviates() -> Floats:
 
 
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Return standard normal values: a run of 2²⁰ precomputed deviates from a random position.
+    """Return standard normal values, which are read from 2²⁰ precomputed values starting at a random position.
 
-    That is enough for class decisions, in which each patch counts by itself, and twenty times as fast as fresh values.
+    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only decide the class
+    of each patch.
     """
     pool, size = _normal_deviates(), math.prod(shape)
     start = rng.integers(max(pool.size - size, 0), endpoint=True)
@@ -338,32 +347,32 @@ def expose_patches(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
-    """Return noisy pixel values that decide the class of each patch.
+    """Convert signals to raw values with noise, from which the class of each patch is determined.
 
     Parameters
     ----------
     signal : ndarray, (patch, tap) or (tap, patch)
-        Fractions of full scale.
+        Signals as fractions of full scale.
     camera : CameraModel
     rng : numpy.random.Generator
     carried : ndarray, optional
-        Noise variance that real signals already contain, in full scale²; only the rest is added. [default: none]
+        Noise variance that real signals already contain, in full scale². Only the missing noise is added. [default: 0]
     dark : float
         Dark signal that has been subtracted from the frame, in DN.
     channel : ndarray, optional
-        Channel of each signal, broadcast against `signal`.
+        Channel of each signal, which is broadcast against `signal`.
 
     Returns
     -------
     ndarray of uint32
-        DN, clipped at the white level.
+        Raw values in DN, clipped at the white level.
     """
     noisy = _variance(signal, camera, carried, dark, QUANTISATION, channel)
     np.sqrt(noisy, out=noisy)
     noisy *= _normal(signal.shape, rng)
     noisy += signal
     noisy *= np.float32(camera.white_level - camera.black_level)
-    noisy += np.float32(camera.black_level + 0.5)  # because the cast rounds down
+    noisy += np.float32(camera.black_level + 0.5)  # rounds to the nearest DN, because the cast rounds down
     return np.clip(noisy, 0.0, np.floor(camera.white_level), out=noisy).astype(np.uint32)
 
 
@@ -374,9 +383,9 @@ def lacking_variance(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the variance of the noise that signals lack, in full scale².
+    """Return the variance of the noise that the camera would add to each signal, in full scale².
 
-    It is 0 for clipped values. Parameters are those of `expose_patches`.
+    The variance is 0 for clipped values. The parameters are the same as for `expose_patches`.
     """
     variance = _variance(signal, camera, carried, dark, channel=channel)
     variance *= signal < 1
@@ -391,12 +400,12 @@ def _variance(
     later: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> Floats:
-    """Return the noise variance of the camera in full scale².
+    """Return the variance of the noise to add to each signal, in full scale².
 
-    The variance that signals carry, and the DN² that rounding adds `later`, are subtracted. Only real signals can be
-    negative.
+    This is the noise variance of the camera, minus the variance `carried` that the signals already contain, minus the
+    variance `later`, in DN², that rounding will add.
     """
-    if carried is not None:
+    if carried is not None:  # only real signals can be negative
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white_level - camera.black_level
     constant, linear, quadratic = camera.noise_terms(dark, channel)

@@ -1,15 +1,14 @@
-"""Uniform areas of measured surfaces, which are added to the patches of scenes (docs/method.md#plain-surfaces).
+"""Train uniform areas on measured surfaces, besides the patches of scenes (docs/method.md#plain-surfaces).
 
-Patches of scenes are textured. A class learns to infer colour from their detail, which is wrong on uniform areas, and few
-patches are uniform. So each class of uniform areas is also trained on uniform areas of measured surfaces of its colour. They
-include paler, bare and painted versions, and white and grey paints, which are common in man-made scenes. Some chromas occur
-only in stripes that repeat with the array. Classes of such a chroma are trained to render it as grey
-(docs/method.md#stripes).
+Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
+in uniform areas. Therefore each class of uniform areas is also trained on uniform areas of measured surfaces of its chroma.
+Each surface is used in several versions: paler, with and without titanium white. White and grey paints, which are common in
+man-made scenes, are added. Some chromas occur only in stripes that have the period of the CFA. Classes of such a chroma are
+trained to be grey (docs/method.md#stripes).
 
-If the outputs are the channels of the camera, uniform classes are also trained on areas in which each band varies on its own
-(docs/method.md#single-bands). Training surfaces have smooth spectra, and few dead leaves have uniform bright areas. Without
-this, a class would treat every spectrum that its few colours do not span as noise, and would give all areas of another
-material a colour cast. Noise differs from pixel to pixel, whereas a spectrum is common to a whole neighbourhood.
+If the outputs are the channels of the camera, classes of uniform areas are also trained on areas in which each band varies
+independently (docs/method.md#single-bands). The training surfaces have smooth spectra. Without this addition, a class would
+treat every other spectrum as noise, and would give uniform areas with such a spectrum a colour cast.
 """
 
 import functools
@@ -27,30 +26,33 @@ from l3cli.physics.spectra import BLACKEST, WHITEST, with_saturation, with_titan
 
 Array = NDArray[np.float64]
 
-MODULATIONS = np.linspace(0.3, 0.95, 8)  # of the stripes in the training
-CENTRE = 0.65  # modulation at the centre of a chroma of stripes; the chroma begins half way from there to white
-MAX_STRIPE_CHROMAS = 8  # largest number of stripes with a chroma of their own
-# Least distance to the chroma of white in channel fractions; nearer, noisy greys would count as stripes
+MODULATIONS = np.linspace(0.3, 0.95, 8)  # modulations of the stripes on which classes are trained
+CENTRE = 0.65  # modulation of the stripes whose channel fractions are the chroma centre
+MAX_STRIPE_CHROMAS = 8  # largest number of chromas for stripes
+# smallest distance between the channel fractions of stripes and of white; otherwise noisy greys would count as stripes
 MIN_STRIPE_CHROMA = 0.1
-UNLIKE = 0.5  # least distance of stripes to any optimal colour, relative to their distance to white
-BAND_EDGES = 31  # wavelengths at which an optimal colour may begin or end
-BLACKS = (0.02, 0.1, 0.3)  # reflectances of an optimal colour where it is dark
+UNLIKE = 0.5  # smallest distance from stripes to the nearest optimal colour, relative to their distance from white
+BAND_EDGES = 31  # number of wavelengths at which the bright band of an optimal colour may begin or end
+BLACKS = (0.02, 0.1, 0.3)  # reflectances outside the bright band of an optimal colour
 
 
 def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
-    """Return the stripe patterns of an array that look like a uniform colour.
+    """Return the stripes that give the same raw values as a uniform colour.
+
+    These are sinusoidal patterns with a whole number of periods per CFA period, a mean of 0 and an amplitude of 1. All sites
+    of a channel sample the pattern at the same value, but the value differs between channels.
 
     Parameters
     ----------
     cfa : ndarray, (row, col)
         Channel of each site.
     channels : int
+        Number of channels.
 
     Returns
     -------
     ndarray, (stripe, channel)
-        Value of the stripes at all sites of each channel. Stripes repeat a whole number of times per array, have a mean of 0
-        and lie within ±1. All sites of a channel have the same value, and not all channels have the same one.
+        Value of each pattern at the sites of each channel.
     """
     rows, cols = cfa.shape
     sites = np.stack([cfa == channel for channel in range(channels)]).reshape(channels, -1)
@@ -61,26 +63,28 @@ def uniform_stripes(cfa: NDArray[np.integer], channels: int) -> Array:
         wave = np.cos(2 * np.pi * (u * down / rows + v * across / cols) + np.pi / 2 * quarter).ravel()
         means = sites @ wave
         if np.ptp(means) > 0.5 and np.allclose(sites @ wave**2, means**2, atol=1e-9):
-            stripes.append(means.round(6) + 0.0)  # no −0: equal stripes are one
+            stripes.append(means.round(6) + 0.0)  # + 0.0 turns −0 into 0, so that `unique` recognises equal stripes
     return np.unique(np.reshape(stripes, (-1, channels)), axis=0)
 
 
 def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Array:
-    """Return the stripes of `uniform_stripes` whose colour no surface can have.
+    """Return the stripes of `uniform_stripes` that look like a colour which no surface can have.
+
+    The distance of the stripes to the nearest optimal colour must be at least `UNLIKE` times their distance from white, and
+    their distance from white at least `MIN_STRIPE_CHROMA`.
 
     Parameters
     ----------
     camera : CameraModel
     wavelength : ndarray, (wavelength)
-        In nm.
+        Wavelengths in nm.
     photons : ndarray, (wavelength)
-        Relative photon flux of the light.
+        Relative photon flux of the illuminant.
 
     Returns
     -------
     ndarray, (stripe, channel)
-        Stripes that are far from white, and that differ from each optimal colour by at least `UNLIKE` of their distance to
-        white.
+        At most `MAX_STRIPE_CHROMAS` stripes. The stripes that are farthest from all optimal colours come first.
     """
     electrons = camera.signal_weights @ spectra.sampling_matrix(wavelength, camera.wavelength) * photons
     white = electrons.sum(axis=1)
@@ -97,22 +101,27 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
 
 
 def stripe_shares(white: Array, stripes: Array) -> Array:
-    """Return the chroma centres (stripe, channel) of stripes on a white whose signals are `white` (channel)."""
+    """Return the chroma centre of each pattern in `stripes` on a white surface, as channel fractions (stripe, channel).
+
+    `white` contains the signals of the white surface, one per channel.
+    """
     return shares(white * (1.0 + CENTRE * stripes))
 
 
 def shares(signals: Array) -> Array:
-    """Return signals (…, channel) divided by their sum."""
+    """Return channel fractions: signals (…, channel) divided by their sum over the channels."""
     return np.asarray(signals / signals.sum(axis=-1, keepdims=True))
 
 
 def optimal_reflectances(wavelength: Array) -> Array:
-    """Return Schrödinger's optimal colours, the most vivid that a surface can have, and paler versions of them.
+    """Return reflectances near Schrödinger's optimal colours, the most saturated colours that a surface can have.
+
+    Each reflectance is 1 within one wavelength band, or everywhere except in one band. Elsewhere it has one of the values
+    `BLACKS`.
 
     Returns
     -------
     ndarray, (surface, wavelength)
-        Reflectances that are bright in one band, or in all but one band, and dark elsewhere.
     """
     edges = np.linspace(0, wavelength.size, BAND_EDGES).round()
     first, last = np.triu_indices(BAND_EDGES, 1)
@@ -122,20 +131,29 @@ def optimal_reflectances(wavelength: Array) -> Array:
     return np.concatenate([np.where(bright, 1.0, black) for black in BLACKS])
 
 
-SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # versions of measured surfaces; most man-made surfaces are paler
-EDGES, WIDTHS = (0.1, 0.2, 0.4), (6.5, 9.5)  # of titanium white, as in the training scenes: K/S at 405 nm, and nm
-BARE = 2  # copies of each surface without titanium white, which three quarters of the surfaces contain
-GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of paints without dye
-GREY_SHARE = 100.0  # weight of all GREYS together, relative to the other surfaces of their chroma
-OF_WHITE = 3.0  # weight of the chroma of white, where a colour cast is most visible
-NEAR_WHITE = 0.2  # distance to white, relative to the mean channel fraction, that noise gives to dark greys
-MIN_SURFACES = 4  # surfaces per channel that a chroma needs
-SAME_WHITE = 0.005  # relative tolerance for the white of X, Y, Z on a coarse wavelength grid
+SATURATIONS = (0.2, 0.4, 0.6, 0.8, 1.0)  # saturations of the versions of each measured surface, from pale to unchanged
+EDGES = 0.1, 0.2, 0.4  # ratio of absorption to scattering (K/S) of titanium white at 405 nm, as in the training scenes
+WIDTHS = 6.5, 9.5  # width of the absorption edge of titanium white, in nm
+BARE = 2  # number of copies of each version without titanium white; there are six versions with titanium white
+GREYS = np.geomspace(0.03, 0.95, 12)  # reflectances of white and grey paints
+GREY_SHARE = 100.0  # total weight of the paints in a chroma, relative to the total weight of its other surfaces
+OF_WHITE = 3.0  # additional weight of the chroma of white, in which a colour cast is most visible
+NEAR_WHITE = 0.2  # typical distance of noisy dark greys from white, relative to the mean channel fraction
+MIN_SURFACES = 4  # smallest number of surfaces per channel with which a chroma is trained
+SAME_WHITE = 0.005  # relative tolerance for the white in X, Y, Z, which depends on the wavelength grid
 
 
 @functools.lru_cache(maxsize=4)
 def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
-    """Return reflectances (surface, wavelength), and how many of them, at the end, are painted greys."""
+    """Return the reflectances of all versions of the surfaces.
+
+    Returns
+    -------
+    reflectances : ndarray, (surface, wavelength)
+        Reflectances of the measured surfaces, then of the white and grey paints.
+    greys : int
+        Number of paints.
+    """
     grid = np.array(wavelength)
     paler = np.concatenate([with_saturation(spectra.reflectance_library(grid), each) for each in SATURATIONS])
     paler = np.clip(paler, BLACKEST, WHITEST)
@@ -147,18 +165,18 @@ def cached_reflectances(wavelength: tuple[float, ...]) -> tuple[Array, int]:
 
 @dataclass(frozen=True)
 class PlainSurfaces:
-    """Surfaces under a light, scaled so that white has Y = 1."""
+    """Signals and outputs of uniform surfaces under one illuminant, scaled so that white has Y = 1."""
 
-    signals: Array  # (surface, channel) fractions of full scale
+    signals: Array  # (surface, channel) as fractions of full scale
     outputs: Array  # (surface, 3) X, Y, Z
     white: Array  # (channel) signals of white
-    greys: int  # number of paints without dye, which come last
-    beyond: Array  # (sample, channel) signals of stripes of false colours, and of optimal colours
-    beyond_outputs: Array  # (sample, 3)
-    stripes: int  # number of stripes, which come first and have the outputs of white
+    greys: int  # number of white and grey paints, which are the last surfaces
+    beyond: Array  # (sample, channel) signals of stripes that look like impossible colours, then of optimal colours
+    beyond_outputs: Array  # (sample, 3) X, Y, Z of these samples; for stripes, those of white
+    stripes: int  # number of samples that are stripes
 
     def moments(self, rule: ClassRule, window: NDArray[np.int64]) -> list[Array | None]:
-        """Return mean moments of uniform patches of the surfaces of each chroma.
+        """Return, for each chroma, the mean moments of uniform patches of its surfaces.
 
         Parameters
         ----------
@@ -168,8 +186,9 @@ class PlainSurfaces:
 
         Returns
         -------
-        list of ndarray (column, column) or None, (chroma)
-            Columns and weights are those of the sums. None: the chroma has too few surfaces.
+        list of (ndarray, (column, column), or None)
+            One entry per chroma, which is None if the chroma has too few surfaces. The columns are taps, intercept and
+            outputs, weighted in the same way as in `ClassSums`.
         """
         centres = chroma_centres(rule)
         chroma = _nearest(self.signals, centres)
@@ -180,16 +199,21 @@ class PlainSurfaces:
         return every
 
     def nearness(self, rule: ClassRule) -> Array:
-        """Return how near each chroma of a rule is to white (chroma): 1 for the chroma of white, down to 0."""
+        """Return a number between 0 and 1 for each chroma. It is 1 for the chroma of white, and 0 far from white."""
         if rule.chromas == 1:
             return np.zeros(1)
         distance = (chroma_centres(rule) - shares(self.white[None])) * rule.channels / NEAR_WHITE
         return np.asarray(np.exp(-(distance**2).sum(axis=1)))
 
     def moments_of_stripes(self, rule: ClassRule, window: NDArray[np.int64]) -> dict[int, Array]:
-        """Return mean moments of stripes, and of vivid colours like theirs, by chroma.
+        """Return the mean moments of stripes and optimal colours for each chroma that only stripes have.
 
-        Only chromas that consist of stripes alone are included. Parameters are those of `moments`.
+        The parameters are the same as for `moments`.
+
+        Returns
+        -------
+        dict of int to ndarray, (column, column)
+            Moments by chroma.
         """
         if rule.chromas == 1:
             return {}
@@ -197,11 +221,12 @@ class PlainSurfaces:
         stripes = np.bincount(chroma[: self.stripes], minlength=rule.chromas)
         vivid = np.bincount(chroma[self.stripes :], minlength=rule.chromas)
         surfaces = np.bincount(_nearest(self.signals, chroma_centres(rule)), minlength=rule.chromas)
-        # A chroma belongs to stripes if it contains half of the modulations of one; other chromas contain only pale ones.
+        # Only stripes have a chroma if it contains few surfaces, and at least half of the modulations of one pattern. Other
+        # chromas contain only stripes of low modulation.
         theirs = np.flatnonzero((stripes >= len(MODULATIONS) / 2) & (surfaces < MIN_SURFACES * self.signals.shape[1]))
         every = {}
         for each in theirs.tolist():
-            # Stripes and vivid colours have the same total weight, because a lamp may have a colour that no surface has.
+            # Optimal colours have the same total weight as stripes, because lamps can have colours that no surface has.
             count = np.repeat([1 / stripes[each], 1 / max(vivid[each], 1)], [stripes[each], vivid[each]])
             members = chroma == each
             every[each] = _moments(self.beyond[members], self.beyond_outputs[members], count, window)
@@ -216,18 +241,18 @@ class PlainSurfaces:
 
 
 def _moments(signals: Array, outputs: Array, count: Array, window: NDArray[np.int64]) -> Array:
-    """Return weighted mean moments (column, column) of samples (sample, channel or output)."""
+    """Return the weighted mean moments (column, column) of samples. `count` contains the weight of each sample."""
     weight = count / count.sum() / (signals.mean(axis=1) * outputs[:, 1])
     values = np.concatenate([signals, np.zeros((len(signals), 1)), outputs], axis=1)
-    # Not by BLAS, whose sums depend on how many threads it has.
+    # The result of BLAS would depend on its number of threads.
     products = np.einsum("s,si,sj->ij", weight, values, values, optimize=False)
     channels = signals.shape[1]
-    columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel are alike
+    columns = np.concatenate([window, np.arange(channels, values.shape[1])])  # all taps of a channel have the same value
     return np.asarray(products[np.ix_(columns, columns)])
 
 
 def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpectrum, white: Array) -> PlainSurfaces | None:
-    """Return the surfaces as a camera sees them.
+    """Compute the signals and outputs of the measured surfaces for a camera and an illuminant.
 
     Parameters
     ----------
@@ -237,14 +262,14 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     target : LightSpectrum
         Illuminant for which the outputs are computed.
     white : ndarray, (output)
-        Outputs of white, Y = 1.
+        Outputs of a perfect white, with Y = 1.
 
     Returns
     -------
     PlainSurfaces or None
-        None if the outputs are not CIE 1931 X, Y, Z, or if a channel receives no light.
+        None if the outputs are not CIE 1931 X, Y, Z, or if a channel receives no light from some surface.
     """
-    grid = light.wavelength  # as fine as the edge of titanium white needs
+    grid = light.wavelength  # fine enough for the absorption edge of titanium white
     lit = light.radiance.astype(np.float64)
     wanted = spectra.resample(target.radiance.astype(np.float64), target.wavelength, grid)
     electrons = camera.signal_weights @ spectra.sampling_matrix(grid, camera.wavelength) * lit
@@ -267,20 +292,20 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
 
 
 def _seen(reflectances: Array, to_signals: Array, to_outputs: Array) -> tuple[Array, Array]:
-    """Return signals and outputs of surfaces. BLAS is not used, because its sums depend on the number of threads."""
+    """Return the signals and outputs of surfaces. The result of BLAS would depend on its number of threads."""
     return np.einsum("sw,cw->sc", reflectances, to_signals), np.einsum("sw,ow->so", reflectances, to_outputs)
 
 
 def _nearest(signals: Array, centres: Array) -> NDArray[np.intp]:
-    """Return the chroma (sample) of signals (sample, channel)."""
+    """Return the chroma of each sample, which is the number of the nearest centre."""
     return np.argmin(((shares(signals)[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
 
 
-BAND_DEVIATION = 0.1  # standard deviation of a band that varies on its own, relative to its mean
+BAND_DEVIATION = 0.1  # standard deviation of the independent variation of a band, relative to the mean of the band
 
 
 def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
-    """Return the gain from a uniform patch of one channel to the output of that channel, by regression over uniform patches.
+    """Estimate the ratio of each output to the signal of its channel in uniform areas, by regression.
 
     Parameters
     ----------
@@ -300,35 +325,37 @@ def output_gains(moments: Array, window: NDArray[np.int64]) -> Array | None:
 
 
 def single_bands(moments: Array, window: NDArray[np.int64], gains: Array) -> Array:
-    """Return moments of uniform patches in which each band varies on its own.
+    """Return the moments of uniform patches in which each band varies independently around the mean colour of a class.
+
+    The standard deviation of a band is `BAND_DEVIATION` times its mean. There are as many of these patches as the class has
+    training patches.
 
     Parameters
     ----------
     moments : ndarray, (column, column)
-        Moments of a class. The result counts as many patches, and they vary around the mean colour of the class.
+        Moments of the class.
     window : ndarray, (tap)
         Channel of each tap.
     gains : ndarray, (channel)
-        From `output_gains`.
+        Result of `output_gains`.
 
     Returns
     -------
     ndarray, (column, column)
-        The standard deviation of a band is `BAND_DEVIATION` of its mean.
     """
     taps, member = window.size, _membership(window)
-    mean = moments[:taps, taps] @ member / np.bincount(window)  # times the number of patches, as weighed
+    mean = moments[:taps, taps] @ member / np.bincount(window)  # mean of each band, times the total weight of the patches
     columns = np.concatenate([member, np.zeros((1, gains.size)), np.diag(gains)])
     power = (BAND_DEVIATION * mean) ** 2 / max(moments[taps, taps], 1e-12)
     return np.asarray((columns * power) @ columns.T)
 
 
-def teaches(rule: ClassRule, index: int) -> bool:
-    """Return whether a class holds unsaturated patches of the lowest of several contrasts."""
+def has_single_bands(rule: ClassRule, index: int) -> bool:
+    """Return whether `single_bands` applies to a class: unsaturated, and of the lowest of several contrasts."""
     place = rule.split(index)
     return bool(rule.contrasts > 1 and place.contrast == 0 and not rule.case(place.kind))
 
 
 def _membership(window: NDArray[np.int64]) -> Array:
-    """Return 1 where a tap belongs to a channel, otherwise 0, (tap, channel)."""
+    """Return a matrix (tap, channel) that is 1 where a tap belongs to a channel, and 0 otherwise."""
     return (window[:, None] == np.arange(window.max() + 1)).astype(np.float64)

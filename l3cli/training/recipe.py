@@ -1,4 +1,4 @@
-"""Class and learning recipes (configs/classes)."""
+"""Class recipes: the keys of the first layer and of the refinement layers, and checks of their values."""
 
 import itertools
 from collections.abc import Iterator
@@ -22,126 +22,142 @@ from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.training.symmetry import EVERY_ORIENTATION, IDENTITY_ONLY, Allowed
 
 MOST_PATCHES = 1_000_000_000
-MOST_REFINEMENT = 3  # largest number of layers after the first
-MOST_STRENGTH = 1e5  # largest edge of the trace of the structure tensor, far above what gradients reach
-MOST_OF_HIGHLIGHTS = 0.5  # largest `darkest` level as a fraction of `highlight_from`, for very noisy cameras
-LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel that planes can represent (docs/method.md#exposures)
-LEAST_BETWEEN = 1 / 4  # the same if an intermediate layer reads 16-bit planes (docs/method.md#planes)
-LEAST_STEP = 0.001  # smallest difference between such edges, which are stored as integers
+MOST_REFINEMENT = 3  # largest number of refinement layers
+MOST_STRENGTH = 1e5  # largest value in `strengths`, far above the trace of any structure tensor
+MOST_OF_HIGHLIGHTS = 0.5  # largest default of `darkest`, as a fraction of `highlight_from`; only very noisy cameras reach it
+LEAST_SENSITIVE = 1 / 16  # smallest relative sensitivity of a channel with one refinement layer (docs/method.md#exposures)
+LEAST_BETWEEN = 1 / 4  # smallest relative sensitivity with more refinement layers, which read planes of 16 bits
+LEAST_STEP = 0.001  # smallest difference between two values in `strengths`, which are stored as integers
 ErrorPower = Annotated[float, msgspec.Meta(ge=0, le=0.5)]
-MOST_DRAWS = 1000  # largest number of levels per patch; more would add no information
+MOST_DRAWS = 1000  # largest number of levels per patch; more levels would add no information
 
 
 class LearningRecipe(Recipe):
-    """Recipe by which the transforms of the classes are learned (docs/method.md#training). Levels are shares of full
-    scale."""
+    """How the transforms of the first layer are trained (docs/method.md#training). Levels are fractions of full scale."""
 
-    patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000  # patches a canonical CFA position, over all frames
-    draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8  # levels drawn a patch (docs/method.md#level-rescaling)
-    # levels drawn a patch in the pass whose errors weigh the samples of the second; 0: one pass only
+    # number of training patches per CFA site, over all frames; symmetric sites share their patches
+    patches: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 60000
+    # number of random levels to which each patch is scaled (docs/method.md#level-rescaling)
+    draws: Annotated[int, msgspec.Meta(ge=1, le=MOST_DRAWS)] = 8
+    # number of random levels per patch in the first of two training passes; with 0 there is only one pass
     first_draws: Annotated[int, msgspec.Meta(ge=0, le=MOST_DRAWS)] = 3
-    darkest: float = 0.0  # levels are drawn log-uniformly from here; 0: from where the camera's noise equals the signal
-    dark_share: Share = 0.0  # share of the draws that lies below `darkest`, down to half of it, for frames of higher gain
-    brightest: float = 2.5  # levels are drawn up to here, clipped at the white level
-    highlight_share: Share = 0.25  # share of the draws that lies above `highlight_from`
-    highlight_from: float = 0.15  # begin of the highlights, which end at `brightest`
-    achromatic: Share = 0.0  # share of the patches that show their scene without colour (docs/method.md#patches)
-    rescale: bool = True  # False: patches stay at the level of their frame, however often they are drawn
-    # noise-free patches and a covariance, patches with noise drawn, or no noise at all, neither in classes nor in patches;
-    # without a covariance the weights below weigh nothing, and without noise those of a layer only rounding to DN
+    # lowest level of most draws, which are log-uniform; with 0, l3 uses the level at which the signal equals its noise
+    darkest: float = 0.0
+    # fraction of the draws between half of `darkest` and `darkest`, for frames with a higher gain
+    dark_share: Share = 0.0
+    brightest: float = 2.5  # highest level of the draws; patches are clipped at the white level after they are scaled
+    highlight_share: Share = 0.25  # fraction of the draws between `highlight_from` and `brightest`
+    highlight_from: float = 0.15  # lowest level of the draws for highlights
+    achromatic: Share = 0.0  # fraction of the patches that show their scene in greys (docs/method.md#patches)
+    rescale: bool = True  # whether patches are scaled to random levels; if false, they keep the level of their frame
+    # "analytic" adds the computed covariance of the noise to noise-free patches; "sampled" adds random noise to the patches,
+    # so that luminance_noise and chroma_noise have no effect; "none" trains for frames without noise
     noise: Literal["analytic", "sampled", "none"] = "analytic"
-    # share of the noise over time for which a second set of transforms is learned, for pixels of which --temporal has left
-    # little noise (docs/method.md#noise-sets); 0: none
+    # fraction of the temporal noise for which a second set of transforms is trained, which is used for pixels in which
+    # --temporal has left little noise (docs/method.md#noise-sets); with 0 there is no second set
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
-    # lights of the training for each of which transforms are learned besides those of all, as its frames name them; the
-    # white of a scene chooses (docs/method.md#several-lights)
+    # illuminants of the training frames that get transforms of their own, besides the common transforms; the white of a
+    # rendered scene selects the transforms (docs/method.md#several-lights)
     lights: tuple[str, ...] = ()
-    level_power: Share = 1.0  # samples weigh level^-power: 1 for errors relative to the level, 0 for errors as they are
-    brightness_power: Share = 0.5  # samples weigh (Y / level)^-power (docs/method.md#sample-weights)
-    error_power: ErrorPower = 0.25  # second pass: (e² + ¼)^-power, e the error of the first (docs/method.md#second-pass)
-    ridge: Positive = 1e-5  # relative to the mean power of a tap
+    # training samples have the weight level^-power: with 1, errors count relative to the level, and with 0, absolutely
+    level_power: Share = 1.0
+    brightness_power: Share = 0.5  # training samples have the weight (Y / level)^-power (docs/method.md#sample-weights)
+    # samples of the second pass have the weight (e² + ¼)^-power, where e is the error of the first pass
+    # (docs/method.md#second-pass)
+    error_power: ErrorPower = 0.25
+    ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
-    chroma_noise: NotNegative = 2.0  # the same for the two chroma planes
-    level_pool: tuple[float, ...] = (0.5, 0.25)  # weight of classes one, two… levels away (docs/method.md#thin-classes)
-    # pseudo-patches of the parent, all chromas of its level, contrast and case, added to every class
+    chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
+    # weights of the samples from classes one level away, two levels away, and so on (docs/method.md#thin-classes)
+    level_pool: tuple[float, ...] = (0.5, 0.25)
+    # number of pseudo-patches of the parent that every class gets; the parent is the mean of all chromas of a level,
+    # contrast and saturation case
     parent_patches: CountOrNone = 200
-    # uniform areas of measured surfaces, a patch of a plain class (docs/method.md#plain-surfaces)
+    # number of uniform areas of measured surfaces per patch in classes of uniform areas (docs/method.md#plain-surfaces)
     plain_surfaces: NotNegative = 0.3
-    # where the outputs are a spectrum, the side in pixels, odd, of the neighbourhood whose mean spectrum a pixel
-    # takes, keeping its brightness (docs/method.md#smoothed-spectra); 0: its spectrum is its own
+    # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed while each pixel keeps its
+    # brightness (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
-    # difference of brightness, a share of the pixel's own, from which a neighbour does not count
+    # smoothing ignores pixels whose brightness differs from that of the central pixel by at least this fraction
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
-    symmetry: bool = True  # rotated or mirrored CFA sites share their training (docs/method.md#symmetry)
-    equal_response: bool = True  # all CFA sites answer a flat patch alike (docs/method.md#equal-response)
+    symmetry: bool = True  # whether rotated and mirrored CFA sites are trained together (docs/method.md#symmetry)
+    # whether all CFA sites must give the same outputs for a uniform patch (docs/method.md#equal-response)
+    equal_response: bool = True
 
     @property
     def orientations(self) -> Allowed:
-        """Orientations in which CFA sites may be trained as each other. All eight assume isotropic noise (`symmetry`)."""
+        """Orientations in which CFA sites may be trained together, which depend on the key `symmetry`."""
         return EVERY_ORIENTATION if self.symmetry else IDENTITY_ONLY
 
     @property
     def noises(self) -> tuple[NoiseScale, ...]:
-        """Return the noises, over the camera's, that further transforms are learned for."""
+        """Noise levels, relative to the camera model, for which additional transforms are trained."""
         return (NoiseScale(noise_left=self.noise_left),) if self.noise_left else ()
 
 
 class LayerRecipe(Recipe):
-    """Recipe of a layer that reads the planes of the layer before (docs/method.md#layers)."""
+    """A refinement layer, which reads the planes that the previous layer outputs (docs/method.md#layers)."""
 
-    side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # pixels, odd, of the windows of each plane
-    # classes, of a tree grown for them; 0: by structure, as next
+    side: Annotated[int, msgspec.Meta(ge=1, le=9)] = 5  # width of the window in each plane, in pixels (odd)
+    # largest number of leaves of a decision tree that determines the classes; with 0, the structure determines the classes
     leaves: Annotated[int, msgspec.Meta(ge=0, le=MAX_LEAVES)] = 0
-    # pixels of a canonical CFA position it is grown on
+    # number of pixels per CFA site from which the tree is grown
     tree_rows: Annotated[int, msgspec.Meta(ge=1000, le=1_000_000)] = 40000
-    level_step: Count = 1  # levels of the first layer that make one
-    strengths: tuple[Positive, ...] = (1.7, 8.0)  # edges of the structure tensor's trace, relative to that of noise
-    coherence: Share = 0.48  # share of the trace along one direction from which an edge has one
-    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400  # over all frames
-    achromatic: Share = 0.2  # share of them that show their scene without colour
-    # pixels of a mosaic, a square of at least so many, that are learned from
-    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900
-    # share of the square's pixels that they are: less than 1 where mosaics are to be large, as samples count by their error
+    level_step: Count = 1  # number of first-layer levels that form one level of this layer
+    # boundaries between strengths of structure: trace of the structure tensor, relative to the trace that noise causes
+    strengths: tuple[Positive, ...] = (1.7, 8.0)
+    coherence: Share = 0.48  # fraction of the trace along one direction from which structure counts as a directed edge
+    # number of training mosaics over all frames
+    mosaics: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 5400
+    achromatic: Share = 0.2  # fraction of the mosaics that show their scene in greys
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MOST_PATCHES)] = 900  # approximate number of training samples per mosaic
+    # fraction of the pixels of a mosaic that become samples; smaller values make mosaics larger for the same `rows`
     density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
-    ridge: Positive = 1e-5  # relative to the mean power of a tap
+    ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
-    chroma_noise: NotNegative = 2.0  # the same for the two chroma planes
-    # samples weigh (Y / level)^-power and (e² + ¼)^-power, e the error of the layers before; as in [learning] if not given
+    chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma planes
+    # training samples have the weight (Y / level)^-power; without this key, the power is that of [learning]
     brightness_power: Share | None = None
+    # training samples have the weight (e² + ¼)^-power, where e is the error of the previous layers; without this key, the
+    # power is that of [learning]
     error_power: ErrorPower | None = None
-    # further taps of the last layer: chroma as shading would make it (docs/method.md#colour-ratios)
+    # last layer only: whether the transforms also read the chroma that shading alone would cause
+    # (docs/method.md#colour-ratios)
     colour_ratios: bool = False
-    bilateral_chroma: bool = False  # and that of pixels alike (docs/method.md#colour-ratios)
-    # chroma of the last layer comes from far around, where pixels are alike, and no class fades that of plain
-    # windows (docs/method.md#coarse-chroma)
+    # with colour_ratios only: whether the transforms also read the mean chroma of similar pixels
+    # (docs/method.md#colour-ratios)
+    bilateral_chroma: bool = False
+    # last layer only: whether chroma is averaged over a wide area of similar pixels (docs/method.md#coarse-chroma)
     coarse_chroma: bool = False
-    level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weight of classes one, two… levels away
-    strength_pool: NotNegative = 0.0  # the same of classes of the same direction one strength away, beyond the lowest
-    parent_patches: CountOrNone = 200  # pseudo-samples of the parent, added to every class
+    level_pool: tuple[NotNegative, ...] = (0.5, 0.25)  # weights of samples one level away, two levels away, and so on
+    # weight of samples from the class with the same direction and the next strength; the lowest strength is left out
+    strength_pool: NotNegative = 0.0
+    # number of pseudo-samples of the parent that every class gets; the parent is the mean of all structures of a level
+    parent_patches: CountOrNone = 200
 
     @property
     def ratio_taps(self) -> int:
-        """Return the number of taps behind the windows."""
+        """Number of taps that follow the taps of the windows."""
         return RATIO_TAPS[self.colour_ratios + self.bilateral_chroma]
 
 
 class TrainingRecipe(Recipe):
-    """Classes and learning of the first layer, and layers after it. Keys that a recipe leaves out are those of one layer;
-    without any recipe configs/classes/default.toml is taken."""
+    """A class recipe: the classes of the first layer, their training, and up to three refinement layers. Keys that the
+    recipe omits have the defaults below, which describe a single layer."""
 
     title: ClassVar[str] = "a class recipe"
 
     classes: ClassRecipe = msgspec.field(default_factory=ClassRecipe)
     learning: LearningRecipe = msgspec.field(default_factory=LearningRecipe)
-    layer: Annotated[tuple[LayerRecipe, ...], msgspec.Meta(max_length=MOST_REFINEMENT)] = ()  # layers after the first
+    layer: Annotated[tuple[LayerRecipe, ...], msgspec.Meta(max_length=MOST_REFINEMENT)] = ()  # refinement layers
 
 
 def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Fill in the values that a recipe leaves to the camera.
+    """Return a copy of the recipe in which the levels that depend on the camera are set.
 
-    If the recipe has no darkest level, it is the level at which the signal equals the noise, but not below the levels of the
-    classes (docs/method.md#level-rescaling). If the channels differ in exposure, the brightest level is raised so that the
-    least sensitive channel clips, too (docs/method.md#exposures).
+    If `darkest` is 0, it becomes the level at which the signal equals its noise, or the lowest level of the classes if that
+    is higher (docs/method.md#level-rescaling). If the channels have different exposures or gains, `brightest` is raised so
+    that the least sensitive channel clips, too (docs/method.md#exposures).
 
     Parameters
     ----------
@@ -155,7 +171,7 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     Raises
     ------
     RecipeError
-        If the sensitivities of the channels differ more than the planes between layers can represent.
+        If the sensitivities of the channels differ by a larger factor than a table with this number of layers allows.
     """
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
@@ -165,15 +181,16 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     ):
         if len(recipe.layer) > further and sensitivity.min() < least:
             raise RecipeError(
-                f"channels of {camera.name} differ {1 / sensitivity.min():.3g} times in exposure and gain, of which tables "
-                f"of so many layers hold {1 / least:g}; take a class recipe of {layers}"
+                f"the exposure and gain of the channels of {camera.name} differ by a factor of {1 / sensitivity.min():.3g}, "
+                f"but a table with {1 + len(recipe.layer)} layers allows at most {1 / least:g}; use a class recipe with "
+                f"{layers}"
             )
     if camera.readout is not None:
         learning = msgspec.structs.replace(learning, brightest=learning.brightest * mean / float(sensitivity.min()))
     if learning.darkest:
         return msgspec.structs.replace(recipe, learning=learning)
     constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-    power = max(1 - quadratic, 1e-6)  # of s² = constant + linear s + quadratic s²
+    power = max(1 - quadratic, 1e-6)  # coefficient of s² in the equation s² = constant + linear s + quadratic s²
     signals = (linear + np.sqrt(linear**2 + 4 * power * constant)) / (2 * power)
     signal = float(np.min(signals / sensitivity)) * mean
     level = max(signal / (camera.white_level - camera.black_level), recipe.classes.lowest_level * mean)
@@ -182,15 +199,15 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
 
 
 def for_noise(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
-    """Return `for_camera` of the recipe for the camera without temporal filtering, which does not change the recipe."""
+    """Apply `for_camera` as if the frames of the camera were not filtered over time."""
     return for_camera(recipe, replace(camera, noise_left=1.0))
 
 
 def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
-    """Return the recipe of a draft.
+    """Return the recipe for ``l3 train --draft``.
 
-    A draft uses three tenths of the patches and a third of the levels. It has no further lights or noises and a single
-    layer, which suppresses noise as much as the last layer of the recipe.
+    A draft uses three tenths of the patches and a third of the draws. It has one layer, with the noise weights of the last
+    layer in `recipe`, and no transforms for single illuminants or other noise levels.
     """
     learning = recipe.learning
     last = recipe.layer[-1] if recipe.layer else learning
@@ -203,11 +220,11 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise a RecipeError if a sharded run is to learn transforms for single lights."""
+    """Raise a RecipeError if the recipe asks for transforms for single illuminants, which shards cannot train."""
     if learning.lights:
         raise RecipeError(
-            "learning.lights: transforms for each light are learned in one go, not in shards; train without ‹shard›, on "
-            "several machines with ‹scheduler›"
+            "transforms for single illuminants (learning.lights) cannot be trained in shards; train without ‹shard›, or "
+            "use ‹scheduler› to train on several machines"
         )
 
 
@@ -215,16 +232,24 @@ def learning_faults(recipe: LearningRecipe) -> Iterator[Fault]:
     """Yield the faults of the [learning] section."""
     if not 0 <= recipe.darkest < recipe.highlight_from < recipe.brightest:
         keys = ("learning.darkest", "learning.highlight_from", "learning.brightest")
-        yield fault("learning needs 0 ≤ darkest < highlight_from < brightest", *keys)
+        message = (
+            f"learning.darkest, highlight_from and brightest are {recipe.darkest:g}, {recipe.highlight_from:g} and "
+            f"{recipe.brightest:g}; choose values with 0 ≤ darkest < highlight_from < brightest"
+        )
+        yield fault(message, *keys)
     if (ends := recipe.dark_share + recipe.highlight_share) > 1:
-        message = f"learning.dark_share and learning.highlight_share are {ends:g} together, more than all draws"
+        message = f"the sum of learning.dark_share and learning.highlight_share is {ends:g}; reduce the sum to at most 1"
         yield fault(message, "learning.dark_share", "learning.highlight_share")
     if recipe.noise_left and recipe.noise == "none":
-        yield fault('learning.noise_left has no noise to leave a share of where noise is "none"', "learning.noise_left")
+        message = f'learning.noise_left is {recipe.noise_left:g}, but learning.noise is "none"; remove one of the two keys'
+        yield fault(message, "learning.noise_left")
     if recipe.lights and len(set(recipe.lights)) < max(2, len(recipe.lights)):
-        yield fault("learning.lights must name several lights, each once", "learning.lights")
+        yield fault("learning.lights must name at least two illuminants, and each illuminant only once", "learning.lights")
     if recipe.spectral_window not in (0, *WINDOWS):
-        message = f"learning.spectral_window is {recipe.spectral_window}, not 0 or one of {', '.join(map(str, WINDOWS))}"
+        message = (
+            f"learning.spectral_window is {recipe.spectral_window}; use 0 for no smoothing, or one of "
+            f"{', '.join(map(str, WINDOWS))}"
+        )
         yield fault(message, "learning.spectral_window")
 
 
@@ -233,26 +258,28 @@ def layer_faults(layers: tuple[LayerRecipe, ...]) -> Iterator[Fault]:
     for number, recipe in enumerate(layers):
         name, key = f"layer[{number + 1}]", f"layer.{number}"
         if recipe.colour_ratios and number + 1 < len(layers):
-            yield fault(f"{name}.colour_ratios is for the last layer alone", f"{key}.colour_ratios")
+            yield fault(f"{name}.colour_ratios is allowed only in the last layer; remove the key", f"{key}.colour_ratios")
         if recipe.bilateral_chroma and not recipe.colour_ratios:
-            yield fault(f"{name}.bilateral_chroma is for a layer with colour_ratios", f"{key}.bilateral_chroma")
+            message = f"{name}.bilateral_chroma needs colour_ratios; add colour_ratios = true to this layer"
+            yield fault(message, f"{key}.bilateral_chroma")
         if recipe.coarse_chroma and number + 1 < len(layers):
-            yield fault(f"{name}.coarse_chroma is for the last layer alone", f"{key}.coarse_chroma")
+            yield fault(f"{name}.coarse_chroma is allowed only in the last layer; remove the key", f"{key}.coarse_chroma")
         if recipe.side % 2 == 0:
-            yield fault(f"{name}.side is {recipe.side}; windows have odd sides", f"{key}.side")
+            yield fault(f"{name}.side is {recipe.side}; use an odd number", f"{key}.side")
         if not recipe.strengths or any(high - low < LEAST_STEP for low, high in itertools.pairwise(recipe.strengths)):
-            message = f"{name}.strengths must be one or more numbers, each {LEAST_STEP:g} above the last"
+            message = f"{name}.strengths must contain one or more numbers that increase by at least {LEAST_STEP:g} each"
             yield fault(message, f"{key}.strengths")
         elif recipe.strengths[-1] > MOST_STRENGTH:
-            yield fault(f"{name}.strengths exceed {MOST_STRENGTH:g}", f"{key}.strengths")
+            message = f"{name}.strengths contains {recipe.strengths[-1]:g}; use values of at most {MOST_STRENGTH:g}"
+            yield fault(message, f"{key}.strengths")
 
 
 def class_recipe_faults(recipe: TrainingRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield all faults of a class recipe, including those for its camera if one is given."""
+    """Yield all faults of a class recipe."""
     yield from learning_faults(recipe.learning)
     yield from layer_faults(recipe.layer)
     classes = recipe.classes
     if classes.patch % 2 == 0 or not 1 <= classes.patch <= MAX_PATCH:
-        yield fault(f"classes.patch is {classes.patch}, not an odd number up to {MAX_PATCH}", "classes.patch")
+        yield fault(f"classes.patch is {classes.patch}; use an odd number up to {MAX_PATCH}", "classes.patch")
     yield from source.attempt(None, contrast.check_edges, classes)
     yield from source.attempt(None, level.edge_shares, classes)

@@ -1,7 +1,7 @@
 """Weights of the training samples in the second pass (docs/method.md#second-pass).
 
-A sample whose error in the first pass was large gets a lower weight. Large errors, in colour or in the spectrum, therefore
-count less than their square.
+The larger the error of a sample in the first pass, the lower its weight in the second pass. Without these weights, least
+squares would favour the few samples with the largest errors.
 """
 
 from dataclasses import dataclass
@@ -13,50 +13,50 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.physics.display import XYZ
 
 Floats = NDArray[np.float32]
-MIN_TARGET = 0.02  # fraction of the level; errors of darker targets are computed as if the targets had this brightness
-TARGET_FLOOR = 0.05  # fraction of the level below which the weight no longer rises (docs/method.md#sample-weights)
-ERROR_FLOOR = 0.25  # ΔE² or degrees²; samples with smaller errors have about the same weight
-# Factors that convert errors of f(X), f(Y) and f(Z) to errors of L*, a* and b*. The factors for a* and b* are lower than the
-# 500 and 200 of CIELAB, because errors of chroma are less visible.
+MIN_TARGET = 0.02  # fraction of the level; darker targets are treated as if they were this bright
+TARGET_FLOOR = 0.05  # fraction of the level that is added to the brightness of a target (docs/method.md#sample-weights)
+ERROR_FLOOR = 0.25  # ΔE² or degrees²; all samples with a smaller error have about the same weight
+# Factors that convert errors of the cube roots of X, Y and Z to errors of L*, a* and b*. CIELAB has the factors 116, 500 and
+# 200. The factors of a* and b* are lower here, because errors of chroma are less visible.
 LIGHTNESS, RED_GREEN, YELLOW_BLUE = 116.0, 250.0, 150.0
 
 
 @dataclass(frozen=True)
 class ColourWeighting:
-    """Sample weights at one canonical site, from errors of the first pass in X, Y and Z."""
+    """Weights the samples of one canonical site by their colour errors in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY, YZ of the weights, to propagate the noise of the taps
+    products: Floats  # (class, tap, product) products XX, YY, ZZ, XY and YZ of the transforms, which propagate noise
     intercept: Floats  # (class, output) intercepts of the first pass
     white: Floats  # (output) perfect white
-    power: float  # exponent of the squared error
+    power: float  # the recipe key error_power
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected squared CIELAB error of the first pass, the sum of bias and noise.
+        e² is the expected squared error of the first pass in CIELAB units. It is the sum of the squared bias and the noise
+        variance.
 
         Parameters
         ----------
         clean, variance : ndarray, (patch, tap)
-            Noise-free signals and noise variance, in fractions of full scale.
+            Noise-free signals, as fractions of full scale, and their noise variance.
         target : ndarray, (patch, 3)
-            X, Y and Z that the transforms should give.
+            Ideal X, Y and Z.
         level : ndarray, (patch)
             Level of each patch, as a fraction of full scale.
         runs : list of (class, first patch, end patch)
-            Runs of patches with the same class.
+            Range of patches of each class, from `sums.runs_of`.
 
         Returns
         -------
         ndarray, (patch)
         """
         relative = 1 / level[:, None]
-        slope = np.maximum(target * relative / self.white, MIN_TARGET) ** np.float32(-2 / 3) / (
-            3 * self.white
-        )  # d f / d XYZ
+        # derivative of the cube root of X/X_w, Y/Y_w and Z/Z_w
+        slope = np.maximum(target * relative / self.white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * self.white)
         bias, noise = np.empty_like(target), np.empty((len(target), 5), np.float32)
         for index, first, last in runs:
             bias[first:last] = clean[first:last] @ self.weights[index] + self.intercept[index]
@@ -73,20 +73,21 @@ class ColourWeighting:
 
 @dataclass(frozen=True)
 class SpectralWeighting:
-    """Sample weights at one canonical site, from errors of the first pass in a spectrum."""
+    """Weights the samples of one canonical site by the errors of their spectra in the first pass."""
 
     weights: Floats  # (class, tap, output) transforms of the first pass
-    squares: Floats  # (class, tap) squared weights summed over the outputs, which propagate the noise of the taps
+    squares: Floats  # (class, tap) squares of the transforms, summed over the outputs, which propagate noise
     intercept: Floats  # (class, output) intercepts of the first pass
-    power: float  # exponent of the squared error
+    power: float  # the recipe key error_power
 
     def weight(
         self, clean: Floats, variance: Floats, target: Floats, level: Floats, runs: list[tuple[int, int, int]]
     ) -> Floats:
         """Return the weight (e² + ¼)^(−power) of each patch.
 
-        e² is the expected square of the spectral angle in the first pass, in degrees², the sum of bias and noise. The
-        parameters are the same as for `ColourWeighting.weight`, except that `target` is (patch, output).
+        e² is the expected squared spectral angle between the result of the first pass and the target, in degrees². It
+        contains bias and noise. The parameters are the same as for `ColourWeighting.weight`, except that `target` has the
+        shape (patch, output).
         """
         bias, noise = np.empty_like(target), np.empty_like(level)
         for index, first, last in runs:
@@ -104,15 +105,16 @@ SampleWeighting = ColourWeighting | SpectralWeighting
 
 
 def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWeighting:
-    """Return the weighting for a canonical site from the table that the first pass has learned.
+    """Return the sample weighting of a canonical site.
 
     Parameters
     ----------
     table : TransformTable
-        Table with the outputs X, Y, Z or a spectrum.
+        Result of the first pass. Its outputs are X, Y, Z or a spectrum.
     site : int
+        The canonical site.
     power : float
-        Exponent of the squared error.
+        The recipe key error_power.
 
     Returns
     -------
@@ -129,16 +131,20 @@ def sample_weighting(table: TransformTable, site: int, power: float) -> SampleWe
 
 
 def lab_error(error: Floats, target: Floats, level: Floats, white: NDArray[np.floating]) -> Floats:
-    """Return squared CIELAB errors (…) with reduced weight of chroma.
+    """Convert errors of X, Y and Z to squared errors in CIELAB units, in which chroma counts less than lightness.
 
     Parameters
     ----------
     error, target : ndarray, (…, 3)
-        Errors in X, Y, Z, and the targets that they refer to.
+        Errors of X, Y, Z, and the ideal X, Y, Z.
     level : ndarray, (…)
         Level of each target, as a fraction of full scale.
     white : ndarray, (3,)
         Perfect white.
+
+    Returns
+    -------
+    ndarray, (…)
     """
     relative = 1 / level[..., None]
     slope = np.maximum(target * relative / white, MIN_TARGET) ** np.float32(-2 / 3) / (3 * white)

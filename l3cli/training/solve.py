@@ -1,14 +1,15 @@
-"""Solve the transforms of the first layer from its sums (docs/method.md#solution).
+"""Solve the transforms of the first layer from the sums (docs/method.md#solution).
 
-Each class has a Wiener solution. Classes with few patches get help (docs/method.md#thin-classes):
+The transform of a class is a Wiener solution. Classes with few patches are supported in three ways
+(docs/method.md#thin-classes):
 
-* **Neighbours.** The sums of the neighbouring levels are added with weights below one. This is possible because sums are
-  relative to the level, and helps because transforms change slowly with it.
-* **Pseudo-samples.** With fewer patches than taps a class has no unique solution, and with few more it would fit their
-  noise. So the mean sums of its *parent*, which joins all chromas of the same level, contrast and saturation case, count as
-  `parent_patches` samples more. They decide what the patches of the class leave open, and hardly matter where there are
-  many. A class without patches has nothing else, and takes the transform of its parent.
-* **Nearest class.** If the parent has no patches either, the class takes the transform of the nearest class that has one.
+* **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are relative to their
+  level and transforms change slowly with the level, so these sums are a good substitute.
+* **Pseudo-patches.** If a class has fewer patches than taps, its solution is not unique, and with slightly more patches it
+  would fit their noise. Therefore the mean sums of the *parent* are added as if they were `parent_patches` more patches. The
+  parent joins all chromas of the same level, contrast and saturation case. The pseudo-patches have little effect on a class
+  with many patches. A class without any patches gets the transform of its parent.
+* **Nearest class.** If the parent has no patches either, the class uses the transform of the nearest solved class.
 """
 
 from dataclasses import dataclass
@@ -24,29 +25,33 @@ from l3cli.physics.display import XYZ
 from l3cli.training import systems
 from l3cli.training.goal import Goal
 from l3cli.training.highlights import flat_moments, grey_patches, plain_colours, steps_back, white_channels
-from l3cli.training.plain_surfaces import output_gains, single_bands, teaches
+from l3cli.training.plain_surfaces import has_single_bands, output_gains, single_bands
 from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import moment_matrix, turned_places, width_of
 from l3cli.training.symmetry import Turn
 
 Array = NDArray[np.float64]
-CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches from all levels of a saturation case
-THIN_PARENT = 100.0  # number of patches of a level and case at which half of the other pseudo-patches come from all levels
+CASE_SHARE = 0.1  # smallest fraction of the pseudo-patches that are a mean over all levels of the saturation case
+# If the level and saturation case of a parent have this number of patches, the fraction is 0.55. It falls with more patches.
+THIN_PARENT = 100.0
 
 
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return the sums of classes, with help from their neighbours and parents (docs/method.md#thin-classes).
+    """Return the sums of classes, supported by neighbouring levels and by parents (docs/method.md#thin-classes).
 
-    Unsaturated classes get a fraction of the sums of the neighbouring levels. These can be added because sums are relative
-    to the level. All classes get pseudo-patches of their parent.
+    Unsaturated classes also get the sums of the neighbouring levels, with weights. All classes get pseudo-patches of their
+    parent.
 
     Parameters
     ----------
-    sums, parents : ClassSums
+    sums : ClassSums
+        Sums of all classes of a site.
+    parents : ClassSums
+        Result of `parents_of`.
     classes : ndarray, (class)
-        Numbers of the classes. All of them must be saturated, or none.
+        Numbers of the classes. Either all or none of them are saturated.
     rule : ClassRule
     recipe : LearningRecipe
 
@@ -64,7 +69,7 @@ def shrunk(
             neighbour = rule.join(other, contrast, kind, combination=combination)[helped]
             moments[helped] += weight * sums.moments[neighbour]
             count[helped] += weight * sums.count[neighbour]
-    noise *= (count / own)[:, None]  # of the class, scaled to the new number of patches
+    noise *= (count / own)[:, None]  # noise of the class itself, scaled to the new number of patches
     parent = parent_of(classes, rule)
     moments += recipe.parent_patches * parents.moments[parent]
     noise += recipe.parent_patches * parents.noise[parent]
@@ -74,11 +79,11 @@ def shrunk(
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
     """Return the mean sums per patch of each parent (docs/method.md#thin-classes).
 
-    A parent comprises the classes with the same level, contrast and saturation case, whatever their chroma and other
-    features. If none of them has patches, it comprises all contrasts. The mean of the whole saturation case is mixed in,
-    with a larger weight if there are few patches. The count of a parent is the number of patches of its level and case.
+    A parent joins all classes of the same level, contrast and saturation case. If these classes have no patches, the parent
+    joins all contrasts. The mean over all levels of the saturation case is mixed in, with more weight if the level has few
+    patches. The `count` of a parent is the number of patches of its level and saturation case.
     """
-    first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # kind of each case
+    first = np.unique(rule.case(np.arange(rule.kinds)), return_index=True)[1]  # first kind of each saturation case
 
     def by_case(values: Array) -> Array:
         return np.add.reduceat(values.reshape(*rule.shape, -1), first, axis=3).sum(axis=2)
@@ -99,64 +104,70 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the parents of the classes `index`. A parent joins all chromas and other features of a saturation case."""
+    """Return the numbers of the parents of the classes `index`."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-UNIFORM_WEIGHT = 0.2  # uniform patches per textured patch on which a difference between sites counts as an error
-NOISE_FADES = 1000.0  # rate at which uniform surfaces lose weight with the ratio of noise to signal power
-WHITE_FADES = 2000.0  # rate with the square of that ratio, for chromas near white, which may be greys
-CLASSES_AT_ONCE = 64  # classes that are solved together
+# In textured classes, a difference between sites counts as much as an error on this number of uniform patches per patch.
+UNIFORM_WEIGHT = 0.2
+# Uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²) at the ratio μ of noise power to signal power. χ is the
+# nearness of the chroma to white (docs/method.md#plain-surfaces).
+NOISE_FADES = 1000.0
+WHITE_FADES = 2000.0
+CLASSES_AT_ONCE = 64  # number of classes that are solved together
 
 
 class OutputKind(NamedTuple):
-    """How the equations of an output differ from those of other outputs."""
+    """Settings in which the equations of the outputs differ."""
 
-    noise_weight: float  # how much noise weighs against bias (docs/method.md#noise-weights)
-    taught: bool  # whether what clips is taught to be grey (docs/method.md#clipped-areas), and plain areas single bands:
-    # luminance only where plain areas have classes for themselves, for textures that clip have other means
+    noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
+    # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas).
+    # Luminance is trained on these only if uniform areas have classes of their own, because the mean luminance of clipped
+    # textures differs from that of clipped uniform areas.
+    taught: bool
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Wiener solutions of the classes of one canonical site, in the opponent basis, with their compliance.
+    """Wiener solutions of the classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
-    `taps` holds the taps and, last, the intercept. `response` is what a uniform patch of one channel (last: the intercept)
-    adds to each output. `compliance` is the change of the taps when that response changes by one
-    (docs/method.md#equal-response).
+    The *response* of a transform is the sum of its taps for each channel, and its intercept. It describes how the transform
+    renders uniform areas. The *compliance* describes how the best taps change if the response is constrained to another
+    value.
     """
 
-    taps: Array  # (class, tap + 1, output)
-    response: Array  # (class, channel + 1, output)
+    taps: Array  # (class, tap + 1, output); the last tap is the intercept
+    response: Array  # (class, channel + 1, output); the last row is the intercept
     compliance: Array  # (class, equations, tap + 1, channel + 1)
-    compliance_response: Array  # (class, equations, channel + 1, channel + 1): the response of the compliance
-    solved: NDArray[np.bool_]  # (class)
-    samples: Array  # (class) patches of its own, a mean over the turns
-    condition: Array  # (class) of the equations for the least noisy output; 0: not solved
-    colours: Array  # (channel, channel) second moments of the channels' means over plain patches, of trace 1
-    white: Array | None  # (channel) signals of white, if the training patches bear them out
-    power: Array  # (class) sum of the channels' squared means over its patches and those that help it
+    compliance_response: Array  # (class, equations, channel + 1, channel + 1) response of the compliance
+    solved: NDArray[np.bool_]  # (class) whether the class has a solution
+    samples: Array  # (class) number of patches, without those of neighbours and parent, as a mean over the orientations
+    condition: Array  # (class) largest condition number over the outputs, or 0 if the class has no solution
+    colours: Array  # (channel, channel) second moments of the channel means over uniform patches, scaled to a trace of 1
+    white: Array | None  # (channel) signals of white, or None if they are unknown
+    power: Array  # (class) sum of the squared channel means over all patches, including those of neighbours and parent
     outputs: Array  # (output, output) second moments of the targets of unsaturated classes
 
 
 @dataclass(frozen=True)
 class Transforms:
-    """Transforms of the classes of one site, taps in units of full scale."""
+    """Transforms of the classes of one site, for taps given as fractions of full scale."""
 
     weights: Array  # (class, output, tap)
     intercept: Array  # (class, output)
-    samples: Array  # (class) number of its own patches; 0: filled from another class
-    condition: Array  # (class)
+    samples: Array  # (class) number of patches, without those of neighbours and parent
+    condition: Array  # (class) condition number
 
 
-# Long: what is solved once for all classes stands before the one loop over them.
+# This function is long: the values that all classes share are computed first, and one loop solves the classes.
 def solve(
     sums: ClassSums, rule: ClassRule, window: NDArray[np.int64], turns: list[Turn], recipe: LearningRecipe, goal: Goal
 ) -> Solution:
-    """Solve the classes of a canonical site that have patches, or whose parent has patches.
+    """Solve the classes of one canonical site by least squares.
 
-    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. Classes with few patches get help from their neighbours and parents.
+    The solution is T = Y Xᵀ (X Xᵀ + Λ)⁻¹. A class is solved if it has patches or if its parent has patches. Classes with few
+    patches are supported by neighbouring levels and by their parents.
 
     Parameters
     ----------
@@ -165,7 +176,7 @@ def solve(
     window : ndarray, (tap)
         Channel of each tap.
     turns : list of Turn
-        Orientations that leave the window unchanged. Sums are averaged over them.
+        Orientations that leave the CFA layout of the window unchanged. The sums are averaged over these orientations.
     recipe : LearningRecipe
     goal : Goal
 
@@ -184,7 +195,7 @@ def solve(
     solved = parents.count[parent] > 0 if recipe.parent_patches else samples > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
-    groups = np.append(window, window.max() + 1)  # every channel, and the intercept as one more
+    groups = np.append(window, window.max() + 1)  # the intercept is treated as a further channel
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
@@ -203,7 +214,7 @@ def solve(
     columns = {one: [column for column, each in enumerate(equations) if each == one] for one in sorted(set(equations))}
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     for clips in (False, True):
-        used = groups.size if clips else groups.size - 1  # an intercept if saturated
+        used = groups.size if clips else groups.size - 1  # only saturated classes have an intercept
         every = np.flatnonzero(solved & (saturated == clips))
         for first in range(0, every.size, CLASSES_AT_ONCE):
             batch = every[first : first + CLASSES_AT_ONCE]
@@ -213,7 +224,7 @@ def solve(
                 count = samples[index] + recipe.parent_patches
                 if index in greys:
                     taught[place] += count * greys[index]
-                elif gains is not None and teaches(rule, index):
+                elif gains is not None and has_single_bands(rule, index):
                     taught[place] += single_bands(moments[place], window, gains)
                 elif (plain := surfaces.get(index)) is not None:
                     noisy = noise[place].sum() / moments[place].diagonal()[: window.size].sum()
@@ -237,7 +248,7 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return the moments (class, column, column) and noise (class, tap) of a batch, with help, averaged over `turns`."""
+    """Return the supported moments (class, column, column) and noise (class, tap) of a batch, averaged over `turns`."""
     width = width_of(sums.moments)
     moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
     for turn in turns:
@@ -248,26 +259,26 @@ def _averaged(
 
 
 def _surfaces(rule: ClassRule, window: NDArray[np.int64], goal: Goal, white: Array | None) -> dict[int, Array]:
-    """Return the moments of uniform surfaces and of stripes, for the unsaturated classes of the lowest contrast.
+    """Return the moments of uniform surfaces and of stripes for the unsaturated classes of the lowest contrast.
 
-    Uniform surfaces are for classes without a direction, stripes for classes with any direction. The result is empty unless
-    the training patches confirm the computed white of the camera.
+    Only classes without a direction get the moments of uniform surfaces. Classes with any direction get the moments of
+    stripes. The result is empty if the training patches contradict the computed white of the camera.
     """
     if goal.surfaces is None or white is None or goal.white_signal is None or not np.array_equal(white, goal.white_signal):
         return {}
     plain = {chroma: each for chroma, each in enumerate(goal.surfaces.moments(rule, window)) if each is not None}
     levels = np.arange(rule.levels)
     taught = {index: each for chroma, each in plain.items() for index in rule.join(levels, 0, chroma).tolist()}
-    every = np.arange(rule.combinations)[:, None]  # near what is uniform lies what is nearly so, and has a direction
+    every = np.arange(rule.combinations)[:, None]  # pixels near uniform areas may have a direction
     for chroma, each in goal.surfaces.moments_of_stripes(rule, window).items():
         taught |= dict.fromkeys(rule.join(levels, 0, chroma, combination=every).ravel().tolist(), each)
     return taught
 
 
 def _near_white(rule: ClassRule, goal: Goal) -> Array:
-    """Return the rate (class) at which uniform surfaces lose weight near white.
+    """Return, for each class, the factor 2000 χ by which noise reduces the weight of uniform surfaces near white.
 
-    Noise brings greys into these classes, and greys must stay grey.
+    Noise causes greys to fall into the classes of chromas near white, and greys must stay grey.
     """
     kind = rule.split(np.arange(rule.classes_per_site)).kind
     if goal.surfaces is None:
@@ -280,8 +291,9 @@ def equal_responses(
 ) -> list[Transforms]:
     """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
 
-    All sites then render a uniform patch alike, and textures as far as that pays. White becomes exactly white. A class
-    without a solution at some site uses the nearest solved class, the same one at all sites.
+    All sites then give the same outputs for a uniform patch, and white is rendered exactly as white. In textured classes of
+    spectral outputs, the responses may differ if this reduces the error. If a class has no solution at some site, all sites
+    use the transform of the nearest class that has solutions at all sites.
 
     Parameters
     ----------
@@ -328,20 +340,18 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Return the taps (class, tap + 1, output) of all sites, constrained to a common response.
-
-    Of all common responses, this takes the one with the least squared error.
-    """
+    """Return the taps (class, tap + 1, output) of each site, constrained to the common response with the least error."""
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)
     rising = solutions[0].white if goal.outputs[:3] == XYZ else None
     of_white = (_opponent_basis(goal).T @ goal.white).tolist()
     colour_compliance = np.pad(_colour_compliance(solutions, copies), (0, 1))
-    # Among textures of many bands, each measured by few pixels, sites do better apart; colours show the least difference.
+    # With many bands, each band has few pixels, and textures become more accurate if the responses of the sites may differ.
+    # With colour outputs, even small differences between sites would be visible.
     free = (rule.split(np.arange(solved.size)).contrast > 0) & (goal.outputs[:3] != XYZ)
     for kind in (False, True):
-        used = slice(None) if kind else slice(0, -1)  # without an intercept there is none to equalise
+        used = slice(None) if kind else slice(0, -1)  # unsaturated classes have no intercept
         members = np.flatnonzero(solved & (saturated == kind))
         for output, each in enumerate(equations):
             number = sorted(set(equations)).index(each)
@@ -370,7 +380,7 @@ def _constrained(
 
 
 def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
-    """Return the signals of white (channel) if the outputs are colours and the patches of every site confirm the signals."""
+    """Return the signals of white if the outputs are colours and the patches of every site agree with these signals."""
     known, borne = goal.white_signal, [solution.white for solution in solutions]
     if (
         known is None
@@ -382,24 +392,23 @@ def _exact_white(solutions: list[Solution], goal: Goal) -> Array | None:
 
 
 def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
-    """Return the tolerance (channel, channel) for different responses of sites.
+    """Return how far the responses of sites may differ, as a matrix (channel, channel).
 
-    It is smaller in directions in which the uniform patches of the scenes would show the difference more.
+    The allowed difference is smallest for the colours that are most frequent in uniform patches of the scenes.
     """
     colour_compliance = np.linalg.inv(np.average([solution.colours for solution in solutions], axis=0, weights=copies))
     white = solutions[0].white
     if white is not None:
         colour_compliance -= np.outer(colour_compliance @ white, colour_compliance @ white) / (
             white @ colour_compliance @ white
-        )  # greys are answered alike to the last bit
+        )  # no difference is allowed for greys
     return np.asarray(colour_compliance)
 
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
-    """Return the equations of each output in the opponent basis."""
-    unseen = OutputKind(
-        min(recipe.luminance_noise, 1.0), True
-    )  # nobody looks at these outputs, so more noise reduction has no use
+    """Return the settings of each output in the opponent basis."""
+    # Outputs that are not pictures need no more noise reduction than the least squared error.
+    unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)
     chroma = OutputKind(recipe.chroma_noise, True)
@@ -407,7 +416,10 @@ def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[Outp
 
 
 def _opponent_basis(goal: Goal) -> Array:
-    """Return columns X − X_w Y, Y, Z − Z_w Y for X, Y, Z, zero on greys under the training light; others unchanged."""
+    """Return the matrix that converts X, Y, Z to X − X_w Y, Y, Z − Z_w Y, and leaves all other outputs unchanged.
+
+    The first and the third component are zero for greys under the training illuminant.
+    """
     basis = np.eye(len(goal.outputs))
     if goal.outputs[:3] == XYZ:
         basis[1, 0], basis[1, 2] = -goal.white[0], -goal.white[2]
@@ -415,10 +427,10 @@ def _opponent_basis(goal: Goal) -> Array:
 
 
 def _nearest(filled: NDArray[np.bool_], rule: ClassRule) -> NDArray[np.int64]:
-    """Return the filled class whose transform each class uses.
+    """Return, for each class, the solved class whose transform it uses.
 
-    A filled class uses its own. Any other class uses the same kind at the nearest level and contrast, preferably with the
-    same other features. If there is none, it uses the nearest class of any kind.
+    A solved class uses its own transform. Any other class uses the class of the same kind at the nearest level and contrast,
+    preferably with the same direction. If no class of the same kind is solved, it uses the nearest class of any kind.
     """
     _, level, contrast, combination, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)

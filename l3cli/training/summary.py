@@ -1,4 +1,4 @@
-"""Summaries of tables and class recipes, as figures and as lines of text."""
+"""Summaries of tables and of class recipes, as numbers for JSON and as lines of text."""
 
 from typing import Any
 
@@ -21,11 +21,11 @@ from l3cli.physics.correlated_lights import temperature
 from l3cli.system.text import counted, size_text
 from l3cli.training.recipe import LayerRecipe, TrainingRecipe
 
-LISTED_CLASSES = 8  # number of noisiest classes to list
+LISTED_CLASSES = 8  # number of noisiest classes in a summary
 
 
 def insight(table: TransformTable) -> dict[str, Any]:
-    """Return the figures of a table in plain Python types.
+    """Summarise a table in plain Python types, ready for JSON.
 
     Parameters
     ----------
@@ -34,20 +34,24 @@ def insight(table: TransformTable) -> dict[str, Any]:
     Returns
     -------
     dict
-        Figures of the first layer and of all lights together, except `later`, `lights` and `noises`:
+        Unless stated otherwise, the entries describe the common transforms of the first layer:
 
-        * ``classes``: numbers of all, trained, thin (fewer patches than taps) and filled (no patches) classes
+        * ``target``: description of the outputs
+        * ``classes``: numbers of all classes, of trained classes, of trained classes with fewer patches than taps
+          (``thin``), and of classes without patches (``filled``)
         * ``kinds``: name and number of patches of each chroma and saturation case
-        * ``features``: the same for each value of each feature beyond level, contrast, saturation and chroma, if the
-          rule has any
-        * ``noise_gain``: √Σw² of each output, median and worst over the trained classes
-        * ``dc_gain``: what a uniform unit signal of one channel adds to each output, median over trained unsaturated classes
-        * ``condition``: condition number, median and worst over the trained classes
-        * ``worst``: the trained classes with the largest noise gain, of Y if there is a Y
-        * ``later``: `refinement_layer` of each further layer
-        * ``lights``: names and colour temperatures (K) of single lights with transforms of their own, if any
-        * ``noises``: analog gain and remaining fraction of the noise of further noise sets, if any
-        * ``spectra``: window (pixels) and brightness reach of the smoothing of spectra, if any
+        * ``features``: name and number of patches of each value of each further feature, such as direction
+        * ``noise_gain``: for each output, median and maximum of √Σw² over the trained classes
+        * ``dc_gain``: for each output, its value for a uniform signal of 1 in one channel, as a median over the trained
+          unsaturated classes
+        * ``condition``: median and maximum of the condition number over the trained classes
+        * ``worst``: the trained classes with the largest noise gain of Y, or of any output if there is no Y
+        * ``later``: `refinement_layer` of each refinement layer
+        * ``lights``: name and colour temperature, in K, of each illuminant with transforms of its own
+        * ``noises``: analog gain and remaining fraction of the noise, for each additional set of transforms
+        * ``spectra``: window, in pixels, and brightness reach of the smoothing of spectra
+
+        The entries ``features``, ``lights``, ``noises`` and ``spectra`` are missing if they do not apply to the table.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -56,7 +60,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     kind = place.kind
     judged = noise_gain[:, table.outputs.index("Y")] if "Y" in table.outputs else noise_gain.max(axis=1)
     order = np.argsort(np.where(trained, -judged, np.inf), kind="stable")[: int(trained.sum())]
-    # sites that are mirror images share their training: the first of them stands for all
+    # Symmetric sites have the same transforms, so only the class of the first of these sites is listed.
     _, first = np.unique(np.stack([judged[order], table.first.samples[order]]), axis=1, return_index=True)
     worst = order[np.sort(first)[:LISTED_CLASSES]]
     per_kind = np.bincount(kind, weights=table.first.samples, minlength=rule.kinds)
@@ -94,7 +98,7 @@ def _light(light: SceneLight) -> dict[str, Any]:
 
 
 def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, Any]:
-    """Return the figures of a refinement layer.
+    """Summarise a refinement layer in plain Python types, ready for JSON.
 
     Parameters
     ----------
@@ -104,9 +108,9 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
     Returns
     -------
     dict
-        Numbers of classes, side of the windows in pixels, number of planes, levels and structures, and the noise gain as in
-        `insight`. Structure rules add their strengths and directions. Tree rules add leaves, depth and the number of nodes
-        for each test.
+        Numbers of classes, width of the windows in pixels, numbers of planes, levels and structures, and the noise gain as
+        in `insight`. For classes by structure, the numbers of strengths and directions follow. For classes by a tree, the
+        number of leaves, the depth and the number of nodes per test follow.
     """
     trained, rule = layer.samples > 0, layer.rule
     gain = np.sqrt((layer.weights.astype(np.float64) ** 2).sum(axis=2))
@@ -122,7 +126,7 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
 
 
 def _features(rule: PlaneRule) -> dict[str, Any]:
-    """Return the features by which a rule distinguishes structures."""
+    """Return the entries of `refinement_layer` that depend on the type of the class rule."""
     if isinstance(rule, StructureRule):
         return {"strengths": rule.strengths, "directions": DIRECTIONS}
     nodes = np.bincount(rule.test[rule.branch > 0], minlength=len(EVERY)).tolist()
@@ -132,7 +136,7 @@ def _features(rule: PlaneRule) -> dict[str, Any]:
 
 
 def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -> dict[str, list[dict[str, Any]]]:
-    """Return the name and the number of patches of each value of each feature that the recipe added."""
+    """Return, for each further feature such as direction, the name and the number of patches of each of its values."""
     every = {}
     for (module, feature), value in zip(
         features_of(table.first.rule), table.first.rule.split_features(combination), strict=True
@@ -143,7 +147,7 @@ def _values_of_features(table: TransformTable, combination: NDArray[np.int64]) -
 
 
 def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the median and the largest value of each column of `values` (class, name)."""
+    """Return the median and the maximum of each column of `values` (class, name), by the name of the column."""
     if not len(values):
         return {name: {"median": 0.0, "worst": 0.0} for name in names}
     return {
@@ -153,7 +157,7 @@ def _spread(values: NDArray[np.float64], names: tuple[str, ...]) -> dict[str, di
 
 
 def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Return {output: {channel: gain}}, the median over the chosen classes of the summed weights of each channel."""
+    """Return {output: {channel: gain}}. A gain is the sum of the weights of a channel, as a median over chosen classes."""
     windows = window_channels(table.cfa, table.first.rule.patch)
     site = table.first.rule.split(np.arange(len(chosen))).site
     gain = np.full((len(chosen), len(table.outputs), len(table.channels)), np.nan)
@@ -168,97 +172,101 @@ def _dc_gain(table: TransformTable, chosen: NDArray[np.bool_]) -> dict[str, dict
     }
 
 
-OUTPUTS = 3  # number of outputs of a picture table
-WEIGHT, OTHERS = 4, 12  # bytes per weight or intercept, and per class for its sample count and condition
+OUTPUTS = 3  # number of outputs of a table for pictures
+WEIGHT = 4  # bytes per weight and per intercept in a file
+OTHERS = 12  # bytes per class in a file for the sample count (8) and the condition number (4)
 
 
 def learned(insight: dict[str, Any]) -> list[str]:
-    """Return lines of text about the classes, patches and gains in the result of `insight`."""
+    """Convert the result of `insight` to lines of text."""
     classes = insight["classes"]
     figures = " · ".join(
         f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in insight["noise_gain"].items()
     )
     lines = [
-        f"{classes['all']} classes: {classes['trained']} trained, {classes['thin']} of them on fewer patches than taps; "
+        f"{classes['all']} classes: {classes['trained']} trained ({classes['thin']} of them with fewer patches than taps), "
         f"{classes['filled']} without patches of their own",
         *(
             "patches: " + " · ".join(f"{value['name']} {value['patches']:.0f}" for value in values)
             for values in (insight["kinds"], *insight.get("features", {}).values())
         ),
-        f"noise gain √Σw² (median, worst class): {figures}",
-        f"condition (median, worst class): {insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
-        "gain of a flat signal (median of unsaturated classes):",
+        f"noise gain √Σw² (median, maximum over classes): {figures}",
+        "condition number (median, maximum over classes): "
+        f"{insight['condition']['median']:.2g}, {insight['condition']['worst']:.2g}",
+        "output for a uniform signal of 1 in one channel (median over unsaturated classes):",
     ]
     for output, gains in insight["dc_gain"].items():
         lines.append(f"  {output}: " + "  ".join(f"{channel} {gain:+.3f}" for channel, gain in gains.items()))
-    lines.append("noisiest classes:")
+    lines.append("noisiest classes: noise gain, name, number of patches")
     lines += [
-        f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition {worst['condition']:.2g}"
+        f"  {worst['noise_gain']:8.3g}  {worst['class']}: {worst['patches']:.0f} patches, condition number "
+        f"{worst['condition']:.2g}"
         for worst in insight["worst"]
     ]
     for number, layer in enumerate(insight["later"], 2):
         lines += _refine(number, layer)
     if spectra := insight.get("spectra"):
         side, reach = spectra["window"], spectra["reach"]
-        lines.append(f"spectra smoothed over {side} × {side} pixels of like brightness, within {100 * reach:.3g} %")
+        within = f"whose brightness differs by less than {100 * reach:.3g} %"
+        lines.append(f"spectra: smoothed over {side} × {side} pixels {within}")
     if lights := insight.get("lights"):
         named = " · ".join(f"{light['name']} {light['kelvin']} K" for light in lights)
-        lines.append(f"transforms of single lights: {named}")
+        lines.append(f"transforms for single illuminants: {named}")
     if noises := insight.get("noises"):
         lines.append("transforms for other noise: " + " · ".join(each["name"] for each in noises))
     return lines
 
 
 def _refine(number: int, layer: dict[str, Any]) -> list[str]:
-    """Return lines of text about a refinement layer."""
+    """Convert the result of `refinement_layer` for layer `number` to lines of text."""
     classes, side = layer["classes"], layer["side"]
     gains = " · ".join(f"{output} {gain['median']:.3g}, {gain['worst']:.3g}" for output, gain in layer["noise_gain"].items())
     return [
         f"layer {number}: {classes['all']} classes: {classes['trained']} trained, "
-        f"{classes['filled']} without patches of their own; {side} × {side} × {layer['planes']} taps",
+        f"{classes['filled']} without patches of their own; {side} × {side} pixels in {layer['planes']} planes",
         f"  {_kinds(layer)}",
-        f"  noise gain √Σw² (median, worst class): {gains}",
+        f"  noise gain √Σw² (median, maximum over classes): {gains}",
     ]
 
 
 def _kinds(layer: dict[str, Any]) -> str:
-    """Describe the features by which a refinement layer distinguishes unsaturated pixels."""
+    """Describe the classes of unsaturated pixels in a refinement layer."""
     if "leaves" in layer:
         tests = ", ".join(f"{name} {count}" for name, count in layer["tests"].items())
         by_test = f"; nodes by test: {tests}" if tests else ""
         return f"leaves of a tree: {layer['leaves']}, depth {layer['depth']}{by_test}"
     return (
-        f"{layer['levels']} levels; {layer['structures']} structures: flat, {layer['strengths']} strengths × (none + "
-        f"{layer['directions']} directions)"
+        f"{layer['levels']} levels; {layer['structures']} structures: flat, and {layer['strengths']} strengths with "
+        f"{layer['directions']} directions or none"
     )
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the `class_figures` of a recipe, with no lines of text."""
+    """Return the `class_figures` of a recipe, and no further lines of text, for ``l3 check``."""
     return class_figures(recipe, source.camera), []
 
 
 def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[str, Any]:
-    """Return the figures of a class recipe, ready for JSON.
+    """Summarise a class recipe in plain Python types, ready for JSON.
 
     Parameters
     ----------
     recipe : TrainingRecipe
     camera : CameraModel or None
-        Camera for which the size of the table is computed, if any.
+        If given, the size of a table for this camera is added.
 
     Returns
     -------
     dict
-        Classes per site of each layer, with the largest possible number of saturation cases. With a camera, also the size of
-        the table in bytes.
+        Number of values of each feature, number of classes per site of each layer, and training settings. The number of
+        saturation cases is the largest possible one. With a camera, ``table_bytes`` is the size of the table in bytes.
     """
     classes = recipe.classes
     levels, contrasts = level.edge_shares(classes).size + 1, len(classes.contrasts) + 1
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
     sizes: dict[str, int] = {}
     if camera is not None:
-        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # the rule of the pilot sample
+        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # as for the pilot sample
         sizes = {feature.name: feature.size for feature in rule.feature_list}
     chromas = max(1, classes.chromas)
     first = levels * contrasts * int(np.prod(list(sizes.values()), initial=1)) * (chromas + cases - 1)
@@ -280,7 +288,6 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
 
 
 def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
-    """Return the number of classes per site of a refinement layer."""
     if layer.leaves:
         return layer.leaves + cases - 1
     structures = 1 + len(layer.strengths) * (1 + DIRECTIONS)
@@ -288,9 +295,9 @@ def _refinement_classes(layer: LayerRecipe, levels: int, cases: int) -> int:
 
 
 def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
-    """Return lines of text about the figures of a class recipe."""
+    """Convert the result of `class_figures` to lines of text."""
     features = "".join(f" × {size} values of {name}" for name, size in classes["features"].items())
-    kinds = f"({classes['chromas']} chromas + {classes['saturation_cases'] - 1} saturation cases at most)"
+    kinds = f"({classes['chromas']} chromas + at most {classes['saturation_cases'] - 1} saturation cases)"
     lines = []
     for number, layer in enumerate(classes["layers"], 1):
         how = (
@@ -301,5 +308,5 @@ def class_lines(classes: dict[str, Any], width: int | None) -> list[str]:
         lines.append(f"layer {number}: {layer['classes_per_site']} classes per site, {layer['taps']} taps{how}")
     if "table_bytes" in classes:
         size = size_text(classes["table_bytes"])
-        lines.append(f"for {classes['camera']}: {classes['sites']} sites; a table of three outputs has up to {size}")
+        lines.append(f"for {classes['camera']}: {classes['sites']} sites; a table with three outputs has up to {size}")
     return lines

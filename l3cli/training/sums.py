@@ -1,8 +1,9 @@
-"""The sums of one canonical site from which the transforms of its classes are solved (docs/method.md#exact-sums).
+"""Exact sums of products, from which the transforms are solved (docs/method.md#exact-sums).
 
-Sums are float64 numbers on a grid. Each contribution is rounded to a multiple of 2⁻²⁴ of the scale of its columns before it
-is added. As long as no sum reaches 2⁵³ grid steps, float64 adds such numbers without rounding. A sum is then the same to the
-last bit in any order, with any number of processes and of shards.
+For each canonical site and class, the sums are the normal equations of the least squares. Every product is rounded to a
+multiple of a fixed grid step before it is added. As long as a sum stays below 2⁵³ grid steps, float64 adds such multiples
+without any rounding. The result is therefore the same to the last bit for any order, and for any number of processes and
+shards.
 """
 
 import functools
@@ -19,49 +20,46 @@ from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.classes import level
 from l3cli.errors import L3Error
 
-PRODUCT_STEP = 2.0**-24  # grid step for a product of columns of scale one
+PRODUCT_STEP = 2.0**-24  # grid step for a product of two columns whose values are about 1
 MAX_EXACT_STEPS = 2.0**53  # largest number of steps that float64 counts without rounding
-PIECE_SAMPLES = 1024  # samples that are computed and multiplied at a time
-MAX_CLASS_PIECE_SAMPLES = 4096  # the same if all belong to one class
+PIECE_SAMPLES = 1024  # number of samples that are computed and multiplied together
+MAX_CLASS_PIECE_SAMPLES = 4096  # largest number of samples in a piece that contains a single class
 
 Array = NDArray[np.float64]
 
 
 @functools.cache
 def pairs(width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the column indices (pair), (pair) of the upper triangle of a moment matrix, row by row."""
+    """Return the row indices and the column indices of the upper triangle of a moment matrix."""
     return np.triu_indices(width)
 
 
 def width_of(packed: Array) -> int:
-    """Return the number of columns of matrices whose upper triangles are packed (…, pair)."""
+    """Return the number of columns of the moment matrices whose upper triangles are stored in `packed` (…, pair)."""
     return (math.isqrt(8 * packed.shape[-1] + 1) - 1) // 2
 
 
 def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
-    """Return the sums of a site before any patch is added."""
+    """Return sums of zero for one site."""
     classes, taps = rule.classes_per_site, rule.patch**2
     width = taps + 1 + outputs
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
 def rounding_number(step: Array | float) -> Array:
-    """Return 1.5 · 2⁵² steps.
-
-    A float64 number to which this is added is rounded to whole steps, because no smaller digit is left.
-    """
+    """Return 1.5 · 2⁵² steps, a number that rounds a float64 value to whole steps when it is added to the value."""
     return np.asarray(step * (1.5 * 2.0**52))
 
 
 def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
-    """Add numbers, rounded to whole steps, to a total in place.
+    """Round numbers to whole grid steps, and add them to a total in place.
 
     Parameters
     ----------
     total : ndarray of float64
     more : ndarray of float32
     large : ndarray of float64
-        The `rounding_number` of the steps.
+        The `rounding_number` of the grid steps.
     """
     rounded = more + large
     rounded -= large
@@ -69,17 +67,17 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
 
 
 def runs_of(label: NDArray[np.integer]) -> list[tuple[int, int, int]]:
-    """Return (class, first sample, end sample) of each run of equal classes in sorted `label`."""
+    """Return (class, first sample, end sample) for each class in `label`, which contains the sorted classes of samples."""
     changes = (np.flatnonzero(label[1:] != label[:-1]) + 1).tolist()
     first, last = [0, *changes], [*changes, len(label)]
     return list(zip(label[first].tolist(), first, last, strict=True)) if len(label) else []
 
 
 def pieces_of(label: NDArray[np.integer]) -> Iterator[slice]:
-    """Yield slices of about `PIECE_SAMPLES` samples, given their sorted classes.
+    """Divide samples, whose sorted classes are `label`, into slices of about `PIECE_SAMPLES` samples.
 
-    A piece ends where a class ends unless the class is large, because the product of a class costs little more for many
-    samples than for few.
+    A matrix product takes little more time for many samples than for a few. Therefore only a class with more than
+    `MAX_CLASS_PIECE_SAMPLES` samples is divided between slices.
     """
     start = np.array([first for _, first, _ in runs_of(label)], np.int64)
     first = start[np.unique(start // PIECE_SAMPLES, return_index=True)[1]].tolist()
@@ -95,20 +93,20 @@ def add_products(
     large: Sequence[Array],
     columns: NDArray[np.integer] | None = None,
 ) -> None:
-    """Add the products of columns, class by class, rounded to whole steps.
+    """Multiply the columns of samples with each other, and add the products to the moments of each class.
 
     Parameters
     ----------
     total : ndarray, (class, pair)
-        Packed moments, changed in place.
+        Packed moments of all classes, which are changed in place.
     samples : ndarray, (sample, column)
-        Equations, sorted by class: taps, intercept and outputs.
+        Taps, intercept and outputs of each sample. The samples are sorted by class.
     runs : list of (class, first sample, end sample)
-        From `runs_of`.
-    large : sequence of ndarray, (run)
-        The `rounding_number` of the steps of each run.
+        Result of `runs_of`.
+    large : sequence of ndarray
+        For each run, the `rounding_number` of its grid steps.
     columns : ndarray, optional
-        Columns to use. [default: all]
+        Indices of the columns to multiply. [default: all columns]
     """
     columns = np.arange(samples.shape[1]) if columns is None else columns
     row, col = pairs(columns.size)
@@ -119,28 +117,27 @@ def add_products(
 
 
 def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
-    """Add the sums `more` to `sums` in place. The addition is exact, so the order does not matter."""
+    """Add the sums `more` to `sums` in place. The addition is exact, so the order of the calls does not matter."""
     for total, part in ((sums.moments, more.moments), (sums.noise, more.noise), (sums.count, more.count)):
         np.add(total, part, out=total)
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Return the grid steps of the moments (level, pair), which are powers of two."""
+    """Return the grid steps of the first layer's moments (level, pair). Each step is a power of two."""
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
 
 def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
-    """Return the scale of the intercept column (level), a power of two.
+    """Return the scale of the intercept column at each level, as a power of two.
 
-    Samples are relative to their level. So taps and outputs are of the order of one, and the intercept of one over the
-    level.
+    Samples are divided by their level. The taps and outputs are therefore about 1, and the intercept is about 1/level.
     """
     lower = np.maximum(level.inner_bounds(rule, camera.black_level, camera.white_level), 1e-4)
     return np.asarray(2.0 ** np.rint(-np.log2(np.append(lower[0] / 2, lower))))
 
 
 def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
-    """Return grid steps (level, pair) for taps, an intercept of scale `intercept` (level), and outputs."""
+    """Return the grid steps (level, pair) of moments whose intercept column has the scale `intercept` (level)."""
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])
@@ -148,18 +145,20 @@ def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
 
 
 def require_exact(sums: ClassSums, rule: ClassRule, steps: Array) -> None:
-    """Raise an L3Error if sums are so large that additions may have been rounded.
+    """Raise an L3Error if a sum is so large that float64 may have rounded it.
 
-    The sum of products of two columns is at most the larger of the sums of their squares, so only squares are tested.
+    Only sums of squares are tested, because no sum of products of two columns exceeds the larger sum of squares.
     """
     row, col = pairs(width_of(sums.moments))
     squares = rule.by_feature(sums.moments[:, row == col])[0] / steps[:, None, None, None, row == col]
     if max(squares.max(), sums.noise.max() / PRODUCT_STEP) >= MAX_EXACT_STEPS:
-        raise L3Error("a class has more patches than can be added exactly; lower learning.patches or learning.draws")
+        raise L3Error(
+            "a class has too many patches for exact sums; reduce learning.patches or learning.draws in the class recipe"
+        )
 
 
 def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
-    """Return where each pair of columns goes (pair) when `turn` permutes the taps, which are the first columns."""
+    """Return the index of each pair of columns after `turn` permutes the taps. The taps are the first columns."""
     row, col = pairs(width)
     place = np.empty((width, width), dtype=np.intp)
     place[row, col] = place[col, row] = np.arange(row.size)
@@ -168,7 +167,7 @@ def turned_places(turn: NDArray[np.integer], width: int) -> NDArray[np.intp]:
 
 
 def moment_matrix(packed: Array, width: int) -> Array:
-    """Return the symmetric matrices (…, column, column) of packed moments (…, pair)."""
+    """Unpack moments (…, pair) into symmetric matrices (…, column, column)."""
     matrix = np.empty((*packed.shape[:-1], width, width))
     row, col = pairs(width)
     matrix[..., row, col] = packed

@@ -1,13 +1,13 @@
 """Symmetry of a colour filter array.
 
-Sites whose neighbourhoods are rotations or reflections of each other are trained together. A rotation or reflection of a
-square is an *orientation*; the eight orientations are numbered as `orientations` lists them. Which of them a training may
-use is a set of these numbers, `Allowed`, that every function here receives.
+If the neighbourhoods of two sites are rotations or reflections of each other, the sites are trained together. The eight
+rotations and reflections of a square are called *orientations*. Their numbers are their positions in the result of
+`orientations`. The parameter `allowed` of the functions in this module lists the orientations that training may use.
 
-The set is an assumption about the camera: a patch that is read in an allowed orientation must be as likely as the patch
-itself, and have the same noise. All eight orientations assume that scenes, optics and noise are isotropic. Noise of whole
-rows or columns, or polarisers, allow fewer: rows must stay rows. The set must be a group, so that sites that match a third
-site also match each other.
+A patch that is read in an allowed orientation must be as likely as the original patch, and must have the same noise. All
+eight orientations are allowed if scenes, optics and noise are isotropic. Row noise, column noise and polarisers allow fewer
+orientations, because rows must remain rows. The allowed orientations must form a group: if two sites match a third site,
+they must match each other.
 """
 
 import functools
@@ -23,43 +23,48 @@ from l3cli.classes import structure
 from l3cli.classes.features import features_of
 
 Indices = NDArray[np.int64]
-Allowed = tuple[int, ...]  # numbers of the orientations that training may use, increasing, with 0
-EVERY_ORIENTATION: Allowed = tuple(range(8))  # isotropic noise
-IDENTITY_ONLY: Allowed = (0,)  # every site is trained on its own
+Allowed = tuple[int, ...]  # numbers of the orientations that training may use, in increasing order, beginning with 0
+EVERY_ORIENTATION: Allowed = tuple(range(8))  # for isotropic noise
+IDENTITY_ONLY: Allowed = (0,)  # trains every site separately
 
 
 @dataclass(frozen=True)
 class SiteMap:
-    """How a site is trained: patch_of_site[permutation] has the layout of the patches of the canonical site."""
+    """The canonical site whose transforms a site uses, and the orientation that converts between the two sites.
 
-    canonical: int  # site
+    ``patch[permutation]`` has the CFA layout of the canonical site if ``patch`` is a patch of this site.
+    """
+
+    canonical: int  # number of the canonical site
     orientation: int  # number of the orientation
-    permutation: Indices  # (tap) of that orientation
+    permutation: Indices  # (tap) permutation of the taps in this orientation
 
 
 @functools.cache
 def orientations(patch: int) -> tuple[Indices, ...]:
-    """Return the tap permutations of the eight rotations and reflections of a square patch, the identity first."""
+    """Return the permutations of the taps for the eight orientations of a square patch. The first is the identity."""
     taps = np.arange(patch * patch).reshape(patch, patch)
     return tuple(np.rot90(side, turns).ravel() for side in (taps, taps.T) for turns in range(4))
 
 
 def site_maps(channel: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[SiteMap]:
-    """Return how each site is trained (docs/method.md#symmetry).
+    """Find the canonical site and the orientation of each site (docs/method.md#symmetry).
+
+    The canonical site is the first site whose window has the same CFA layout in one of the allowed orientations.
 
     Parameters
     ----------
     channel : ndarray, (site, tap)
         Channel of each tap in the window of each site.
     patch : int
-        Side of the windows in pixels.
+        Side of the windows, in pixels.
     allowed : tuple of int
-        Orientations in which a site may be trained as another one.
+        Numbers of the allowed orientations.
 
     Returns
     -------
-    list of SiteMap, (site)
-        The first site whose window is the same in some orientation, and that orientation.
+    list of SiteMap
+        One per site.
     """
     maps: list[SiteMap] = []
     canonical: list[int] = []
@@ -81,14 +86,18 @@ def site_maps(channel: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION
 
 
 def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATION) -> list[int]:
-    """Return the numbers of the allowed orientations that leave the layout of a window (tap) unchanged."""
+    """Return the numbers of the allowed orientations that leave the CFA layout of `window` unchanged.
+
+    `window` contains the channel of each tap.
+    """
     return [number for number in allowed if (window[orientations(patch)[number]] == window).all()]
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Return the class of each class's patches after they are read in orientation `number`.
+    """Map each class to the class that its patches have when they are read in orientation `number`.
 
-    Only the values of the features beyond the basic ones can change, because sums over all taps of a patch stay the same.
+    Level, contrast, chroma and saturation case depend only on sums over all taps, so they do not change. Features such as
+    direction can change.
 
     Parameters
     ----------
@@ -99,7 +108,7 @@ def turned_classes(rule: ClassRule, number: int) -> Indices:
     Returns
     -------
     ndarray, (class)
-        Classes within a site.
+        Class numbers within a site.
     """
     transposed, turns = divmod(number, 4)
     place = rule.split(np.arange(rule.classes_per_site))
@@ -111,14 +120,17 @@ def turned_classes(rule: ClassRule, number: int) -> Indices:
 
 
 class Turn(NamedTuple):
-    """An orientation that leaves the window of a site unchanged, and its effect on patches."""
+    """An orientation that leaves the CFA layout of a window unchanged."""
 
-    taps: Indices  # (tap) permutation
-    classes: Indices  # (class) the class whose patches become patches of this class
+    taps: Indices  # (tap) permutation of the taps
+    classes: Indices  # (class) for each class, the class whose patches become patches of this class when they are turned
 
 
 def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTATION) -> list[Turn]:
-    """Return the allowed orientations that leave a window (tap) unchanged, the identity first."""
+    """Return the allowed orientations that leave the CFA layout of `window` unchanged. The first is the identity.
+
+    `window` contains the channel of each tap.
+    """
     return [
         Turn(orientations(rule.patch)[number], np.argsort(turned_classes(rule, number)))
         for number in stabilisers(window, rule.patch, allowed)
@@ -126,14 +138,14 @@ def turns_of(rule: ClassRule, window: Indices, allowed: Allowed = EVERY_ORIENTAT
 
 
 def turned_structures(rule: StructureRule, number: int) -> Indices:
-    """Return the class of each class's windows when they are read in orientation `number` of `orientations`.
+    """Map each structure class to the class that its windows have when they are read in orientation `number`.
 
     Only the direction of an edge changes.
     """
     across, down = structure.turn_signs(orientations(3)[number])
     place = rule.split(np.arange(rule.classes_per_site))
     strength, within = np.divmod(place.kind - 1, 1 + DIRECTIONS)
-    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # of twice the gradient's angle
+    direction = DIRECTIONS // 2 - (within - 1) if across < 0 else within - 1  # number of the doubled angle of the gradient
     direction = (direction if down > 0 else -direction) % DIRECTIONS
     directed = (place.kind > 0) & (place.kind < rule.structures) & (within > 0)
     return np.asarray(rule.join(place.level, np.where(directed, 2 + strength * (1 + DIRECTIONS) + direction, place.kind)))

@@ -1,6 +1,7 @@
-"""The linear systems of the classes.
+"""Solve the normal equations of the classes.
 
-Transforms that would be too large for the integers of the planes get a larger ridge (docs/method.md#too-large-transforms).
+If a transform is too large for the integer formats of the planes, its class is solved again with a larger ridge
+(docs/method.md#too-large-transforms).
 """
 
 from typing import NamedTuple
@@ -13,13 +14,13 @@ from l3cli.artifacts.layers import PLANES
 from l3cli.classes.planes import opponent_basis, room_between, room_for
 
 Array = NDArray[np.float64]
-MAX_RIDGE_STEPS = 5  # largest number of times that a ridge is raised tenfold
-EQUAL_RESPONSE_MARGIN = 4.0  # margin for the equal response of sites, which changes the transforms afterwards
-ROUNDING_MARGIN = 1.001  # margin for rounding, because transforms are stored as float32
+MAX_RIDGE_STEPS = 5  # a ridge is multiplied by 10 at most this number of times
+EQUAL_RESPONSE_MARGIN = 4.0  # safety factor, because the equal-response constraint changes the transforms later
+ROUNDING_MARGIN = 1.001  # safety factor, because transforms are rounded to float32 later
 
 
 class Integers(NamedTuple):
-    """Parameters that determine the integer formats of the planes."""
+    """Bit depth and levels of the camera, which determine the integer formats of the planes."""
 
     bits: int
     black_level: float  # DN
@@ -27,34 +28,37 @@ class Integers(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """The normal equations of classes whose outputs share the weight of the noise."""
+    """Normal equations of several classes, for the outputs with the same noise weight (docs/method.md#solution)."""
 
-    power: Array  # (class, tap, tap) X Xᵀ; the last tap is the intercept, if there is one
-    noise: Array  # (class, tap) diagonal of Λ, without the intercept
+    power: Array  # (class, tap, tap) X Xᵀ; in saturated classes the last tap is the intercept
+    noise: Array  # (class, tap) diagonal of the noise matrix Λ, without the intercept
     noise_weight: float
-    right: Array  # (class, tap, column) Y Xᵀ for each output, then the taps of each channel
+    right: Array  # (class, tap, column) right-hand sides: first Y Xᵀ of each output, then the taps of each channel
 
 
 def solve_within(equations: Equations, ridge: float, member: Array, integers: Integers | None) -> tuple[Array, Array]:
-    """Solve the systems of all classes so that the transforms fit the integers of the planes.
+    """Solve the equations of all classes so that the transforms fit the integer formats of the planes.
+
+    If the transform of a class is too large, the class is solved again with a ten times larger ridge, at most
+    `MAX_RIDGE_STEPS` times. The equal-response constraint later adds a correction to each transform. A class whose
+    correction would be too large is also solved again.
 
     Parameters
     ----------
     equations : Equations
     ridge : float
-        Relative ridge. It is raised by factors of ten, at most `MAX_RIDGE_STEPS` times, for classes whose transforms would
-        be too large. So it is if the change that adapts a transform to another response of the channels would be too large.
+        Smallest ridge, relative to the mean power of a tap.
     member : ndarray, (channel, tap)
-        Which taps belong to each channel.
+        1 if a tap belongs to a channel, otherwise 0.
     integers : Integers or None
-        The integer formats; None if any transform will do.
+        Parameters of the integer formats, or None if transforms may have any size.
 
     Returns
     -------
     solutions : ndarray, (class, tap, column)
-        Solutions for the columns of `equations.right`.
+        One solution per column of `equations.right`.
     conditions : ndarray, (class)
-        Condition numbers of the systems.
+        Condition number of each class.
     """
     solutions, conditions = np.empty_like(equations.right), np.empty(len(equations.right))
     left = np.arange(len(solutions))
@@ -69,15 +73,17 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
 
 
 def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool_]:
-    """Return which transforms make planes that fit the integers.
+    """Return, for each class, whether the planes that its transform produces fit the integer formats.
+
+    Transforms to three outputs are converted to planes first. Transforms to more outputs are tested without a conversion,
+    because the outputs are larger than their leading components.
 
     Parameters
     ----------
     transforms : ndarray, (class, tap + 1, output)
         The intercept is the last tap.
     white : ndarray, (output)
-        White of the table. Transforms to X, Y, Z are tested as the planes that they make. Other outputs are tested as they
-        are, because they are larger than their components.
+        Outputs of a perfect white.
     integers : Integers
 
     Returns
@@ -89,15 +95,15 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
 
 
 def fits_between(transforms: Array) -> NDArray[np.bool_]:
-    """Return which transforms (class, tap + 1, plane) of planes fit the integers, as bool (class)."""
+    """Return, for each class, whether its transform (tap + 1, plane) from planes to planes fits the integer formats."""
     planes = np.swapaxes(transforms, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDING_MARGIN
 
 
 def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) -> NDArray[np.bool_]:
-    """Return which transforms are smaller than the largest ones by the factor `EQUAL_RESPONSE_MARGIN`.
+    """Return, for each class, whether its transform is at most 1/`EQUAL_RESPONSE_MARGIN` of the largest possible one.
 
-    The change for a response that is larger by one in a channel must be as small, too.
+    The change of the taps that raises the response to one channel by 1 must also stay below this limit.
     """
     outputs, used = solutions.shape[2] - len(member), member.any(axis=1)
     compliance = solutions[..., outputs:][..., used]
@@ -107,10 +113,10 @@ def _moderate(solutions: Array, member: Array, taps: int, integers: Integers) ->
 
 
 def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Array:
-    """Return X Xᵀ + noise_weight · Λ + ridge of the chosen classes, (class, tap, tap), including any intercept."""
+    """Return X Xᵀ + noise_weight · Λ + ridge for the chosen classes, as an array (class, tap, tap)."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
-    diagonal = np.einsum("cii->ci", systems)  # a view: writes change the systems
+    diagonal = np.einsum("cii->ci", systems)  # a view, so changes of the diagonal change `systems`
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12
@@ -118,9 +124,22 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
 
 
 def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
-    """Solve a symmetric positive system by Cholesky; also estimate its condition number (1-norm)."""
+    """Solve a symmetric positive definite system by Cholesky decomposition.
+
+    Parameters
+    ----------
+    system : ndarray, (row, row)
+    right : ndarray, (row, column)
+        Right-hand sides.
+
+    Returns
+    -------
+    solution : ndarray, (row, column)
+    condition : float
+        Estimated condition number in the 1-norm.
+    """
     factor, failed = lapack.dpotrf(system.T, lower=False)
-    if failed:  # rounding has made a nearly singular system indefinite
+    if failed:  # rounding errors have made a nearly singular matrix indefinite
         return np.asarray(np.linalg.solve(system, right), np.float64), float(np.linalg.cond(system, 1))
     solution, _ = lapack.dpotrs(factor, right, lower=False)
     reciprocal, _ = lapack.dpocon(factor, np.abs(system).sum(axis=0).max(), uplo="U")

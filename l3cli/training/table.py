@@ -1,14 +1,15 @@
 """The interface of the training package: the functions that `l3 train` calls, in the order of the calls.
 
-Training takes these steps (docs/method.md#training):
+Training has these steps (docs/method.md#training):
 
-1. **Pilot.** `take_pilot` looks at a few patches of each frame. `survey` chooses the class rule from them, because sums can
-   only be formed once it is known to which class a patch belongs.
-2. **First pass.** The patches are summed up by class, and every class is solved by least squares.
-3. **Second pass.** The patches are summed up again. Each sample now counts by how visible its error was with the transforms
-   of the first pass (docs/method.md#second-pass). Least squares alone would serve the few patches with the largest errors,
-   which are not those that one sees. These weights need transforms, so a single pass cannot find them.
-4. **Refinement layers**, one after another, because each learns from what the layers before it make.
+1. **Pilot.** `take_pilot` takes a small sample of patches from each frame. From the sample, `survey` determines the class
+   rule. The rule must be known before patches can be added to the sums of their classes.
+2. **First pass.** All patches are added to the sums of their classes, and the classes are solved by least squares.
+3. **Second pass.** The patches are summed again. The weight of each sample now depends on how visible its error was with the
+   transforms of the first pass (docs/method.md#second-pass). Without these weights, least squares would favour the few
+   patches with the largest errors, which are not the most visible errors.
+4. **Refinement layers.** The layers are trained one after another, because each layer is trained on the output of the
+   previous layers.
 """
 
 from collections.abc import Iterable, Sequence
@@ -47,33 +48,34 @@ from l3cli.training.sums import add, empty_sums, grid_steps, require_exact
 from l3cli.training.symmetry import site_maps, turned_classes, turns_of
 from l3cli.training.training_pass import TrainingPass, at_noise, brightness_of
 
-PILOT_PATCHES = 4000  # patches per site over all frames, from which the saturation cases are chosen
+PILOT_PATCHES = 4000  # number of patches per site in the pilot sample, over all frames
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """A sample of training patches from which the class rule is chosen."""
+    """Measurements on a small sample of training patches, from which the class rule is determined."""
 
-    occurrences: NDArray[np.int64]  # (code) number of patches with each saturation code
-    shares: NDArray[np.float64]  # (patch, channel)
-    whites: NDArray[np.float64]  # (frame, output) white of each light at Y = 1
-    lights: NDArray[np.float64]  # (frame, wavelength) spectrum of a white of 1 cd/m² on spectra.light_grid; NaN: not known
-    exposures: NDArray[np.float64]  # (frame) s; 0 for real pairs, whose dark signal has been subtracted
-    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements for each feature
+    occurrences: NDArray[np.int64]  # (code) number of patches for each set of clipped channels (saturation code)
+    shares: NDArray[np.float64]  # (patch, channel) channel fractions
+    whites: NDArray[np.float64]  # (frame, output) outputs of a perfect white under the illuminant of the frame, with Y = 1
+    # (frame, wavelength) radiance of a white of 1 cd/m² on spectra.light_grid, or NaN if the illuminant is unknown
+    lights: NDArray[np.float64]
+    exposures: NDArray[np.float64]  # (frame) in s; 0 for real pairs, whose dark signal has already been subtracted
+    observed: dict[str, NDArray[np.float64]]  # (patch, …) measurements by the name of the feature that needs them
 
 
 def take_pilot(
     frames: Iterable[TrainingPair], first: int, patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> Pilot:
-    """Take a pilot sample of training frames.
+    """Take a pilot sample from training frames.
 
     Parameters
     ----------
     frames : iterable of TrainingPair
     first : int
         Index of the first frame.
-    patches : sequence of int, (frame)
-        Number of patches per site for each frame.
+    patches : sequence of int
+        Number of patches per site from each frame.
     head : TrainingSet
     recipe : TrainingRecipe
     seed : int
@@ -110,7 +112,7 @@ def take_pilot(
 
 
 def pilot_patches(patches: Sequence[int]) -> list[int]:
-    """Return the number of pilot patches per site (frame), in proportion to the training `patches` (frame)."""
+    """Return the number of pilot patches per site from each frame, in proportion to its number of training patches."""
     total = sum(patches)
     return [-(-PILOT_PATCHES * share // total) for share in patches]
 
@@ -118,13 +120,14 @@ def pilot_patches(patches: Sequence[int]) -> list[int]:
 def survey(
     pilots: Iterable[Pilot], patches: Sequence[int], head: TrainingSet, recipe: TrainingRecipe, seed: int
 ) -> tuple[ClassRule, NDArray[np.float64], float, LightSpectrum | None]:
-    """Choose the class rule from the pilot samples of all frames, in order.
+    """Determine the class rule from the pilot samples.
 
     Parameters
     ----------
     pilots : iterable of Pilot
-    patches : sequence of int, (frame)
-        Number of training patches of each frame, which is its weight.
+        Samples of all frames, in the order of the frames.
+    patches : sequence of int
+        Number of training patches from each frame, which is the weight of the frame.
     head : TrainingSet
     recipe : TrainingRecipe
     seed : int
@@ -134,11 +137,11 @@ def survey(
     rule : ClassRule
         Class rule for the camera, with its saturation cases and chroma centres.
     white : ndarray, (output)
-        Mean white of the frames.
+        Mean outputs of a perfect white, with Y = 1.
     exposure : float
         Mean exposure time of the simulated frames, in s.
     light : LightSpectrum or None
-        Mean light; None unless the lights of all frames are known.
+        Mean illuminant of the frames, or None if the illuminant of any frame is unknown.
     """
     every = list(pilots)
     filters = range(len(head.camera.channels)) if head.camera.readout is None else head.camera.readout.same_filter.tolist()
@@ -174,13 +177,13 @@ def _joined(observed: list[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray
 
 
 def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) -> list[int]:
-    """Return the sites that are trained. All other sites are rotated or mirrored copies of them."""
+    """Return the canonical sites, which are trained. The other sites use rotated or mirrored copies of their transforms."""
     neighbours = neighbourhoods(head.camera.cfa, rule.patch, len(head.camera.channels))
     return sorted({site_map.canonical for site_map in site_maps(neighbours.channel, rule.patch, recipe.orientations)})
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """Add up the sums of all parts. An L3Error is raised if a class has too many patches to be added exactly."""
+    """Return the total of the sums in `parts`, or raise an L3Error if a class has too many patches for an exact addition."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs)
     for part in parts:
@@ -196,7 +199,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     ----------
     pass_ : TrainingPass
     parts : iterable of ClassSums
-        Sums of all parts of the pass, in any order.
+        Sums of the site over all parts of the pass, in any order.
     site : int
         The canonical site.
 
@@ -207,7 +210,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     Raises
     ------
     L3Error
-        If a class has too many patches to be added exactly, or if no class has patches.
+        If a class has too many patches for an exact addition, or if no class has patches.
     """
     sums = add_up(pass_, parts)
     camera, rule = pass_.head.camera, pass_.rule
@@ -215,9 +218,21 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     return solve(sums, rule, window, turns_of(rule, window, pass_.recipe.orientations), pass_.recipe, pass_.goal)
 
 
-# Long: a table has many fields, and each is named.
 def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple[Stage, ...]) -> TransformTable:
-    """Assemble the table for all sites from the solutions of the canonical sites."""
+    """Make a table with one layer from the solutions of the canonical sites.
+
+    Parameters
+    ----------
+    pass_ : TrainingPass
+    solutions : dict of int to Solution
+        Solution of each canonical site.
+    history : tuple of Stage
+        History to store in the table.
+
+    Returns
+    -------
+    TransformTable
+    """
     head, rule, camera = pass_.head, pass_.rule, pass_.head.camera
     neighbours = neighbourhoods(camera.cfa, rule.patch, len(camera.channels))
     maps = site_maps(neighbours.channel, rule.patch, pass_.recipe.orientations)
@@ -264,7 +279,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
 
 
 def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | None:
-    """Return the smoothing of spectra, or None if the outputs are not a spectrum or the recipe has no smoothing."""
+    """Return the settings for smoothing spectra, or None if the outputs are no spectrum or the recipe has no smoothing."""
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
@@ -273,10 +288,11 @@ def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | N
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the leading components of a spectrum, or None if the outputs are not a spectrum.
+    """Return the leading components of a spectrum, or None if `has_components` is false.
 
-    The second component is the mean of the outputs relative to white. The first and the third are the directions in which
-    the targets vary most otherwise. They are rounded, because eigenvectors differ slightly from machine to machine.
+    The second component is the mean of the outputs, relative to white. The first and the third component are the two
+    directions in which the remaining part of the targets varies most. The components are rounded, because eigenvectors
+    differ slightly between machines.
     """
     if not has_components(head):
         return None
@@ -296,24 +312,28 @@ def _light_of(frame: TrainingPair, camera: CameraModel) -> NDArray[np.float64]:
 
 
 def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
-    """Return the dark signal of a frame in DN, or raise an InputFileError if it fills the pixels."""
+    """Return the dark signal of a frame in DN. Raises an InputFileError if dark current alone saturates the pixels."""
     dark = camera.dark_signal(frame.dark_time)
     if not dark < camera.white_level - camera.black_level:
         raise InputFileError(
-            f"frame of scene {frame.scene}: in {frame.dark_time:.4g} s dark current alone fills a pixel; expose shorter"
+            f"the frame of scene {frame.scene} is exposed for {frame.dark_time:.4g} s, in which dark current alone "
+            "saturates a pixel; use a shorter exposure"
         )
     return dark
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the white (output) of a frame at Y = 1, or at a mean of 1 if no output is called Y."""
+    """Return the outputs of white for a frame, scaled to Y = 1, or to a mean of 1 if no output is called Y."""
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
-        raise InputFileError(f"white of scene {frame.scene} is not a positive white of the outputs {', '.join(outputs)}")
+        raise InputFileError(
+            f"the white of scene {frame.scene} must be bright and have one value for each output ({', '.join(outputs)}); "
+            "simulate the training set again"
+        )
     return frame.white / size
 
 
-# ------------------------------------------------------------------------------------------- further layers and noises
+# ------------------------------------------------------------------------------- refinement layers, other noise levels
 
 
 def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int, ...], seed: int) -> LayerPass:
@@ -322,10 +342,10 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
     Parameters
     ----------
     table : TransformTable
-        Table with the layers trained so far.
+        Table with all previous layers.
     recipe : TrainingRecipe
-    mosaics : tuple of int, (frame)
-        Number of mosaics of each frame.
+    mosaics : tuple of int
+        Number of mosaics from each frame.
     seed : int
 
     Returns
@@ -356,9 +376,23 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
 
 
 def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums], table: TransformTable) -> PlaneLayer:
-    """Solve the next refinement layer of `table` from the sums of all canonical sites.
+    """Solve the next refinement layer of a table.
 
-    If the layer uses coarse chroma, it also gets the noise of the coarse planes and the colours of clipped areas.
+    If the recipe has coarse chroma, the layer also gets the noise of the coarse planes, and the correction of clipped areas.
+
+    Parameters
+    ----------
+    layer : LayerPass
+    rule : PlaneRule
+        Class rule of the layer.
+    sums : dict of int to LayerSums
+        Sums of each canonical site, over all frames.
+    table : TransformTable
+        Table with all previous layers.
+
+    Returns
+    -------
+    PlaneLayer
     """
     learned = learn_layer(layer, rule, sums)
     if not layer.recipe.coarse_chroma:
@@ -368,19 +402,19 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
 
 
 def passes_of(usual: TrainingPass, recipe: TrainingRecipe) -> list[TrainingPass]:
-    """Return the usual pass, followed by a pass for each further noise of the recipe."""
+    """Return the pass `usual`, followed by one pass for each additional noise level of the recipe."""
     return [usual, *(at_noise(usual, noise, recipe.classes) for noise in recipe.learning.noises)]
 
 
 def with_noises(usual: TransformTable, tables: Sequence[TransformTable], noises: Sequence[NoiseScale]) -> TransformTable:
-    """Return the table with the transforms of other tables added, each for its noise."""
+    """Add the transforms of `tables` to the table `usual`. Each table was trained for one of the noise levels `noises`."""
     conditions = (Condition.of(each.first, each.later, None, noise) for each, noise in zip(tables, noises, strict=True))
     return replace(usual, conditions=tuple(conditions))
 
 
 def by_noise(table: TransformTable) -> list[TransformTable]:
-    """Return the transforms for each noise as separate tables, those for the noise of the camera first.
+    """Divide a table into one table per noise level, beginning with the noise of the camera model.
 
-    The table must not have transforms for single lights.
+    The table must not have transforms for single illuminants.
     """
     return [replace(table, conditions=()), *map(table.under, table.conditions)]

@@ -1,7 +1,8 @@
-"""One pass over the training frames. A table takes two: the first shows how visible errors are, the second weighs them.
+"""One pass over the training frames, and its division among processes.
 
-A pass holds everything that its work has in common. Its work is divided into blocks of frames, which are divided among
-processes. The sums do not depend on that division.
+Training usually has two passes. The first pass shows how visible the error of each sample is, and the second pass weights
+the samples accordingly. The work of a pass is divided into blocks of frames, and the blocks are divided among processes. The
+sums do not depend on the number of processes.
 """
 
 import functools
@@ -27,42 +28,42 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import empty_sums
 from l3cli.training.symmetry import site_maps, stabilisers
 
-FIRST, LAST = 1, 2  # errors of the first pass weight the samples of the last (docs/method.md#second-pass)
+FIRST, LAST = 1, 2  # numbers of the two passes (docs/method.md#second-pass)
 
 
 @dataclass(frozen=True)
 class TrainingPass:
-    """What a pass learns: from how many patches of which frames, by which class rule and recipe."""
+    """Settings of one pass, which are the same for all its frames, sites and processes."""
 
     head: TrainingSet
-    patches: tuple[int, ...]  # (frame) patches of a canonical site, before they are divided by `divisors`
+    patches: tuple[int, ...]  # (frame) number of patches per canonical site, before it is divided by `divisors`
     rule: ClassRule
     recipe: LearningRecipe
-    white_point: NDArray[np.float64]  # (output) perfect white under the training illuminant, Y = 1
+    white_point: NDArray[np.float64]  # (output) outputs of a perfect white under the training illuminant, with Y = 1
     seed: int
     number: int  # FIRST or LAST
-    exposure: float = 0.0  # s; mean exposure time of the simulated frames
+    exposure: float = 0.0  # mean exposure time of the simulated frames, in s
     light: LightSpectrum | None = None  # mean illuminant of the frames, or None if the illuminant of any frame is unknown
 
     @property
     def dark(self) -> float:
-        """Mean dark signal, in DN above black, of a frame that the table is made for."""
+        """Dark signal at the mean exposure time of the training frames, in DN above black."""
         return self.head.camera.dark_signal(self.exposure)
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """The goal of the transforms, made once for all sites.
+        """What the transforms are trained for.
 
-        Computing the surfaces under a light takes as long as solving one site's systems of a few channels.
+        The goal is cached for all sites, because its computation can take as long as solving the equations of one site.
         """
         return goal_of(self.head, self.white_point, self.light)
 
     @functools.cached_property
     def divisors(self) -> dict[int, int]:
-        """The number by which the patches of each canonical site are divided (docs/method.md#symmetry).
+        """For each canonical site, the divisor of its number of patches (docs/method.md#symmetry).
 
-        Each rotation or reflection that leaves the window of a site unchanged makes another patch from a patch, although not
-        quite an independent one. Sites with more such symmetries therefore need fewer patches.
+        Some rotations and reflections leave the CFA around a site unchanged. Each of these turns a patch into an additional
+        patch. Sites with more of these symmetries therefore need fewer patches.
         """
         camera, allowed = self.head.camera, self.recipe.orientations
         channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
@@ -76,29 +77,30 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness (patch) that errors are relative to.
+        """Return the brightness of targets (patch, output), to which errors are relative.
 
-        It is the Y of targets (patch, output), or their mean if no output is called Y, and never negative.
+        The brightness is the output Y. If no output is called Y, the brightness is the mean of the outputs. Negative values
+        are replaced by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 
 
 def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> TrainingPass:
-    """Return a pass for frames whose temporal noise differs (docs/method.md#noise-sets).
+    """Adapt a pass to frames with different temporal noise (docs/method.md#noise-sets).
 
     Parameters
     ----------
     pass_ : TrainingPass
-        The pass at the noise of the camera model.
+        The pass for the noise of the camera model.
     noise : NoiseScale
-        The other noise.
+        Noise of the frames, relative to the camera model.
     classes : ClassRecipe
-        Class recipe of the table, from which the class edges that depend on noise are made again.
+        Class recipe of the table. Some of its class edges depend on the noise and are computed again.
 
     Returns
     -------
     TrainingPass
-        The same pass with the camera and the class rule at that noise.
+        A copy of the pass with the changed camera noise and class rule.
     """
     camera = pass_.head.camera.under(noise)
     made = make_rule(classes, camera, pass_.rule.case_of_code, dark=camera.dark_signal(pass_.exposure))
@@ -107,21 +109,21 @@ def at_noise(pass_: TrainingPass, noise: NoiseScale, classes: ClassRecipe) -> Tr
 
 
 def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fraction] | None) -> tuple[int, ...]:
-    """Return the number of patches to take from each frame of several training sets (docs/method.md#patches).
+    """Distribute patches over the frames of several training sets (docs/method.md#patches).
 
     Parameters
     ----------
     patches : int
-        Number of patches in total. The result is rounded up, frame by frame.
-    frames : sequence of int, (set)
+        Total number of patches. The number per frame is rounded up.
+    frames : sequence of int
         Number of frames in each set.
-    shares : sequence of Fraction, (set), or None
-        Relative number of patches from each set, spread evenly over its frames. None: evenly over all frames.
+    shares : sequence of Fraction, or None
+        Relative number of patches for each set. If None, all frames get the same number of patches.
 
     Returns
     -------
-    tuple of int, (frame)
-        Patches per frame, set after set.
+    tuple of int
+        Number of patches for each frame of the first set, then for each frame of the second set, and so on.
     """
     parts = shares if shares is not None else [Fraction(count) for count in frames]
     each = [math.ceil(patches * part / sum(parts) / count) for part, count in zip(parts, frames, strict=True)]
@@ -129,29 +131,30 @@ def spread_patches(patches: int, frames: Sequence[int], shares: Sequence[Fractio
 
 
 def brightness_of(target: NDArray, outputs: tuple[str, ...]) -> NDArray:
-    """Return the Y of targets (…, output), or their mean over the outputs if no output is called Y."""
+    """Return the output Y of targets (…, output), or the mean of the outputs if no output is called Y."""
     return target[..., outputs.index("Y")] if "Y" in outputs else target.mean(axis=-1)
 
 
 def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
-    """Return whether the errors of a first pass weight the samples of the last pass.
+    """Return whether training has two passes.
 
-    Errors are measured in CIELAB or as spectral angles, so only tables of X, Y, Z and of spectra have two passes.
+    The weights of the second pass depend on CIELAB errors or spectral angles, so the outputs must be X, Y, Z or a spectrum.
     """
     return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
-BATCH_PATCHES = 50_000  # patches sorted together: few enough for the memory, many enough for fast products per class
-LAYER_SAMPLES = 300_000  # samples of a refinement layer that are sorted together
-SUM_BYTES = 200 << 20  # memory for the sums that one process fills at a time; at least two sites are
+# Number of patches that are sorted by class together. More patches need more memory, and fewer make the products slower.
+BATCH_PATCHES = 50_000
+LAYER_SAMPLES = 300_000  # number of samples of a refinement layer that are sorted by class together
+SUM_BYTES = 200 << 20  # bytes for the sums in one process, except that at least two sites are processed together
 
 
 @dataclass(frozen=True)
 class WorkShare:
-    """The blocks and sites whose sums one process adds up during one reading of the frames."""
+    """Part of the work of a pass, for one process: blocks of frames, and the sites whose sums the process computes."""
 
-    blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames, and the canonical sites that use them
-    whole: tuple[int, ...]  # sites that belong to this share alone
+    blocks: tuple[tuple[range, tuple[int, ...]], ...]  # frames of each block, and the canonical sites to sum
+    whole: tuple[int, ...]  # sites whose sums this share computes over all blocks
 
     @property
     def sites(self) -> tuple[int, ...]:
@@ -159,21 +162,22 @@ class WorkShare:
 
 
 def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]:
-    """Divide the frames into runs whose patches are sorted together.
+    """Divide the frames into blocks of about the same number of patches.
 
-    Shards and processes receive whole blocks. The blocks are nearly equal, so that no process waits for the largest.
+    The patches of a block are sorted by class together. Each shard or process receives whole blocks. The blocks are nearly
+    equal, so that no process has to wait for a large block of another process.
 
     Parameters
     ----------
-    patches : sequence of int, (frame)
-        Patches per frame.
+    patches : sequence of int
+        Number of patches from each frame.
     most : int, optional
-        Number of patches per block that is aimed at. [default: BATCH]
+        Approximate number of patches per block. [default: BATCH_PATCHES]
 
     Returns
     -------
     list of range
-        Frames of each block.
+        Indices of the frames in each block.
     """
     total, before = sum(patches), 0
     blocks = -(-total // (most or BATCH_PATCHES))
@@ -186,25 +190,25 @@ def frame_blocks(patches: Sequence[int], most: int | None = None) -> list[range]
 
 
 def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[range], jobs: int) -> list[WorkShare]:
-    """Divide all blocks of all sites into nearly equal shares for `jobs` processes.
+    """Divide the work of a pass into nearly equal shares for `jobs` processes.
 
     Parameters
     ----------
     pass_ : TrainingPass
     divisors : mapping of int to int
-        Canonical sites, and the number by which the patches of each are divided.
+        For each canonical site to process, the divisor of its number of patches.
     blocks : list of range
-        Blocks of frames from `frame_blocks`.
+        Blocks of frames, from `frame_blocks`.
     jobs : int
         Number of processes.
 
     Returns
     -------
     list of WorkShare
-        Shares, each with as few sites as possible.
+        A multiple of `jobs` shares, each of which contains few sites so that their sums fit into memory.
     """
     one = empty_sums(pass_.rule, len(pass_.head.outputs))
-    most = max(2, SUM_BYTES // one.moments.nbytes)  # number of sites at a time
+    most = max(2, SUM_BYTES // one.moments.nbytes)  # largest number of sites per share
     units = [(site, block) for site in divisors for block in blocks]
     work = np.cumsum([0.0, *(1 / divisors[site] for site, _ in units)])
     for count in itertools.count(jobs, jobs):

@@ -71,12 +71,12 @@ contrasts = [2, 1]  # "contrasts" is [2.0, 1.0]
 lowest_level = 2  # 0 < lowest_level < highest_level
 [learning]
 darkest = 0.5  # darkest < highlight_from
-dark_share = 0.9  # 1.15 together, more than all draws
+dark_share = 0.9  # learning.dark_share and learning.highlight_share is 1.15
 ridge = 0  # learning.ridge is 0; give more than 0
 level_power = 2  # learning.level_power is 2; the most is 1
 [[layer]]
-side = 4  # windows have odd sides
-strengths = [2, 1]  # each 0.001 above the last
+side = 4  # layer[1].side is 4
+strengths = [2, 1]  # increase by at least 0.001
 """
 LAB = """falloff = 2  # falloff is 2; give less than 1
 monitor_error = -0.1  # monitor_error is -0.1; the least is 0

@@ -116,12 +116,12 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     )
     path, text = tmp_path / "classes.toml", learned["several.classes.toml"].read_text()
     for key, words in (
-        ('lights = ["A"]', "learning.lights must name several lights"),
-        ('lights = ["A", "A"]', "each once"),
+        ('lights = ["A"]', "learning.lights must name at least two illuminants"),
+        ('lights = ["A", "A"]', "only once"),
     ):
         path.write_text(text.replace('lights = ["A", "D65"]', key))
         assert words in refused(2, *train("both", path))
-    assert "in one go, not in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
+    assert "cannot be trained in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
     export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--to", "folder", "--white", "A")
     assert "no transforms for single illuminants" in refused(2, *export)
 

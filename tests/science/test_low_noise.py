@@ -171,6 +171,6 @@ def test_sums_for_low_noise_are_those_of_all_sites(bayer: CameraModel, tmp_path:
 
 def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refused: Refused) -> None:
     train = ("train", learned["set.h5"], "-o", tmp_path / "table.h5", "--classes")
-    for key, words in (("1", "noise_left"), ("-0.1", "noise_left"), ('0.1\nnoise = "none"', "no noise to leave")):
+    for key, words in (("1", "noise_left"), ("-0.1", "noise_left"), ('0.1\nnoise = "none"', "noise_left is 0.1")):
         (tmp_path / "classes.toml").write_text(f"[learning]\nnoise_left = {key}\n")
         assert words in refused(2, *train, tmp_path / "classes.toml")

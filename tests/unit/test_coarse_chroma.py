@@ -159,5 +159,5 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
             CoarseChroma(variance)
     with pytest.raises(ValueError, match="only the last layer may have coarse chroma"):
         dataclasses.replace(table, later=(table.later[0], bare.later[0]))
-    with pytest.raises(RecipeError, match="is for the last layer alone"):
+    with pytest.raises(RecipeError, match="is allowed only in the last layer"):
         refuse_first(layer_faults((LayerRecipe(coarse_chroma=True), LayerRecipe())))

@@ -118,5 +118,5 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
     for outputs in (("X", "Y", "Z"), ("a",)):
         with pytest.raises(ValueError, match="cannot be smoothed"):
             with_spectra(random_table([[0, 1], [1, 2]], outputs=outputs), 3, 0.3)
-    with pytest.raises(RecipeError, match="spectral_window is 4, not 0 or one of 3, 5, 7, 9"):
+    with pytest.raises(RecipeError, match="spectral_window is 4; use 0 for no smoothing, or one of 3, 5, 7, 9"):
         refuse_first(learning_faults(LearningRecipe(darkest=0.001, spectral_window=4)))

@@ -1,11 +1,12 @@
 """Training of refinement layers (docs/method.md#learning-on-mosaics).
 
-A refinement layer reads the output of the previous layers. Each of its windows depends on a larger piece of the mosaic than
-one patch, so the layer is trained on mosaics that the previous layers render. They render every mosaic twice, with and
-without noise. The rendering with noise determines the classes, as it does when frames are rendered later. The rendering
-without noise gives the samples. The difference between the two gives the covariance of the noise, which the previous layers
-have correlated. The transforms are then Wiener filters, as in the first layer.
+A refinement layer reads the output of the previous layers. A window of this output depends on more raw pixels than one patch
+contains. The layer is therefore trained on *mosaics*, pieces of training frames that the previous layers render. Every
+mosaic is rendered twice, with and without noise. The rendering with noise determines the classes, as in the rendering of
+real frames. The rendering without noise provides the samples. The difference between the two renderings provides the
+covariance of the noise, which is correlated between pixels after the first layer. As in the first layer, the transforms are
+Wiener filters.
 
-`mosaics` cuts and renders the mosaics. `samples` weights the samples and adds them up. `rules` makes the class rule. `learn`
-solves the transforms.
+The module `mosaics` cuts and renders the mosaics, `samples` weights and sums the samples, `rules` determines the class rule,
+and `learn` solves the transforms.
 """

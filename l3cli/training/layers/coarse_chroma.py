@@ -1,4 +1,7 @@
-"""Measure, on simulated greys, the noise that the coarse chroma filter must allow for (docs/method.md#coarse-chroma)."""
+"""Measure the noise of simulated greys for the coarse chroma filter (docs/method.md#coarse-chroma).
+
+The filter averages neighbouring blocks of pixels whose difference could be noise.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +14,27 @@ from l3cli.training.layers.learn import LayerPass
 from l3cli.training.layers.mosaics import Mosaics
 from l3cli.training.patches import expose_patches
 
-LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # luminances of the greys, relative to a white that fills the brightest channel
-GREY_SIDE_PIXELS = 128  # pixels; side of each simulated grey
-CUT = 3  # number of blocks that are ignored at each edge, where blocks have fewer neighbours
+LUMINANCES = np.geomspace(0.0008, 0.8, 16)  # luminances of the greys, relative to a white with Y = 1
+GREY_SIDE_PIXELS = 128  # side of the area of each simulated grey, in pixels
+CUT = 3  # number of blocks that are ignored at each edge, because they have fewer neighbours
 
 Array = NDArray[np.float64]
 
 
 def measured_noise(layer: LayerPass) -> CoarseChroma:
-    """Measure the noise of the planes that a layer reads, and of their block means at each filter step."""
+    """Measure the noise that the coarse chroma filter of a layer compares with differences between blocks.
+
+    The noise of the block means is measured before each step of the filter.
+
+    Parameters
+    ----------
+    layer : LayerPass
+        The layer to be trained.
+
+    Returns
+    -------
+    CoarseChroma
+    """
     greys = _planes_of_greys(layer)
     luminance = np.array([grey[LUMINANCE].mean() for grey in greys]) * PLANE_STEP
     blocks = list(map(blocks_of, greys))
@@ -32,7 +47,7 @@ def measured_noise(layer: LayerPass) -> CoarseChroma:
 
 
 def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
-    """Return the planes (plane, row, col) of simulated greys, from dark to bright."""
+    """Render simulated greys with the previous layers, and return their planes, from the darkest to the brightest grey."""
     camera, period = layer.camera, layer.camera.cfa.shape
     margin = layer.exposed.margin - layer.margin
     rows, cols = (-(-(GREY_SIDE_PIXELS + 2 * margin) // each) * each for each in period)
@@ -47,16 +62,16 @@ def _planes_of_greys(layer: LayerPass) -> list[NDArray[np.int32]]:
 
 
 def _variances(planes: list[Array]) -> Array:
-    """Return the variances (grey, plane) of the planes (plane, row, col) of each grey. Their edges are left out."""
+    """Return the variance of each plane of each grey, (grey, plane), without `CUT` blocks at each edge."""
     return np.array([each[:, CUT:-CUT, CUT:-CUT].var(axis=(1, 2)) for each in planes])
 
 
 def rising_terms(luminance: Array, variances: Array) -> Array:
-    """Fit the variance of each plane by a polynomial of luminance with non-negative coefficients.
+    """Fit the variance of each plane by a polynomial of the luminance with non-negative coefficients.
 
-    The fit minimises squared errors of the logarithm of the variance. Layers that fade chroma in the dark leave little noise
-    there, so that the polynomial cannot follow the variance everywhere. A fit that minimised relative errors would then be
-    too low in brighter areas, which would get blotches.
+    The fit minimises the squared errors of the logarithm of the variance. Some layers fade chroma in dark areas, which then
+    have so little noise that the polynomial cannot fit the variance at all luminances. A fit of relative errors would
+    underestimate the variance in brighter areas, and these areas would show blotches.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
-"""Train a refinement layer: its sums and its transforms (docs/method.md#learning-on-mosaics).
+"""Train a refinement layer: compute its sums and solve its transforms (docs/method.md#learning-on-mosaics).
 
-As in the first layer, a class with few samples also gets the samples of neighbouring levels and strengths, and
-pseudo-samples of its parent. The parent is the mean of all structures at the level, or of the saturation case.
+As in the first layer, classes with few samples are supported by other classes. They get samples of neighbouring levels and
+strengths, and pseudo-samples of their *parent*. The parent of an unsaturated class is the mean over all structures of its
+level. The parent of a saturated class is the mean over the levels of its saturation case.
 """
 
 import functools
@@ -31,23 +32,23 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
-FADED_RESPONSE = 0.97  # a chroma plane counts as faded if its response to itself is below this value
-OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples from the level of the class; the others come from all levels
+FADED_RESPONSE = 0.97  # a transform fades a chroma plane if its gain for this plane is below this value in uniform areas
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples that comes from the level of the class, not from all levels
 
 
 @dataclass(frozen=True)
 class LayerGoal:
     """Parameters for solving the transforms of a refinement layer."""
 
-    pool: tuple[float, ...]  # weights of the samples of classes one, two… levels away
+    pool: tuple[float, ...]  # weights of samples from classes one level away, two levels away, and so on
     parent: float  # number of pseudo-samples of the parent
     ridge: float  # ridge of the least squares, relative to the mean power of a tap
     noise_weights: tuple[float, ...]  # (output) weight of the noise covariance
-    white: Array  # (plane) values of a white with Y = 1, which the layer must keep
-    windows: int  # number of window taps; the taps after them are zero on flat areas
-    keeps: bool = False  # whether unsaturated classes must not fade the chroma of uniform windows
-    strength_pool: float = 0.0  # weight of the samples of classes with the same direction and the next strength
-    corrects: bool = False  # whether the outputs are corrections, which are zero on white
+    white: Array  # (plane) planes of a white with Y = 1, which the layer must preserve
+    windows: int  # number of window taps; all further taps are zero in uniform areas
+    keeps: bool = False  # whether unsaturated classes must preserve the chroma of uniform areas
+    strength_pool: float = 0.0  # weight of samples from classes with the same direction and the next strength
+    corrects: bool = False  # whether the outputs are corrections of the first layer, which are zero for white
 
 
 def solve_layer(
@@ -55,13 +56,14 @@ def solve_layer(
 ) -> list[Array]:
     """Solve the transforms of a refinement layer, class by class.
 
-    Flat areas must look the same at every CFA site, and greys, including clipped ones, must stay as grey as the previous
-    layer made them. So the solutions of all sites are constrained to a common response (docs/method.md#equal-response).
+    Uniform areas must have the same outputs at every CFA site. Greys, including clipped greys, must stay as grey as the
+    previous layer rendered them. Therefore the solutions of all sites are constrained to a common response
+    (docs/method.md#equal-response).
 
     Parameters
     ----------
     sums : list of LayerSums
-        Sums over the training samples of each canonical site.
+        Sums of each canonical site, over all frames.
     copies : list of int
         Number of CFA sites that each canonical site represents.
     rule : PlaneRule
@@ -102,18 +104,22 @@ def solve_layer(
             for site, one in enumerate(estimates):
                 transforms[site][index, :taps, of] = one[:, : len(of)].T
     if not solved.any():
-        raise L3Error("no class of the second layer has samples at every CFA site; train on more, or larger, frames")
+        raise L3Error("no class of a refinement layer has samples at every CFA site; simulate more frames or larger frames")
     fitting = solved & np.all([fits_between(one) for one in transforms], axis=0)
     source = _nearest(fitting if fitting.any() else solved, rule)
     return [one[source] for one in transforms]
 
 
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions for the outputs with the indices `of`, and their compliance (tap, output + plane).
+    """Return the Wiener solutions for the outputs with the indices `of`, followed by their compliance.
 
-    The compliance describes how the taps change if the response to flat areas changes. The columns of `moments` are the
-    taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer corrects outputs, the outputs.
-    The solutions have no intercept, because black must stay black.
+    The compliance describes how the best taps change if the response to uniform areas is constrained to another value. The
+    columns of `moments` are the taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer
+    corrects outputs, the outputs. The solutions have no intercept, because black must stay black.
+
+    Returns
+    -------
+    ndarray, (tap, output + plane)
     """
     taps, outputs = len(member), np.array(of)
     system = moments[:taps, :taps] + noise_weight * noise[:taps, :taps]
@@ -127,10 +133,10 @@ def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, o
 def _constrained(
     estimates: list[Array], member: Array, copies: list[int], goal: LayerGoal, of: list[int], keeps: bool
 ) -> list[Array]:
-    """Return the taps (tap, output) of each site, constrained to a common response to flat areas.
+    """Return the taps (tap, output) of each site, constrained to a common response to uniform areas.
 
-    Among all responses that render white as wanted, the response with the least squared error is chosen. If `keeps`, a
-    chroma plane that would fade is left unchanged in flat areas.
+    The common response preserves white and has the least squared error. If `keeps` is true and this response would fade a
+    chroma plane, the plane is preserved in uniform areas instead.
     """
     white, count = goal.white, len(of)
     wanted = np.zeros(count) if goal.corrects else white[of]
@@ -150,7 +156,7 @@ def _constrained(
 
 
 class _Parents:
-    """Mean sums per sample for each level and saturation case. Classes with few samples are shrunk towards these means."""
+    """The parents of all classes: mean sums per sample of each level, and of each level and saturation case."""
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
@@ -176,7 +182,7 @@ class _Parents:
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
     """Return the moments and noise of a class, including samples of neighbouring classes and pseudo-samples of the parent.
 
-    Neighbours are classes at the next levels and strengths. The result is None if the parent has no samples.
+    Neighbouring classes have the next levels or the next strength. The result is None if the parent has no samples.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -209,8 +215,8 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
     """Return, for each class, the solved class whose transform it uses.
 
-    A solved class uses its own transform. Any other class uses the transform of the same kind at the nearest level. If the
-    kind is not solved at any level, the class uses the transform of flat areas at the nearest level.
+    A solved class uses its own transform. Any other class uses the solved class with the same structure or saturation case
+    at the nearest level. If there is none, it uses the class of areas without structure at the nearest level.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
@@ -223,25 +229,26 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """Settings and previous results that all steps in training one refinement layer need."""
+    """Settings and previous results that all steps in the training of one refinement layer need."""
 
     camera: CameraModel
     rule: ClassRule  # class rule of the first layer
-    fixed: FixedPoint  # transforms of the first layer to the opponent basis
+    fixed: FixedPoint  # fixed-point transforms of the first layer to the planes
     before: tuple[PlaneLayer, ...]  # refinement layers that are already trained
-    basis: NDArray[np.float64]  # (output, plane) opponent basis: the outputs that each plane stands for
+    basis: NDArray[np.float64]  # (output, plane) opponent basis, which converts outputs to planes
     outputs: MosaicLayer | None  # the first layer, if the new layer corrects its outputs
-    white_point: NDArray[np.float64]  # (output) perfect white under the training illuminant, Y = 1
-    grey: NDArray[np.float64]  # (channel) signals of the perfect white, as fractions of full scale
+    white_point: NDArray[np.float64]  # (output) outputs of a perfect white under the training illuminant, with Y = 1
+    grey: NDArray[np.float64]  # (channel) signals of this white, as fractions of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
     mosaics: tuple[int, ...]  # (frame) number of mosaics from each frame
     pictures: bool  # whether the outputs are X, Y, Z
-    exposure: float  # s; mean exposure time of the training frames
+    exposure: float  # mean exposure time of the training frames, in s
     seed: int
 
     @property
     def exposed(self) -> Exposed:
+        """Settings for making the mosaics."""
         dark = self.camera.dark_signal(self.exposure)
         inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
@@ -251,21 +258,21 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Number of pixels that the layer reads on each side of a pixel."""
+        """Distance, in pixels, up to which the layer reads around a pixel."""
         return margin_of(self.recipe.side)
 
     @property
     def blocks(self) -> list[range]:
-        """Ranges of frames whose samples are summed together."""
+        """Blocks of frames, each of which is processed as a whole."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_SAMPLES)
 
     @property
     def number(self) -> int:
-        """Number of the layer to be trained. The first layer of the table is number 1."""
+        """Number of the layer in the table, counted from 1 for the first layer."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return the random generator for a frame. Different purposes have independent generators."""
+        """Return a random generator for a frame. Generators with different numbers `purpose` are independent."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
@@ -279,7 +286,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return how windows with `side` rows and columns are read at every site."""
+        """Return the description of how windows with `side` rows and columns are read."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -287,7 +294,7 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of planes that the layer computes. If it corrects outputs, the number of these outputs."""
+        """Number of outputs of the layer: the number of planes or, if the layer corrects outputs, of corrected outputs."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
@@ -296,7 +303,7 @@ class LayerPass:
 
     @property
     def turns(self) -> list[int]:
-        """For each site, the number of the orientation in which it is trained."""
+        """Number of the orientation in which each site is trained."""
         return [one.orientation for one in self._site_maps()]
 
     def _site_maps(self) -> list[SiteMap]:
@@ -305,7 +312,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return empty sums for every canonical site."""
+    """Return sums of zero for every canonical site."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -313,7 +320,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Sum up the samples of training frames.
+    """Compute the sums over samples from training frames.
 
     Parameters
     ----------
@@ -326,7 +333,7 @@ def sum_layer(
     Returns
     -------
     dict of int to LayerSums
-        Sums for each canonical site.
+        Sums of each canonical site.
     """
     see, reading, sums = layer.seer(), layer.reading(layer.recipe.side), no_sums(layer, rule)
     noise = bool(layer.recipe.luminance_noise or layer.recipe.chroma_noise)
@@ -345,13 +352,13 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield the mosaics of `frames`. The index of the first frame is `first`."""
+    """Yield mosaics from `frames`. The first frame has the index `first`. `purpose` is as in `LayerPass.rng`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
-    """Add `more` to `sums` in place. The addition is exact, so the order does not matter."""
+    """Add the sums `more` to `sums` in place. The addition is exact, so the order of the calls does not matter."""
     for site, part in more.items():
         add(sums[site], part)
 
@@ -365,7 +372,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums
-        Sums for each canonical site, over all frames.
+        Sums of each canonical site, over all frames.
 
     Returns
     -------
@@ -374,7 +381,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     Raises
     ------
     L3Error
-        If no class can be solved, or if sums are so large that additions may have been rounded.
+        If no class can be solved, or if a sum is so large that float64 may have rounded it.
     """
     for one in sums.values():
         require_exact(one, rule, layer.grid_steps(rule))
@@ -413,10 +420,10 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 
 
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
-    """Return the sums for a canonical site, averaged over the orientations that leave the CFA around the site unchanged.
+    """Average the sums of a canonical site over the orientations that leave the CFA around the site unchanged.
 
-    Turning a window also permutes the structure classes. Leaves of a tree do not permute in this way, so the sums of a tree
-    are returned unchanged.
+    Rotation or reflection of a window permutes the classes by structure. It does not permute the leaves of a tree, so the
+    sums for a tree are returned unchanged.
     """
     if not isinstance(rule, StructureRule):
         return sums

@@ -1,7 +1,7 @@
 """Training mosaics for refinement layers (docs/method.md#layers).
 
-A mosaic is a piece of a training frame, as the camera would record it at some level. It exists with and without noise.
-The previous layers render the mosaics, and the next layer is trained on the result.
+A mosaic is a piece of a training frame, as the camera would record it at a random level, with and without noise. The
+previous layers render the mosaics, and the next layer is trained on the result.
 """
 
 from collections.abc import Iterable, Iterator
@@ -27,23 +27,23 @@ from l3cli.training.recipe import LearningRecipe
 from l3cli.training.sums import runs_of
 
 Floats = NDArray[np.float32]
-LARGEST_SIDE = 156  # pixels; side of the part of a frame whose mean is set to the drawn level
-SHEET = 1 << 17  # number of pixels that are rendered together; classes with many pixels take less time per pixel
+LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the surrounding area whose mean is set to the drawn level
+SHEET = 1 << 17  # number of pixels that are rendered together; more pixels per class take less time per pixel
 
 
 @dataclass(frozen=True)
 class Mosaics:
-    """Pieces of frames, stacked vertically. All have the same size, and each begins at CFA site (0, 0)."""
+    """Mosaics of equal size, stacked vertically in one array. Each mosaic begins at CFA site (0, 0)."""
 
-    count: int  # number of pieces
-    values: NDArray[np.uint16]  # (row, col) DN with noise
-    clean: Floats | None  # (row, col) DN without noise, clipped at the white level; None: the same as `values`
-    target: Floats  # (output, row, col) wanted outputs, in the table's output unit
-    usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
+    count: int  # number of mosaics
+    values: NDArray[np.uint16]  # (row, col) raw values in DN, with noise
+    clean: Floats | None  # (row, col) DN without noise, clipped at the white level, or None if `values` have no noise
+    target: Floats  # (output, row, col) ideal outputs, in the output unit of the table
+    usable: NDArray[np.bool_] | None = None  # (row, col) mask of the pixels to train on, or None for all pixels
 
     @classmethod
     def joined(cls, parts: list["Mosaics"]) -> "Mosaics":
-        """Stack the mosaics of all parts, which have the same width."""
+        """Stack the mosaics of all parts, which must have the same width."""
         values, target = (np.concatenate([getattr(part, name) for part in parts], axis=-2) for name in ("values", "target"))
         clean = [part.clean for part in parts if part.clean is not None]
         usable = None
@@ -55,20 +55,20 @@ class Mosaics:
 
 @dataclass(frozen=True)
 class Exposed:
-    """How mosaics are made from frames."""
+    """Settings for making mosaics from frames."""
 
     camera: CameraModel
     recipe: LearningRecipe
-    dark: float  # DN; dark signal of the frames that the table is made for
-    achromatic: float  # fraction of the mosaics that show the scene without colour
-    noisy: bool  # whether the camera's noise is added
-    inner: int  # pixels; side of the square of training samples if the frame is large enough
-    margin: int  # number of pixels that are read on each side of the square
+    dark: float  # dark signal at the mean exposure time of the training frames, in DN
+    achromatic: float  # fraction of the mosaics that show the scene in greys
+    noisy: bool  # whether the noise of the camera is added
+    inner: int  # side of the square of pixels to train on, in pixels, if the frame is large enough
+    margin: int  # number of pixels that the layers read on each side of the square
 
     def shape(self, frame: tuple[int, int]) -> tuple[int, int]:
-        """Return the rows and columns of a mosaic from a frame with `frame` rows and columns.
+        """Return the numbers of rows and columns of a mosaic from a frame of the shape `frame`.
 
-        They are multiples of the CFA period, unless the frame is smaller than one period.
+        Both numbers are multiples of the CFA period, unless the frame is smaller than one period.
         """
         most = min(*frame, LARGEST_SIDE)
         wanted = min(self.inner + 2 * self.margin, most)
@@ -79,9 +79,9 @@ class Exposed:
 def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random.Generator) -> Iterator[Mosaics]:
     """Yield mosaics from a frame.
 
-    Mosaics from simulated frames are rotated and mirrored at random and have random levels. The last mosaics have no colour.
-    Mosaics from real pairs are pieces of the unchanged frame, because its noise cannot be separated from the scene. A frame
-    that is too small for the margin gives no mosaics.
+    Mosaics from simulated frames are rotated and mirrored at random and have random levels. The mosaics in greys come last.
+    Mosaics from a real pair are unchanged pieces of its frame, because the noise cannot be separated from the scene. If the
+    frame is not larger than the margins, it yields no mosaics.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     Yields
     ------
     Mosaics
-        One mosaic each.
+        A single mosaic.
     """
     camera, shape = exposed.camera, exposed.shape(frame.raw.shape)
     if min(shape) <= 2 * exposed.margin:
@@ -129,15 +129,16 @@ def _shown(
         )
         values = expose_patches(mosaic, camera, rng, None, exposed.dark, channel) if exposed.noisy else np.rint(clean)
         target = _turned(frame.target, piece) * np.float32(scale * frame.exposure / camera.output_unit)
-        as_rounded = not (exposed.noisy or exposed.recipe.rescale)  # at dark levels, rounding acts as noise
+        # Rounding to whole DN acts as noise at dark levels, but is negligible at the levels of the frames.
+        as_rounded = not (exposed.noisy or exposed.recipe.rescale)
         part_usable = None if usable is None else _turned(usable, piece)[0]
         yield Mosaics(1, values.astype(np.uint16), None if as_rounded else clean, target, part_usable)
 
 
 def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
-    """Return the mask (1, row, col) of the usable pixels, or None if all pixels are usable.
+    """Return a mask (1, row, col) of the pixels that layers can be trained on, or None if these are all pixels.
 
-    A pixel is usable if there is no ignored pixel within `margin`, because layers read nothing beyond the margin.
+    There must be no ignored pixel within `margin`, the distance up to which the layers read.
     """
     if frame.ignored is None:
         return None
@@ -147,7 +148,7 @@ def _usable(frame: TrainingFrame, margin: int) -> NDArray[np.bool_] | None:
 def sheets_of(mosaics: Iterable[Mosaics], period: int) -> Iterator[Mosaics]:
     """Stack successive mosaics of equal size into sheets of up to `SHEET` pixels.
 
-    A mosaic whose height is not a multiple of the CFA period `period` makes a sheet of its own.
+    A mosaic whose height is not a multiple of `period`, the height of the CFA period, becomes a separate sheet.
     """
     parts: list[Mosaics] = []
     for each in mosaics:
@@ -174,27 +175,28 @@ def _piece_of_pair(pair: TrainingPair, shape: tuple[int, int], camera: CameraMod
     return Mosaics(1, values, np.minimum(values.astype(np.float32), np.float32(camera.white_level)), target)
 
 
-Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirrored, and rows and columns in the turned frame
+Turn = tuple[int, bool, slice, slice]  # number of quarter turns, whether mirrored, rows and columns of the turned frame
 
 
 def _drawn_turn(
     frame: tuple[int, ...], shape: tuple[int, int], place: list[float], rng: np.random.Generator
 ) -> tuple[Turn, Turn]:
-    """Draw a random orientation, and place a piece of a frame.
-
-    Around the piece lies a larger part of the frame, whose mean is set to the drawn level.
+    """Draw a random orientation, and return the positions of a mosaic and of its surroundings in the turned frame.
 
     Parameters
     ----------
     frame, shape : tuple of int
-        Rows and columns of the frame and of the piece.
+        Numbers of rows and columns of the frame and of the mosaic.
     place : list of float
-        Position of the piece along each axis of the turned frame, from 0 to 1.
+        Position of the mosaic along each axis of the turned frame, from 0 to 1.
     rng : numpy.random.Generator
 
     Returns
     -------
-    part, piece : Turn
+    part : Turn
+        A larger area around the mosaic, whose mean is set to the drawn level.
+    piece : Turn
+        The mosaic.
     """
     turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
     parts, pieces = [], []
@@ -214,45 +216,46 @@ def _turned(planes: NDArray, turn: Turn) -> NDArray:
 
 
 AT_ONCE = 1 << 10  # number of pixels that are processed together, so that their windows fit into the processor cache
-DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels darker than this get no further increase in weight
+DARKEST_LEVEL = 1e-4  # fraction of full scale; pixels at lower levels have the weight of this level
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Mosaics that one or more layers have rendered. Margins in which these layers lack neighbours are cut off."""
+    """Mosaics after one or more layers. The margins in which these layers have too few neighbours are removed."""
 
     count: int  # number of stacked mosaics
-    target: Floats  # (row, col, output) wanted outputs
+    target: Floats  # (row, col, output) ideal outputs
     label: Integers  # (row, col) class in the first layer
     brightness: Floats  # (row, col) mean of the channel means, as a fraction of full scale, corrected for clipped channels
-    noisy: NDArray[np.int32]  # (plane, row, col) input of the next layer, in plane steps
-    clean: Floats | None  # (plane, row, col) without noise, but with the classes of `noisy`; None if there is no noise
-    missing: Floats | None = None  # (row, col, output) noise-free errors of the first layer's outputs, if they are corrected
-    spread: Floats | None = None  # (row, col, output) noise of the outputs that are corrected; None if there is no noise
-    usable: NDArray[np.bool_] | None = None  # (row, col) pixels to train on; None: all
+    noisy: NDArray[np.int32]  # (plane, row, col) planes with noise, in plane steps
+    clean: Floats | None  # (plane, row, col) planes without noise but with the classes of `noisy`, or None without noise
+    # (row, col, output) ideal outputs minus the noise-free outputs of the first layer, if later layers correct its outputs
+    missing: Floats | None = None
+    spread: Floats | None = None  # (row, col, output) noise of the outputs of the first layer, or None
+    usable: NDArray[np.bool_] | None = None  # (row, col) mask of the pixels to train on, or None for all pixels
 
     @property
     def light(self) -> Floats:
-        """The planes without noise. They are `noisy` if there is no noise."""
+        """The planes without noise."""
         return self.noisy.astype(np.float32) if self.clean is None else self.clean
 
     def inner_pixels(self, margin: int) -> Integers:
-        """Return the indices of the usable pixels that are at least `margin` pixels away from the edges of their mosaic."""
+        """Return the indices of the pixels to train on, at a distance of at least `margin` pixels from the mosaic edges."""
         inner = within(np.arange(self.label.size).reshape(self.label.shape), self.count, margin).ravel()
         return inner if self.usable is None else inner[self.usable.ravel()[inner]]
 
 
 def within(planes: NDArray, count: int, margin: int) -> NDArray:
-    """Cut off `margin` pixels on each side of every mosaic in planes (…, row, col) of `count` stacked mosaics."""
+    """Remove `margin` pixels on each side of every mosaic. `planes` (…, row, col) contains `count` stacked mosaics."""
     rows, cols = planes.shape[-2] // count, planes.shape[-1]
     mosaics = planes.reshape(*planes.shape[:-2], count, rows, cols)[..., margin : rows - margin, margin : cols - margin]
     return mosaics.reshape(*planes.shape[:-2], count * mosaics.shape[-2], mosaics.shape[-1])
 
 
 def margin_of(side: int) -> int:
-    """Return how many pixels a layer with windows of `side` pixels reads on each side of a pixel.
+    """Return the distance, in pixels, up to which a layer with windows of `side` pixels reads around a pixel.
 
-    The pixels that its class features read are included.
+    This includes the pixels that determine the class.
     """
     return max(BORDER_PIXELS, side // 2)
 
@@ -260,7 +263,7 @@ def margin_of(side: int) -> int:
 class FirstLayer:
     """Renders mosaics with the first layer in fixed point.
 
-    If later layers correct the outputs of the first layer, these outputs are also computed, in floating point.
+    If later layers correct the outputs of the first layer, the outputs are also computed in floating point.
 
     Parameters
     ----------
@@ -268,7 +271,7 @@ class FirstLayer:
     rule : ClassRule
     fixed : FixedPoint
     outputs : MosaicLayer, optional
-        The same layer in floating point, if its outputs are corrected later.
+        The first layer in floating point, if later layers correct its outputs.
     """
 
     def __init__(self, camera: CameraModel, rule: ClassRule, fixed: FixedPoint, outputs: MosaicLayer | None = None) -> None:
@@ -281,7 +284,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Determine the classes of mosaics, and render their planes."""
+        """Determine the classes of mosaics and render the planes."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -298,14 +301,14 @@ class FirstLayer:
 
 
 class PlaneStage:
-    """Renders mosaics with a refinement layer in fixed point that another layer follows."""
+    """Renders mosaics with a refinement layer in fixed point. The layer must not be the last layer of the table."""
 
     def __init__(self, layer: PlaneLayer, first: ClassRule, basis: NDArray[np.float64]) -> None:
         self.layer, self.first = layer, first
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Render mosaics that the previous layers have rendered."""
+        """Render planes from the planes that the previous layers have output."""
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
@@ -323,7 +326,7 @@ class PlaneStage:
 
 
 class _Transforms:
-    """Applies fixed-point transforms to windows, class by class, and optionally floating-point transforms as well."""
+    """Applies the fixed-point transforms of a layer to windows, and optionally floating-point transforms, too."""
 
     def __init__(self, fixed: FixedPoint, exact: tuple[NDArray, NDArray] | None = None) -> None:
         self.fixed, weights, self._intercept = fixed, fixed.weights, fixed.intercept
@@ -331,8 +334,8 @@ class _Transforms:
             weights, self._intercept = (
                 np.concatenate(each, axis=1) for each in ((weights, exact[0]), (self._intercept, exact[1]))
             )
-        # Strides may affect how products are rounded, and pickling does not always keep strides. Contiguous arrays have the
-        # same strides in every process.
+        # The strides of an array can affect how products are rounded, and pickling does not preserve all strides. Contiguous
+        # arrays have the same strides in every process.
         self._weights = list(np.ascontiguousarray(np.swapaxes(weights, 1, 2), np.float64))
 
     def __call__(
@@ -343,9 +346,9 @@ class _Transforms:
         Parameters
         ----------
         noisy : ndarray, (source, row, col)
-            Integers with noise. They are added exactly, in float64.
+            Raw values or planes with noise, as integers. Their sums in float64 are exact.
         clean : ndarray or None, (source, row, col)
-            The mosaics without noise. The planes that are made from them are not rounded.
+            Raw values or planes without noise. The resulting planes are not rounded.
         side : int
             Side of the windows, in pixels.
         count : int
@@ -357,8 +360,9 @@ class _Transforms:
         -------
         planes : ndarray, (plane, row, col)
         clean_planes : ndarray or None, (plane, row, col)
-        made : ndarray, (1 or 2, row, col, output)
-            Results of the floating-point transforms with noise and, if `clean` is given, without noise.
+        made : ndarray, (version, row, col, output)
+            Results of the floating-point transforms. Version 0 has noise. Version 1, without noise, exists if `clean` is
+            given.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2
@@ -375,7 +379,7 @@ class _Transforms:
             chosen = np.add(place[part, None], offset, out=taps[: flat.size - first])
             runs = [(self._weights[index], slice(start, stop)) for index, start, stop in runs_of(flat[part])]
             for source, made in zip(sources, sums[:, part], strict=True):
-                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # other modes would make a copy
+                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # other modes would allocate a copy
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
         sums += self._intercept[flat]

@@ -1,9 +1,9 @@
 """Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
 
-A tree is grown on a part of the samples. Each step makes the split that lowers the squared error most, after the filters on
-both sides have been fitted again. Two filters have more taps than one, and fit better for this reason alone. This expected
-gain is subtracted, and the remaining gain must be larger than chance explains. All sites share one tree, but each site has
-filters of its own.
+A tree is grown from a random part of the samples. Each step splits the leaf whose split lowers the squared error most. To
+evaluate a split, the filters on both sides are fitted to their samples. Two filters have twice as many taps as one filter
+and always fit better. This expected gain is subtracted, and the remaining gain must be too large to be a coincidence. All
+sites share one tree, but each site has its own filters.
 """
 
 import heapq
@@ -27,16 +27,17 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried for each test, at quantiles of its quotient
-QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for computing these quantiles
-TREE_SIDE_PIXELS = 64  # pixels; largest side of the squares from which a tree gets samples; each contributes only a few
-SPLIT_SIDE_PIXELS = 3  # pixels; side of the windows for evaluating splits if there is no noise to average
-SAMPLES_PER_TAP = 4  # smallest number of samples per tap that a leaf must have at each site
-COLUMN_STEPS = 2.0**16  # steps up to the largest value of a column; sums over a million samples stay exact, below 2^53
-# Ridges of the least squares, relative to the mean power of the taps and of the outputs, which splits do not change
-TAP_RIDGE, OUTPUT_RIDGE = 1e-6, 1e-10
-OUTPUTS = 3  # number of outputs in the columns of a sample
-# A split must gain more than this number of standard deviations of the gain by chance, because the best of many is chosen.
+THRESHOLDS_PER_TEST = 5  # number of thresholds to try for each test; the thresholds are quantiles of the test's quotient
+QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which the quantiles are computed
+TREE_SIDE_PIXELS = 64  # largest side of the mosaics for growing a tree, in pixels; a mosaic contributes only a few samples
+SPLIT_SIDE_PIXELS = 3  # side of the windows with which splits are evaluated for frames without noise, in pixels
+SAMPLES_PER_TAP = 4  # each leaf must have at least this number of samples per tap at each site
+COLUMN_STEPS = 2.0**16  # number of grid steps up to the largest value; sums over a million samples then stay below 2^53
+TAP_RIDGE = 1e-6  # ridge of the least squares, relative to the mean power of the taps
+OUTPUT_RIDGE = 1e-10  # term that keeps the matrix positive definite, relative to the mean power of the outputs
+OUTPUTS = 3  # number of outputs in a sample
+# The gain of a split must exceed this number of standard deviations of the gain of a random split. The number is larger than
+# usual because the best of many splits is chosen.
 CHANCE_DEVIATIONS = 3.0
 
 Array = NDArray[np.float64]
@@ -45,12 +46,12 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class TreeSamples:
-    """Samples at one canonical site, turned to the orientation of this site."""
+    """Samples for growing a tree, at one canonical site and in the orientation of this site."""
 
-    # (sample, column) weighted windows of planes with noise, then weighted targets in the unit of the evaluated errors
+    # (sample, column) weighted taps of the noisy planes, then weighted targets in the units of `_judged`
     columns: Floats | Array
-    numerators: Floats  # (test, sample) numerator of the quotient that each test compares with a threshold
-    denominators: Floats  # (denominator, sample) denominators, which several tests share
+    numerators: Floats  # (test, sample) a test compares the quotient of a numerator and a denominator with a threshold
+    denominators: Floats  # (denominator, sample) several tests share a denominator
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSamples"]) -> "TreeSamples":
@@ -58,33 +59,33 @@ class TreeSamples:
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSamples":
-        """Return the samples with each column rounded to multiples of a power of two.
+        """Round each column to multiples of a power of two.
 
-        Sums of products of columns are then exact, so the order of addition does not matter.
+        Sums of products are then exact and do not depend on the order of the additions.
         """
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / COLUMN_STEPS, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerators and denominators (sample) of a test."""
+        """Return the numerator and the denominator of a test for each of the chosen samples."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Return, for each sample, how many of the thresholds `cuts` its quotient in a test exceeds."""
+        """Return, for each chosen sample, how many of the thresholds `cuts` are below its quotient in a test."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators (test, pixel) and denominators of `pixels`, turned to orientation number `turn`."""
+    """Return the numerators (test, pixel) and denominators of the tests for `pixels`, read in orientation number `turn`."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
 
 
 class Tree(NamedTuple):
-    """Nodes of a decision tree. The fields are explained in `TreeRule`."""
+    """Nodes of a decision tree, with the same fields as in `TreeRule`."""
 
     test: NDArray[np.uint8]
     threshold: NDArray[np.float32]
@@ -101,16 +102,16 @@ Mapped = Callable[[Callable[[int], tuple[Floats, Array]], Iterable[int]], Iterab
 
 
 def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tree:
-    """Grow a decision tree on samples of all canonical sites.
+    """Grow a decision tree from the samples of all canonical sites.
 
     Parameters
     ----------
     sites : sequence of TreeSamples
-        Samples at each canonical site. If there are none, the tree has one leaf.
+        Samples of each canonical site. Without any sites, the tree has one leaf.
     leaves : int
         Largest number of leaves.
     mapped : callable
-        `map`, or a replacement that uses several threads.
+        `map`, or a function with the same interface that uses several threads.
 
     Returns
     -------
@@ -144,9 +145,9 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
 
 
 def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
-    """Return the split of a leaf that lowers the error most.
+    """Return the split of a leaf that lowers the squared error most, or None if the leaf should not be split.
 
-    The result is None if no split gains more than chance explains, or if one side would have too few samples.
+    A leaf is not split if the gain could be a coincidence, or if one side of the split would have too few samples.
     """
     taps = sites[0].columns.shape[1] - OUTPUTS
     if min(map(len, samples)) < 2 * SAMPLES_PER_TAP * taps:
@@ -177,12 +178,12 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return how much each threshold in `cuts` lowers the error at a site.
+    """Return the gain of each threshold in `cuts` at a site: how much a split at the threshold lowers the squared error.
 
-    The gain is −∞ if one side would have too few samples.
+    The gain is −∞ if one side of the split would have too few samples.
     """
     taps = site.columns.shape[1] - OUTPUTS
-    passed = site.passed(test, cuts, chosen)  # `cuts` increase, so this number is a rank
+    passed = site.passed(test, cuts, chosen)  # samples with the same number lie between the same two thresholds
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, chosen.size - below])
     good = many.min(axis=0) >= SAMPLES_PER_TAP * taps
@@ -196,10 +197,10 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 
 
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
-    """Return the sums (end, column, column) of the samples before each position in `ends`.
+    """Return, for each position in `ends`, the sums (column, column) over the samples before the position.
 
-    The ends divide the samples into parts. To save time, the largest part is not added up. Its sums are the sums of all
-    samples, `whole`, minus the sums of the other parts.
+    The positions divide the samples into parts. To save time, the largest part is not summed. Its sums are the total `whole`
+    minus the sums of the other parts.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -214,30 +215,31 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the sums (column, column) of products of two columns over the chosen samples. They are exact."""
+    """Return the exact sums (column, column) of the products of two columns over the chosen samples."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared error (…) that the best filters leave, given sums (…, column, column)."""
+    """Return the squared error (…) of the least-squares filters that follow from the sums (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
-    diagonal = np.einsum("...ii->...i", systems)  # a view
+    diagonal = np.einsum("...ii->...i", systems)  # a view, so changes of the diagonal change `systems`
     for columns, ridge in (diagonal[..., :taps], TAP_RIDGE), (diagonal[..., taps:], OUTPUT_RIDGE):
         columns += ridge * columns.mean(axis=-1, keepdims=True) + 1e-9
     left = np.linalg.cholesky(systems)[..., taps:, taps:]
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS, PILOT_SIDE = 48, 72  # mosaics for luminance_noise: number over all frames, and side in pixels
-MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; brighter pixels are not measured
-MIN_LEVEL_PIXELS = 1000  # smallest number of pixels that a level needs to be used
-LAB_SLOPES = (500.0, 116.0, 200.0)  # derivatives of a*, L* and b* with respect to the planes at a white of 1
+PILOT_MOSAICS = 48  # number of mosaics, over all frames, for the measurement of the luminance noise
+PILOT_SIDE = 72  # side of these mosaics, in pixels
+MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; brighter pixels are left out of the measurement
+MIN_LEVEL_PIXELS = 1000  # smallest number of pixels from which the noise of a level is measured
+LAB_SLOPES = (500.0, 116.0, 200.0)  # factors that convert small errors of the planes to errors of a*, L* and b* near white
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Measure the noise in the luminance that the previous layers render.
+    """Measure the noise of the luminance plane that the previous layers output.
 
     Parameters
     ----------
@@ -251,8 +253,8 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        For each measured frame and level, the sum of the squared noise differences between pixels that are two pixels apart,
-        and the number of pixels.
+        One array per measured frame. For each level, the array contains the sum of the squared differences of the noise
+        between pixels at a distance of two pixels, and the number of pixels.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
@@ -275,13 +277,13 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return the scale at which the gradients of pure noise have the standard deviation `structure.SIGMA`.
+    """Return factors that scale gradients so that pure noise has gradients with the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
     layer : LayerPass
     noise : iterable of ndarray, (2, level)
-        Results of `luminance_noise` for all frames, in order.
+        Results of `luminance_noise` for all measured frames.
 
     Returns
     -------
@@ -297,7 +299,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Return the class rule that divides pixels by level and structure."""
+    """Return the class rule for classes by level and structure (docs/method.md#structure)."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -311,7 +313,7 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSamples]]:
-    """Choose the samples on which a tree is grown.
+    """Draw random samples for growing a tree.
 
     Parameters
     ----------
@@ -324,7 +326,7 @@ def sample_tree(
     Returns
     -------
     list of dict of int to TreeSamples
-        For each frame, the samples at each canonical site.
+        For each frame, the samples of each canonical site.
     """
     side = min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
     see, reading, sampled = layer.seer(), layer.reading(side), []
@@ -363,9 +365,20 @@ def sample_tree(
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
-    """Grow a tree and return its class rule.
+    """Grow a tree, and return the class rule for classes by the leaves of the tree.
 
-    `samples` contains the samples of all frames, in order. `mapped` is the same as for `grow`.
+    Parameters
+    ----------
+    layer : LayerPass
+    scale : GradientScale
+    samples : sequence of dict of int to TreeSamples
+        Results of `sample_tree` for all frames, in the order of the frames.
+    mapped : callable
+        `map`, or a function with the same interface that uses several threads.
+
+    Returns
+    -------
+    TreeRule
     """
     sites = sorted({site for sample in samples for site in sample})
     tree = grow(
@@ -377,9 +390,9 @@ def tree_rule(
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """Return the matrix (output, 3) that converts errors of the outputs to the unit in which errors are evaluated.
+    """Return a matrix (output, 3) that converts errors of X, Y, Z to errors of a*, L* and b* near white.
 
-    Errors of X, Y, Z are evaluated as differences of L*, a* and b* near white. Other errors are not converted.
+    For other outputs, the result is the identity.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)

@@ -1,6 +1,6 @@
 """Training samples of a refinement layer, and sums over these samples (docs/method.md#learning-on-mosaics).
 
-A sample is one equation of the least squares: the taps of a window, and the outputs that the transform should give.
+A sample consists of the taps of one window and of the ideal outputs for the pixel at the centre of the window.
 """
 
 from collections.abc import Mapping
@@ -34,19 +34,21 @@ from l3cli.training.sums import (
     width_of,
 )
 
-MEAN_FLOOR = 1e-5  # squared output unit; added to squared errors, so that mosaics with tiny errors get similar weights
-MEAN_ERROR = 2.0**-10  # squared error with weight 1; weights then stay below 10, and sums over 7 million samples are exact
+MEAN_FLOOR = 1e-5  # added to the mean squared error of each mosaic, so that mosaics with tiny errors have similar weights
+# A mosaic with this mean squared error has the weight 1. All weights then stay below 10, and sums over 7 million samples are
+# exact.
+MEAN_ERROR = 2.0**-10
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How windows are read. At each site they are turned to the orientation of its canonical site."""
+    """How the windows at each site are read, so that they have the orientation of the canonical site."""
 
     canonical: Integers  # (site) canonical site of each site
     order: Integers  # (site, tap) position of each tap in the window
-    ratio_taps: int = 0  # number of taps after the windows; turning a window does not change these taps
+    ratio_taps: int = 0  # number of taps after those of the windows, which do not depend on the orientation
     outputs: int = PLANES  # number of outputs
-    corrects: bool = False  # whether the outputs are corrections; noise then changes them
+    corrects: bool = False  # whether the outputs are corrections of the first layer; noise then changes the ideal outputs
 
     @property
     def side(self) -> int:
@@ -54,18 +56,23 @@ class Reading:
 
     @property
     def noisy(self) -> int:
-        """Number of columns that noise changes: the taps and any corrected outputs."""
+        """Number of columns that noise changes: all taps and, if the layer corrects outputs, the ideal outputs."""
         return self.taps + (self.outputs if self.corrects else 0)
 
     @property
     def taps(self) -> int:
-        """Number of taps: the windows of all planes and the ratio taps."""
+        """Total number of taps: the windows in all planes, then the ratio taps."""
         return PLANES * self.order.shape[1] + self.ratio_taps
 
     def offsets(self, cols: int) -> Integers:
-        """Return the steps (site, tap) from a pixel to the taps of its window, in planes with `cols` columns.
+        """Return, for each site, the index differences between the taps of a window and its central pixel.
 
-        If more columns follow the window than it has taps, zeros are appended.
+        The planes have `cols` columns and are indexed as flat arrays. If more numbers follow the window than it has taps,
+        zeros are appended.
+
+        Returns
+        -------
+        ndarray, (site, tap)
         """
         reach = np.arange(self.side) - self.side // 2
         steps = (reach[:, None] * cols + reach).ravel()[self.order]
@@ -73,10 +80,10 @@ class Reading:
 
     @property
     def columns(self) -> Integers:
-        """Positions of the columns in a sample. A sample stores four numbers per tap of the window.
+        """Positions of the columns in the stored form of a sample, which has four numbers per position in the window.
 
-        The first three numbers are the taps in the three planes. The fourth numbers store the ratio taps, the constant 1 and
-        the outputs, one after another.
+        The first three numbers are the values of the three planes at the position. The fourth numbers of all positions
+        together contain the ratio taps, the constant 1, and the ideal outputs.
         """
         window, behind = np.arange(self.order.shape[1]), np.arange(self.ratio_taps + 1 + self.outputs)
         return np.concatenate([4 * window, 4 * window + 1, 4 * window + 2, 4 * behind + 3])
@@ -90,21 +97,21 @@ def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return the grid steps of the moments (level, pair).
+    """Return the grid steps of the moments of a refinement layer, (level, pair).
 
-    If the rule joins several levels of the first layer, the darkest level determines the step.
+    If a level of the layer joins several levels of the first layer, the darkest of them determines the step.
     """
     darkest = np.searchsorted(rule.level_of(np.arange(first.levels)), np.arange(rule.levels))
     return steps_of_columns(intercept_scale(first, camera)[darkest], taps, outputs)
 
 
 def require_exact(sums: LayerSums, rule: PlaneRule, steps: NDArray[np.float64]) -> None:
-    """Raise L3Error if sums are so large that additions may have been rounded."""
+    """Raise an L3Error if a sum is so large that float64 may have rounded it."""
     (row, col), (tap, other) = pairs(width_of(sums.moments)), pairs(width_of(sums.noise))
     level = rule.split(np.arange(rule.classes_per_site)).level
     squares = sums.moments[:, row == col] / steps[level][:, row == col]
     if max(squares.max(), sums.noise[:, tap == other].max() / PRODUCT_STEP) >= MAX_EXACT_STEPS:
-        raise L3Error("a class has more samples than can be added exactly; lower layer.mosaics or layer.rows")
+        raise L3Error("a class has too many samples for exact sums; reduce layer.mosaics or layer.rows in the class recipe")
 
 
 def sample_weights(
@@ -112,15 +119,16 @@ def sample_weights(
 ) -> Floats:
     """Return the sample weight of every pixel (docs/method.md#sample-weights, docs/method.md#second-pass).
 
-    Weights depend on the brightness, and are lower where the previous layers make large errors. The squared error due to
-    noise is averaged over 5 × 5 pixels. If the outputs are not X, Y, Z, the squared error is averaged over the whole mosaic.
+    The weight depends on the brightness, and is lower for pixels with a large error in the previous layers. The squared
+    error from noise is averaged over 5 × 5 pixels. If the outputs are not X, Y, Z, the whole squared error is averaged over
+    the mosaic.
 
     Parameters
     ----------
     seen : Seen
-        Mosaics that the previous layers have rendered.
+        Mosaics after all previous layers.
     basis : ndarray, (output, plane)
-        Opponent basis: the outputs that each plane stands for.
+        Opponent basis, which converts outputs to planes.
     white : ndarray, (output)
         Outputs of a perfect white under the training illuminant, with Y = 1.
     recipe : LearningRecipe
@@ -150,9 +158,9 @@ def sample_weights(
 
 
 def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean squared error (mosaic) of each mosaic plus a floor, relative to `MEAN_ERROR`.
+    """Return the mean squared error of each mosaic plus `MEAN_FLOOR`, divided by `MEAN_ERROR`.
 
-    Outputs other than X, Y, Z are evaluated per mosaic, because PSNR is also computed per image.
+    Outputs other than X, Y, Z are evaluated by PSNR, which is also computed from the mean over a whole picture.
     """
     if seen.missing is not None:
         error = seen.missing if seen.spread is None else seen.missing - seen.spread
@@ -162,44 +170,44 @@ def _of_mosaics(seen: Seen, basis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class _Samples(NamedTuple):
-    """Samples from one or more sheets of mosaics, and the planes that contain their windows."""
+    """Samples from one or more sheets of mosaics, and the planes that contain the windows of the samples."""
 
-    clean: Floats  # (pixel, 4) planes in output units, then a zero; 4 numbers are read as fast as one
-    noise: Floats  # (pixel, 4) change of the planes due to noise, then a zero
-    pixel: Integers  # (sample) index of the pixel
+    clean: Floats  # (pixel, 4) three planes in output units, then a zero, because four numbers are read as fast as one
+    noise: Floats  # (pixel, 4) noise of the three planes, then a zero
+    pixel: Integers  # (sample) index of the central pixel
     site: Integers  # (sample) CFA site
     label: Integers  # (sample) class within the site
     weight: Floats  # (sample)
-    behind: Floats  # (sample, column) ratio taps without noise, the constant 1, outputs in the basis of the planes
-    noise_behind: Floats  # (sample, column) change of ratio taps and corrected outputs due to noise
+    behind: Floats  # (sample, column) noise-free ratio taps, the constant 1, and ideal outputs in the opponent basis
+    noise_behind: Floats  # (sample, column) noise of the ratio taps and, if the layer corrects outputs, of the ideal outputs
 
 
 class GatheredSamples:
-    """Gathers samples from several mosaics before it adds them to the sums.
+    """Collects samples from several mosaics, and then adds the products of all these samples to the sums.
 
-    Multiplying many samples of a class takes little more time than multiplying a few, and one mosaic has few samples of each
-    class. How samples are grouped affects how float32 products are rounded. Therefore the grouping may depend only on the
-    frames in a block.
+    A mosaic has few samples of each class, and a matrix product takes little more time for many samples than for a few.
+    Samples whose products are computed together are also rounded together, so the grouping must depend only on the frames of
+    a block.
     """
 
     def __init__(
         self, sums: Mapping[int, LayerSums], rule: PlaneRule, reading: Reading, basis: NDArray[np.float64],
         steps: NDArray[np.float64], noise: bool = True,
     ) -> None:  # fmt: skip
-        """Begin without samples.
+        """Start with an empty collection.
 
         Parameters
         ----------
         sums : mapping of int to LayerSums
-            Sums for the canonical sites, which are changed in place.
+            Sums of the canonical sites, which are changed in place.
         rule : PlaneRule
         reading : Reading
         basis : ndarray, (output, plane)
-            Opponent basis: the outputs that each plane stands for.
+            Opponent basis, which converts outputs to planes.
         steps : ndarray, (level, pair)
             Grid steps of the moments.
         noise : bool
-            Whether to add up the noise, too.
+            Whether to sum the covariance of the noise, too.
         """
         self.sums, self.rule, self.reading, self.basis, self.steps = sums, rule, reading, basis.astype(np.float32), steps
         self._noise = noise
@@ -207,8 +215,8 @@ class GatheredSamples:
         self._cols = 0  # number of columns of the gathered sheets
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Gather the samples at the indices `pixels`. `label` and `weight` (row, col) are given for every pixel."""
-        if seen.label.shape[1] != self._cols:  # the frames have another size
+        """Collect the samples at the indices `pixels`. `label` and `weight` contain values for all pixels."""
+        if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
             self.add_up()
             self._cols = seen.label.shape[1]
         planes = seen.light
@@ -228,12 +236,12 @@ class GatheredSamples:
         self._sheets.append(_Samples(clean, noise, *about, behind, spread))
 
     def _ratios(self, planes: NDArray, pixels: Integers) -> Floats:
-        """Return the ratio taps (pixel, tap) at the indices `pixels` of planes (plane, row, col)."""
+        """Return the ratio taps (pixel, tap) of the pixels at the indices `pixels`."""
         taps = taps_behind(planes, self.reading.side, self.reading.ratio_taps)
         return (taps.reshape(len(taps), planes[0].size)[:, pixels].T * PLANE_STEP).astype(np.float32)
 
     def add_up(self) -> None:
-        """Add the gathered samples to the sums, and begin again without samples."""
+        """Add the products of all collected samples to the sums, and discard the samples."""
         if not self._sheets:
             return
         starts = np.cumsum([0, *(len(sheet.clean) for sheet in self._sheets)])
@@ -246,7 +254,7 @@ class GatheredSamples:
             self._add_site(sums, samples, chosen[np.argsort(samples.label[chosen], kind="stable")])
 
     def _add_site(self, sums: LayerSums, samples: _Samples, order: Integers) -> None:
-        """Add samples to the sums for a site. `order` contains their indices, sorted by class."""
+        """Add the samples with the indices `order`, which are sorted by class, to the sums of one site."""
         offsets, columns = self.reading.offsets(self._cols), self.reading.columns
         samples = samples._replace(**{name: getattr(samples, name).take(order, axis=0) for name in _Samples._fields[2:]})
         levels = self.rule.split(samples.label).level
@@ -264,16 +272,16 @@ class GatheredSamples:
 
 
 def _in_fours(planes: NDArray) -> Floats:
-    """Convert planes (plane, row, col) to output units, as (pixel, 4). The fourth number is zero."""
+    """Convert planes (plane, row, col) to an array (pixel, 4) in output units. The fourth number is zero."""
     fours = np.zeros((planes[0].size, 4), np.float32)
     np.multiply(planes.reshape(3, -1).T, np.float32(PLANE_STEP), out=fours[:, :3])
     return fours
 
 
 def _weighted(windows: Floats, behind: Floats, weight: Floats) -> Floats:
-    """Return weighted samples (sample, 4 · tap) from windows (sample · tap, 4), which are overwritten.
+    """Return weighted samples (sample, 4 · tap) in the stored form that `Reading.columns` describes.
 
-    The fourth numbers store `behind` (sample, column).
+    The array `windows` (sample · tap, 4) is overwritten. `behind` (sample, column) replaces its fourth numbers.
     """
     values = windows.reshape(len(weight), -1)
     values[:, 3 : 3 + 4 * behind.shape[1] : 4] = behind
