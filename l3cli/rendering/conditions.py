@@ -1,6 +1,6 @@
-"""Selects the transforms for a frame.
+"""Selects the transforms with which a frame is rendered.
 
-They depend on the illuminant of the frame, which may be a mixture of two (docs/method.md#several-lights), on the analog gain
+The transforms depend on the illuminant of the frame (docs/method.md#several-lights), on its analog gain
 (docs/method.md#gains), and on the noise that remains in each pixel after a temporal filter (docs/method.md#noise-sets).
 """
 
@@ -28,35 +28,47 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.correlated_lights import mired_of
 
-MIN_VARIANCE = 1e-30  # DN²; noise variance assumed where all channels clip
-DARKEST_REFINED = 2.0  # signal-to-noise ratio; transforms from darker levels would leave more noise and are not used
-LEFT = (1 / 16, 1 / 4)  # fractions of noise after a temporal filter for which transforms of lower gains are used
-GAINS_PER_DOUBLING = 12  # number of gains per doubling at which frames are rendered
-SAME_GAIN = 0.01  # gains count as equal up to this relative difference
-FAR_GAIN = 1.5  # l3 warns if a gain lies outside the known analog gains by more than this factor
-CLEARLY_LESS = 0.75  # a set of transforms for less noise must be for less than this fraction of the next noise
+MIN_VARIANCE = 1e-30  # assumed noise variance if all channels clip, in DN²
+# Refinement layers use no transforms from levels with a lower signal-to-noise ratio, because these would leave more noise.
+DARKEST_REFINED = 2.0
+LEFT = (1 / 16, 1 / 4)  # remaining fractions of the noise for which the transforms of lower gains are used
+GAINS_PER_DOUBLING = 12  # number of gains per doubling for which there are transforms
+SAME_GAIN = 0.01  # largest relative difference between gains that are treated as equal
+FAR_GAIN = 1.5  # l3 warns if a gain is outside the range of known analog gains by more than this factor
+CLEARLY_LESS = 0.75  # a set of transforms for less noise is added only if its noise is below this fraction of the next set's
 
 Layers = TypeVar("Layers", TransformTable, Condition)
 Float = TypeVar("Float", np.float32, np.float64)
 
 
-# ----------------------------------------------------------------------------------------------- light, by the frame
+# ------------------------------------------------------------------------------------------- illuminant of the frame
 
 
 @dataclass(frozen=True)
 class Mix:
-    """A mixture of two of a table's illuminants."""
+    """A mixture of two illuminants of a table."""
 
-    warm: int  # index of the warmer illuminant
-    cool: int  # index of the cooler illuminant
-    share: float  # fraction of the cooler illuminant
+    warm: int  # index of the illuminant with the lower colour temperature
+    cool: int  # index of the illuminant with the higher colour temperature
+    share: float  # fraction of the cool illuminant
 
 
 def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return the mixture of a table's illuminants for a scene whose white has the given XYZ (3).
+    """Return the mixture of a table's illuminants that is closest to the white of a scene.
 
-    Between the two nearest illuminants, the mixture is linear in reciprocal colour temperature. Outside their range, it
-    consists of the outermost illuminant alone. The result is None if the table has no transforms for single illuminants.
+    The two illuminants with the nearest colour temperatures are mixed in proportion to the reciprocal colour temperature. If
+    the scene is warmer or cooler than all illuminants of the table, the mixture consists of the nearest illuminant alone.
+
+    Parameters
+    ----------
+    table : TransformTable
+    white : ndarray, (3,)
+        XYZ of the white of the scene.
+
+    Returns
+    -------
+    Mix or None
+        None if the table has no transforms for single illuminants.
     """
     if not table.lights:
         return None
@@ -70,16 +82,28 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 
 
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
-    """Return only the nearer of the two illuminants in the result of `mix_for`.
+    """Return a mixture that consists of only the nearer illuminant in the result of `mix_for`.
 
-    It is used for frames that are balanced for the white (3).
+    This is used for frames whose channels are multiplied by gains for the white, which also makes illuminants more similar.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
 
 
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
-    """Return a table with transforms mixed from those of two illuminants. For None, return the common transforms."""
+    """Interpolate between the transforms of two illuminants of a table.
+
+    Parameters
+    ----------
+    table : TransformTable
+    mix : Mix or None
+        The mixture, or None for the common transforms of all illuminants.
+
+    Returns
+    -------
+    TransformTable
+        A table without transforms for single illuminants.
+    """
     common = table.of_light(None)
     if mix is None:
         return common
@@ -98,7 +122,7 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
 
 
 def described(table: TransformTable, mix: Mix) -> str:
-    """Return the mixture in words, such as "62 % A, 38 % D65", or "A"."""
+    """Describe a mixture in words, such as "62 % A, 38 % D65" or "A"."""
     warm, cool, percent = table.lights[mix.warm].name, table.lights[mix.cool].name, round(100 * mix.share)
     if percent in (0, 100):
         return cool if percent else warm
@@ -106,7 +130,10 @@ def described(table: TransformTable, mix: Mix) -> str:
 
 
 def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[NDArray[np.float64] | float]) -> Layers:
-    """Return layers with transforms interpolated between two others, with one weight per layer or per class."""
+    """Return the layers of `common` with transforms interpolated between `warm` and `cool`.
+
+    `shares` contains the weight of `cool` for each layer, which is one number or one number per class.
+    """
 
     def layer(of: Any, one: Any, other: Any, share: NDArray[np.float64] | float) -> Any:
         names = ("weights", "intercept")
@@ -122,46 +149,59 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Return the weighted mean of two arrays. `share` is the weight of the second, overall or along the first axis.
+    """Return the weighted mean of two arrays. `share` is the weight of `cool`, as one number or one per first index.
 
-    Equal values, and values with a weight of 0 or 1, are returned unchanged.
+    Elements that are equal in both arrays stay unchanged to the last bit.
     """
     one, other = warm.astype(np.float64), cool.astype(np.float64)
     share = np.asarray(share).reshape(-1, *[1] * (one.ndim - 1))
     return np.where(one == other, one, (1 - share) * one + share * other).astype(warm.dtype)
 
 
-# ------------------------------------------------------------------------------------------ analog gain, by the frame
+# ------------------------------------------------------------------------------------------ analog gain of the frame
 
 
 def known_gains(table: TransformTable) -> tuple[float, float]:
-    """Return the range of analog gains, relative to the camera's, at which the noise of a table's camera is known."""
+    """Return the smallest and the largest analog gain at which the noise of a table's camera is known.
+
+    Gains are relative to the gain in the camera model.
+    """
     known = [1.0, *(table.camera.gains.analog_gain.tolist() if table.camera and table.camera.gains else ())]
     return min(known), max(known)
 
 
 def gain_of_frames(table: TransformTable, camera: CameraModel) -> float:
-    """Return the analog gain of a camera's frames relative to the table's camera, after conversion to the same levels.
+    """Return the gain of the frames of `camera` relative to the camera of the table, after conversion to the same levels.
 
-    It is 1 if the table does not contain its camera.
+    The result is 1 if the table does not contain its camera.
     """
     gain = table.camera.full_scale / camera.full_scale if table.camera else 1.0
     return 1.0 if abs(gain - 1) < SAME_GAIN else gain
 
 
 def nearest_step(gain: float) -> float:
-    """Round a gain to the nearest gain at which frames are rendered. There are STEPS of these per doubling.
+    """Round a gain to the nearest gain for which there are transforms.
 
-    A drifting gain then needs only a few renderers. The noise differs by at most 3 % from the noise of the transforms.
+    With `GAINS_PER_DOUBLING` gains per doubling, a varying gain needs only a few renderers, and the noise of a frame differs
+    by at most 3 % from the noise of its transforms.
     """
     return float(2.0 ** (round(GAINS_PER_DOUBLING * np.log2(gain)) / GAINS_PER_DOUBLING))
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Return the table for frames at an analog gain, relative to its camera's gain (docs/method.md#gains).
+    """Convert a table to frames with a different analog gain (docs/method.md#gains).
 
-    Transforms for less noise in the table are kept if they still apply. If the table does not contain its camera, it is
-    returned unchanged.
+    Transforms for less noise are kept if they apply at this gain. A table without its camera is returned unchanged.
+
+    Parameters
+    ----------
+    table : TransformTable
+    gain : float
+        Analog gain of the frames, relative to the camera of the table.
+
+    Returns
+    -------
+    TransformTable
     """
     if gain == 1 or table.camera is None:
         return table
@@ -174,7 +214,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Do the same as `at_gain` for a table without transforms for single illuminants."""
+    """Convert a table without transforms for single illuminants in the same way as `at_gain`."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -187,10 +227,10 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return one set of transforms for a gain.
+    """Return a table with one set of transforms for a gain.
 
-    The relative noise of each level at this gain equals that of another level at the camera's own gain. Each class takes
-    the transforms of this other level. Classes of clipped pixels keep their own transforms.
+    A level at this gain has the same relative noise as another level at the gain of the camera model. Each class gets the
+    transforms of this other level. Classes of clipped pixels keep their own transforms.
     """
     if gain == 1:
         return table
@@ -228,10 +268,11 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
-    """Return a layer whose unclipped classes take the transforms of other levels.
+    """Return a copy of a layer in which unclipped classes have the transforms of other levels.
 
-    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` (level) is the level
-    from which each level of the first layer takes its transforms. It may be fractional. `sites` is the number of CFA sites.
+    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` contains, for each
+    level of the first layer, the number of the level whose transforms replace its own. A fractional number interpolates
+    between two levels. `sites` is the number of CFA sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -244,29 +285,39 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
     return replace(layer, weights=_between(darker, brighter, to - low))
 
 
-# ---------------------------------------------------------------------------------------------- noise, by the pixel
+# ------------------------------------------------------------------------------------------------ noise of the pixel
 
 
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
-    """Return the upper limit of the noise fraction for each set of transforms for less noise, starting with the most noise.
+    """Return the largest noise fraction at which each set of transforms for less noise is used.
 
-    The limit is a quarter of the logarithmic distance above the noise of the set, towards the next larger noise.
+    The limit lies between the noise of the set and the next larger noise, at a quarter of the logarithmic distance.
+
+    Returns
+    -------
+    dict of NoiseScale to float
+        Limits by the noise of the set. The set with the largest noise comes first.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """The sets of transforms from which one is chosen for each pixel of a frame.
+    """All sets of transforms of a table. For each pixel of a frame, one set is chosen by the remaining noise.
 
-    The first set is for the noise of the table's camera. If `by_noise` is true, the other sets are for less noise. The
-    classes of all sets are numbered consecutively, as if each set had its own sites, so that kernels and the reference index
-    a single array.
+    The first set is for the noise of the table's camera, and the other sets are for less noise. The classes of all sets are
+    numbered consecutively, as if each set had its own sites, so that all transforms are in one array.
+
+    Parameters
+    ----------
+    table : TransformTable
+    by_noise : bool
+        Whether to include the sets for less noise.
 
     Raises
     ------
     InputFileError
-        If the sets have class rules with different formulas.
+        If the class rules of the sets differ in more than their thresholds.
     """
 
     def __init__(self, table: TransformTable, by_noise: bool) -> None:
@@ -276,40 +327,40 @@ class NoiseSets:
         self._limits = list(limits.values())
         macros = [kernel_macros(each.first.rule) for each in self.tables[:2]]
         if macros[0] != macros[-1]:
-            raise InputFileError("transforms for less noise have classes of another formula; train the table again")
+            raise InputFileError("the table's transforms for less noise have a different class rule; train the table again")
 
     def __len__(self) -> int:
         return len(self.tables)
 
     def share(self, frame: RawFrame) -> float:
-        """Return the noise variance of a frame, relative to that for which the table was trained."""
+        """Return the noise variance of a frame, as a fraction of the noise variance of the camera."""
         return frame.noise_share if self._limits else 1.0
 
     def chosen(self, frame: RawFrame) -> NDArray[np.uint8]:
-        """Return the index of the set for each pixel (row, col) of a frame."""
+        """Return the index of the set of transforms for each pixel of a frame, (row, col)."""
         if frame.noise_left is None:
             return np.zeros(frame.values.shape, np.uint8)
         return frame.noise_left.below(self._limits, frame.values.shape)
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The joined first layers of all sets, with the rule of the first set."""
+        """The first layers of all sets, joined into one layer. Its class rule is that of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
     @functools.cached_property
     def later(self) -> tuple[PlaneLayer, ...]:
-        """The refinement layers of all sets, joined like `first`."""
+        """The refinement layers of all sets, joined in the same way as `first`."""
         layers = zip(*(table.later for table in self.tables), strict=True)
         return tuple(self._joined(("weights", "intercept", "samples"), parts) for parts in layers)
 
     @functools.cached_property
     def first_fixed_point(self) -> FixedPoint:
-        """The first layers of all sets as integers."""
+        """The first layers of all sets in fixed point, joined in the same way as `first`."""
         return self._joined(("weights", "intercept", "fraction"), [fixed_point(table) for table in self.tables])
 
     def refinement_rules(self, number: int) -> tuple[PlaneRule, ...]:
-        """Return the rule of refinement layer `number`, counted from 0, in each set."""
+        """Return the class rule of refinement layer `number` in each set. Refinement layers count from 0."""
         return tuple(table.later[number].rule for table in self.tables)
 
     @staticmethod
@@ -320,10 +371,21 @@ class NoiseSets:
 
 
 def with_edges_for(table: TransformTable, share: float) -> TransformTable:
-    """Return the table with class edges for frames with the fraction `share` of the camera's noise variance.
+    """Adapt the class edges of a table to frames with less noise. The transforms do not change.
 
-    Edges of contrast, strength and other features are scaled with the noise, so that they still separate texture from
-    uniform areas. The scale of gradients and the transforms stay the same.
+    The edges of contrast, strength and other features are scaled with the noise, so that they still separate texture from
+    uniform areas.
+
+    Parameters
+    ----------
+    table : TransformTable
+    share : float
+        Noise variance of the frames, as a fraction of the noise variance of the camera.
+
+    Returns
+    -------
+    TransformTable
+        A table with one set of transforms.
     """
     first = _with_edges(table.first.rule, share)
 
@@ -339,13 +401,13 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Return a rule with noise-dependent edges scaled for a fraction of the noise variance, overall or for each level."""
+    """Scale the class edges that depend on noise. `share` is a fraction of the noise variance, for all or for each level."""
     features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
     stored = StoredFeatures.of(features) if features else None
     return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=stored)
 
 
 def _scaled(edges: NDArray[np.uint32], share: float | NDArray[np.float64]) -> NDArray[np.uint32]:
-    """Return edges (edge, …) multiplied by a fraction, kept increasing."""
+    """Multiply edges (edge, …) by a fraction of the noise variance. The edges stay distinct and increasing."""
     least = np.arange(len(edges)).reshape(-1, *[1] * (edges.ndim - 1))
     return np.clip(np.rint(edges * share), least, 2**32 - 1).astype(np.uint32)

@@ -1,6 +1,6 @@
 """Converts XYZ to pictures in a colour space (docs/method.md#display).
 
-The steps are matrix, gamut mapping, tone curve, transfer curve and rounding.
+The steps are a matrix, gamut mapping, an optional tone curve, the transfer curve, and rounding to integers.
 """
 
 from dataclasses import dataclass
@@ -19,25 +19,25 @@ MAX_LAYERS = 4  # largest number of layers that the renderers support
 
 @dataclass(frozen=True)
 class Display:
-    """The last stage of rendering: conversion of XYZ to the codes of a picture.
+    """Settings for the conversion of XYZ to the integer values (codes) of a picture.
 
-    code = top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)), rounded
+    code = round(top · curve(clip(tone(gamut(matrix @ XYZ)), 0, 1)))
     """
 
-    matrix: NDArray[np.float64]  # (3, 3) from XYZ to linear values, including adaptation and exposure scale
-    bits: int  # bits per code; a key of CODES
+    matrix: NDArray[np.float64]  # (3, 3) converts XYZ to linear values; includes chromatic adaptation and exposure
+    bits: int  # bits per code, 8 or 16
     space: Space = SRGB  # a colour space with a transfer curve
-    tone: Tone | None = None  # None means no tone curve
+    tone: Tone | None = None  # tone curve, if any
 
     def __post_init__(self) -> None:
         if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or self.bits not in CODES:
             raise ValueError("a display needs a finite 3×3 matrix and 8 or 16 bits")
         if self.space.curve is None:
-            raise ValueError(f"{self.space.title} is linear and has no codes")
+            raise ValueError(f"{self.space.title} is a linear colour space and cannot be stored as integers")
 
     @property
     def curve(self) -> Curve:
-        """Transfer curve of the space."""
+        """Transfer curve of the colour space."""
         assert self.space.curve is not None
         return self.space.curve
 
@@ -52,86 +52,111 @@ class Display:
 
 
 def make_display(white: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB) -> Display:
-    """Return a display for scenes with a given white.
+    """Return the display settings for a scene with a known white.
 
     Parameters
     ----------
     white : ndarray, (3,)
-        XYZ of the scene's white, which becomes the white of the space.
+        XYZ of the white of the scene, which becomes the white of the colour space.
     scale : float
-        Exposure scale, a factor on XYZ.
+        Exposure, a factor on XYZ.
     bits : int
-        8 or 16.
+        Bits per code, 8 or 16.
     space : Space
         A colour space with a transfer curve.
+
+    Returns
+    -------
+    Display
 
     Raises
     ------
     RecipeError
-        If white or scale is not positive.
+        If the white or the scale is not positive.
     """
     if not np.all(np.asarray(white) > 0):
-        raise RecipeError("scene white and exposure must be positive")
+        shown = ", ".join(f"{each:.4g}" for each in white)
+        raise RecipeError(f"the white of the scene has the XYZ {shown}; use a white whose X, Y and Z are positive")
     return adapted_display(adaptation_matrix(white, display_white()), scale, bits, space)
 
 
 def adapted_display(
     adaptation: NDArray[np.floating], scale: float, bits: int, space: Space = SRGB, tone: Tone | None = None
 ) -> Display:
-    """Return a display that shows `scale` · `adaptation` @ XYZ. The adaptation (3, 3) converts the scene white to D65.
+    """Return the display settings for a scene with a known chromatic adaptation.
 
-    Raises RecipeError if the scale is not positive.
+    Parameters
+    ----------
+    adaptation : ndarray, (3, 3)
+        Converts XYZ under the illuminant of the scene to XYZ under D65.
+    scale : float
+        Exposure, a factor on XYZ.
+    bits : int
+        Bits per code, 8 or 16.
+    space : Space
+        A colour space with a transfer curve.
+    tone : Tone or None
+        Tone curve, if any.
+
+    Returns
+    -------
+    Display
+
+    Raises
+    ------
+    RecipeError
+        If the scale is not positive.
     """
     return Display(linear_matrix(adaptation, scale, space), bits, space, tone)
 
 
 def linear_matrix(adaptation: NDArray[np.floating], scale: float, space: Space) -> NDArray[np.float64]:
-    """Return the matrix M (3, 3) that converts XYZ to linear values of a colour space: values = M @ XYZ.
+    """Return the matrix M (3, 3) that converts XYZ of a scene to linear values of a colour space: values = M @ XYZ.
 
-    It includes the factor `scale`, the `adaptation` (3, 3) to D65, and the adaptation from D65 to the white of the space.
-    Raises RecipeError if the scale is not positive.
+    M includes the exposure `scale`, the `adaptation` to D65, and the adaptation from D65 to the white of the colour space.
+    Raises a RecipeError if the scale is not positive.
     """
     if not (np.isfinite(scale) and scale > 0):
-        raise RecipeError("scene white and exposure must be positive")
+        raise RecipeError(f"the exposure is {scale:g}; use a positive number")
     daylight, neutral = display_white(), space.neutral_xyz
     own = np.eye(3) if np.array_equal(daylight, neutral) else adaptation_matrix(daylight, neutral)
     return np.asarray(space.from_xyz @ (own @ (scale * adaptation)), np.float64)
 
 
 def require_xyz(outputs: tuple[str, ...]) -> None:
-    """Raise RecipeError unless the outputs are X, Y, Z or GREY, from which pictures can be made."""
+    """Raise a RecipeError if pictures cannot be made from these outputs, which must be X, Y, Z or only Y."""
     if outputs not in (("X", "Y", "Z"), GREY):
         raise RecipeError(
-            f"pictures need the outputs X, Y, Z, or Y alone, this table has {', '.join(outputs)}; write an .exr file"
+            f"the table has the outputs {', '.join(outputs)}, but pictures need X, Y, Z, or only Y; write an .exr file"
         )
 
 
 def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that adapts the outputs of a table to D65.
+    """Return the matrix that converts the outputs of a table to XYZ under D65.
 
     Parameters
     ----------
     table : TransformTable
     adaptation : ndarray, (3, 3)
-        Matrix from the table's X, Y, Z under the white of the scene to XYZ under D65.
+        Converts the outputs X, Y, Z under the illuminant of the scene to XYZ under D65.
 
     Returns
     -------
     ndarray, (3, 3)
-        `adaptation`. If the table renders grey pictures, the matrix returns Y times the D65 white instead, so that R, G and
-        B are exactly equal.
+        The matrix `adaptation`. For a table of grey pictures, the matrix instead converts Y to a grey of this luminance, so
+        that R, G and B are exactly equal.
     """
     return np.outer(display_white(), [0.0, 1.0, 0.0]) if table.shows_grey else adaptation
 
 
 def require_known_layers(table: TransformTable) -> None:
-    """Raise RecipeError if a table has more layers than renderers support."""
+    """Raise a RecipeError if a table has more layers than the renderers support."""
     if len(table.layers) > MAX_LAYERS:
-        raise RecipeError(f"this table has {len(table.layers)} layers; train it again with at most {MAX_LAYERS}")
+        raise RecipeError(f"the table has {len(table.layers)} layers; train a table with at most {MAX_LAYERS} layers")
 
 
 def encode(planes: NDArray, display: Display) -> NDArray:
-    """Return XYZ planes (output, row, col) as codes (row, col, 3), computed in float64."""
+    """Convert XYZ (output, row, col) to the integer values of a picture (row, col, 3), in float64."""
     linear = np.einsum("po,orc->rcp", display.matrix, planes.astype(np.float64))
     within = into_gamut(linear, gamut_of(display.space), bounded=display.tone is None)
     shown = within if display.tone is None else display.tone.toned(within)

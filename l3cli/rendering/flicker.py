@@ -1,12 +1,12 @@
-"""Estimates by how much the flicker of mains light brightens or darkens each frame of a sequence (docs/method.md#flicker).
+"""Estimates how much the flicker of mains lamps brightens or darkens each frame of a sequence (docs/method.md#flicker).
 
 Lamps on mains of 50 or 60 Hz flicker at 100 or 120 Hz. In a sequence with r frames per second, this frequency and its second
 harmonic are aliased to the distance from the nearest multiple of r. For example, 100 Hz appears as 10 Hz at 30 frames per
 second.
 
-The log brightness of a sequence is modelled as the sum of a slow trend, of jumps where light or content change, and of sines
-at these known frequencies. The model is fitted to the differences between consecutive frames. A jump is then a single
-outlier, which the robust fit ignores.
+The logarithm of the brightness is modelled as the sum of a slow trend, of jumps at changes of the scene, and of sines at
+these known frequencies. The model is fitted to the differences between consecutive frames. A jump is then a single outlier,
+which the robust fit ignores.
 """
 
 from collections.abc import Sequence
@@ -20,23 +20,25 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.exposure import SpreadSamples
 
-LOOKAHEAD = 16  # number of frames before and after a frame from which its flicker is estimated
+LOOKAHEAD = 16  # the flicker of a frame is estimated from this number of frames before and after the frame
 MIN_STEPS = 8  # smallest number of frame differences for a fit
-MIN_CYCLES = 2.0  # smallest number of cycles of a sine within the window; slower changes are changes of light
+MIN_CYCLES = 2.0  # smallest number of cycles among the frames of a fit; slower changes are treated as changes of the scene
 MAINS_HZ = (50, 60)
-HARMONICS = (2, 4)  # multiples of the mains frequency; power has twice the frequency of the voltage
-MIN_SIGNAL = 0.005  # fraction of full scale; darker patches are not used
-MIN_PATCHES = 50
-L1_ROUNDS, BIWEIGHT_ROUNDS = 10, 5  # rounds of reweighting, for least absolute deviations and then with Tukey's biweight
-EXACT = 5e-4  # log ratio; smaller residuals are never treated as outliers
+HARMONICS = (2, 4)  # flicker frequencies as multiples of the mains frequency, because power has twice its frequency
+MIN_SIGNAL = 0.005  # darker patches are not used; fraction of full scale
+MIN_PATCHES = 50  # smallest number of usable patches for a brightness ratio
+L1_ROUNDS = 10  # iterations of the fit for least absolute deviations
+BIWEIGHT_ROUNDS = 5  # further iterations, with Tukey's biweight
+EXACT = 5e-4  # smaller residuals are never treated as outliers; logarithm of a brightness ratio
 OUTLIER = 4.685  # cut-off of Tukey's biweight, in standard deviations
 Array = NDArray[np.float64]
 
 
 class BrightnessRatio:
-    """Computes the log ratio of each frame's brightness to the previous frame's, from about 1500 patches of raw values.
+    """Compares the brightness of each frame of a sequence with the previous frame.
 
-    It is the median over the patches, so that motion has no influence if it covers less than half of the picture.
+    The result is a median over about 1500 patches of raw values. Motion therefore has no influence as long as it covers less
+    than half of the frame.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -44,9 +46,9 @@ class BrightnessRatio:
         self._before: Array | None = None
 
     def of(self, frame: RawFrame) -> float:
-        """Return the log ratio to the previous frame.
+        """Return the logarithm of the brightness ratio between this frame and the previous frame.
 
-        It is 0 for the first frame, and if all patches are dark or clipped.
+        The result is 0 for the first frame, and if too few patches are neither dark nor clipped.
         """
         patches = self._samples.patches(frame)
         signal = self._samples.signal(patches)
@@ -54,29 +56,30 @@ class BrightnessRatio:
         before, self._before = self._before, now
         if before is None or before.shape != now.shape:
             return 0.0
-        usable = np.minimum(now, before) * frame.gain > MIN_SIGNAL  # false where one of them is NaN
+        usable = np.minimum(now, before) * frame.gain > MIN_SIGNAL  # false for clipped patches, whose brightness is NaN
         if usable.sum() < MIN_PATCHES:
             return 0.0
         return float(np.median(np.log(now[usable] / before[usable])))
 
 
 def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
-    """Return the frequencies, in cycles per frame, at which a sequence shows the flicker of a mains frequency.
+    """Return the frequencies of the flicker in a sequence after aliasing, in cycles per frame.
+
+    A frequency is left out if it has fewer than `MIN_CYCLES` cycles in the sequence, or if it differs by less than one cycle
+    from another frequency.
 
     Parameters
     ----------
     mains : int
-        Frequency of the mains in Hz.
+        Mains frequency in Hz.
     rate : Fraction
         Frames per second.
     frames : int
-        Number of frames within which a sine must have at least MIN_CYCLES cycles, and differ from other sines by at least
-        one cycle.
+        Number of frames in the sequence.
 
     Returns
     -------
     list of float
-        The frequencies. Frequencies at which the light looks steady or changes slowly are left out.
     """
     found: list[float] = []
     for harmonic in HARMONICS:
@@ -89,30 +92,32 @@ def seen_frequencies(mains: int, rate: Fraction, frames: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Flicker:
-    """The flicker of a frame."""
+    """The flicker of one frame."""
 
     log: float  # logarithm of the factor by which flicker brightens the frame
-    mains: int | None  # Hz; None if no flicker is seen
+    mains: int | None  # mains frequency in Hz, or None if no flicker was found
 
 
 def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rate: Fraction) -> Flicker:
-    """Fit the flicker of mains light to the brightness of the frames around one frame.
+    """Estimate the flicker of one frame from the brightness of the surrounding frames.
 
     Parameters
     ----------
     time : float
-        Time of the frame, in frames.
+        Time of the frame, in units of the time between frames.
     times : sequence of float
-        Times of the surrounding frames, in frames, in increasing order.
+        Times of the surrounding frames in the same unit, in increasing order.
     ratios : sequence of float
-        Log ratio of the brightness of each of these frames to that of the previous one. The first value is not used.
+        For each surrounding frame, the logarithm of its brightness divided by the brightness of the frame before. The first
+        value is not used.
     rate : Fraction
         Frames per second.
 
     Returns
     -------
     Flicker
-        Flicker at the best-fitting mains frequency, multiplied by the fraction of the variance that the fit explains.
+        Flicker at the mains frequency that fits better. Its logarithm is multiplied by the fraction of the variance that the
+        fit explains.
     """
     at, steps = np.asarray(times, np.float64), np.asarray(ratios, np.float64)[1:]
     best, least = Flicker(0.0, None), np.inf
@@ -125,19 +130,20 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
             continue
         phase = np.outer(at - time, angles)
         sines = np.hstack([np.cos(phase), np.sin(phase)])
-        # The frequencies of the mains and of the camera's clock are not exact, so the first sine may change in the window.
+        # The frequencies of the mains and of the camera are not exact, so the first sine may drift in amplitude and phase.
         changing = sines[:, [0, angles.size]] * ((at - time) / LOOKAHEAD)[:, None]
-        basis = np.hstack([np.diff(sines, axis=0), np.diff(changing, axis=0), np.diff(at)[:, None]])  # last: the trend
+        trend = np.diff(at)[:, None]
+        basis = np.hstack([np.diff(sines, axis=0), np.diff(changing, axis=0), trend])
         solution, residual = _robust(basis, steps)
         if residual < least:
             explained = max(0.0, 1.0 - (residual / total) ** 2)
             least = residual
-            best = Flicker(float(solution[: angles.size].sum() * explained), mains)  # all cosines are 1 at this frame
+            best = Flicker(float(solution[: angles.size].sum() * explained), mains)  # at `time`, all cosines are 1
     return best
 
 
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
-    """Return a robust solution of basis · x = values, and the standard deviation of the residuals."""
+    """Return a robust solution x of basis · x = values, and the standard deviation of the residuals."""
     weights = np.ones(values.size)
     for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):
         root = np.sqrt(weights)
@@ -152,5 +158,5 @@ def _robust(basis: Array, values: Array) -> tuple[Array, float]:
 
 
 def _spread(values: Array) -> float:
-    """Return the standard deviation of a normal distribution with the same median absolute value."""
+    """Return the standard deviation of a normal distribution that has the same median absolute value as `values`."""
     return float(np.median(np.abs(values)) * 1.4826)

@@ -1,4 +1,4 @@
-"""The reference renderer in float64, with which every other backend is compared in tests (docs/method.md#rendering)."""
+"""The reference renderer in float64 (docs/method.md#rendering). Tests compare every other backend with this renderer."""
 
 import functools
 from collections.abc import Iterable, Iterator
@@ -19,19 +19,19 @@ from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Output units. Spectra of darker pixels, which are far below the noise of any sensor, are not smoothed.
+# Spectra of darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
 SPECTRA_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
-    """A slow and exact renderer in numpy. `by_noise` is the same as in `make_renderer`."""
+    """A slow and exact renderer in numpy. The parameter `by_noise` is the same as in `make_renderer`."""
 
     def __init__(self, table: TransformTable, by_noise: bool = False) -> None:
         require_known_layers(table)
         self.table, self._sets = table, NoiseSets(table, by_noise)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> Integers:
-        """Return the class (row, col) of every pixel in a layer of the table."""
+        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         return self._refine(levelled, labels, layer)[1] if layer else labels
@@ -41,20 +41,23 @@ class ReferenceRenderer:
         return self.exact_outputs(frame).astype(np.float32)
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[Integers]]:
-        """Return the outputs, and the classes (row, col) of the first layer and, if there are several, of the last layer."""
+        """Return the outputs and a list of classes (row, col).
+
+        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
+        """
         return self.outputs(frame), [self.labels(frame, number) for number in sorted({0, len(self.table.later)})]
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as sRGB (row, col, 3). Raises RecipeError unless the outputs are X, Y, Z."""
+        """Return the frame as a picture (row, col, 3). Raises RecipeError if the table has no outputs for pictures."""
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Return the picture of each frame, in order."""
+        """Yield the picture of each frame, in the order of the frames."""
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return the outputs in float64, before rounding to float32."""
+        """Return the outputs (output, row, col) in float64, without the rounding to float32 of `outputs`."""
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])
@@ -71,20 +74,20 @@ class ReferenceRenderer:
         return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
-        """Return the planes (plane, row, col) that the last layer reads. The table must have refinement layers."""
+        """Return the planes (plane, row, col) that the last layer reads. The table must have a refinement layer."""
         levelled = at_table_levels(frame, self.table)
         return self._refine(levelled, self._labels(levelled), len(self.table.later))[0]
 
     @functools.cached_property
     def _fixed_points(self) -> list[FixedPoint]:
-        """Return the fixed-point transforms of all layers except the last."""
+        """Fixed-point transforms of all layers except the last."""
         basis = planes_basis(self.table)
         return [self._sets.first_fixed_point, *(refined_fixed_point(layer, basis) for layer in self._sets.later[:-1])]
 
     def _labels(self, levelled: RawFrame) -> Integers:
-        """Return the class (row, col) of every pixel in the first layer, as an index among the classes of all sets.
+        """Return the class (row, col) of every pixel in the first layer, numbered consecutively over all sets of transforms.
 
-        The frame must be at the table's levels.
+        The frame must have the levels of the table.
         """
         usual, *others = (
             label_mosaic(levelled.values, table.first.rule, table.cfa, len(table.channels), levelled.phase)
@@ -96,7 +99,7 @@ class ReferenceRenderer:
         return labels
 
     def _refine(self, levelled: RawFrame, first_labels: Integers, number: int) -> tuple[NDArray[np.int32], Integers]:
-        """Return the planes that refinement layer `number`, counted from 1, reads, and the classes of the pixels in it."""
+        """Return the planes that refinement layer `number` reads, and the classes of its pixels. Layers count from 1."""
         later = self._sets.later
         planes = first_planes(levelled, first_labels, self.table, self._fixed_points[0])
         labels = self._refined_labels(planes, first_labels, 0)
@@ -106,40 +109,41 @@ class ReferenceRenderer:
         return planes, labels
 
     def _with_plain_clipped_areas(self, made: NDArray[np.float64], levelled: RawFrame) -> NDArray[np.float64]:
-        """Return outputs (output, row, col) in which uniform clipped areas are replaced, if the table supports it."""
+        """Replace the outputs of uniform clipped areas if the table contains the necessary coefficients."""
         clipping = self.table.later[-1].clipping
         if clipping is None:
             return made
         return replaced(made, mosaic_of(levelled, self.table), clipping.response, clipping.white)
 
     def _refined_labels(self, planes: NDArray[np.int32], first_labels: Integers, place: int) -> Integers:
-        """Return the class (row, col) of every pixel in a refinement layer, counted from 0."""
+        """Return the class (row, col) of every pixel in refinement layer `place`, counted from 0."""
         rule, *others = self._sets.refinement_rules(place)
         return label_planes(planes, first_labels, rule, self.table.first.rule, *others)
 
 
 def at_table_levels(frame: RawFrame, table: TransformTable) -> RawFrame:
-    """Return the frame at the black level, white level and bit depth of the table, with equal shading in all channels."""
+    """Convert a frame to the black level, white level and bit depth of the table, and correct its colour shading."""
     return frame.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
 
 def mosaic_of(levelled: RawFrame, table: TransformTable) -> Mosaic:
-    """Return the mosaic of a frame at the table's levels, for the replacement of uniform clipped areas."""
+    """Return the input for the replacement of uniform clipped areas. The frame must have the levels of the table."""
     cfa = shifted_cfa(table.cfa, levelled.phase)
     return Mosaic(levelled.values, cfa, levelled.black_level, table.white_level)
 
 
 def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, first: MosaicLayer) -> NDArray[np.float64]:
-    """Apply the transforms of a first layer.
+    """Apply the transforms of a first layer in floating point.
 
     Parameters
     ----------
     frame : RawFrame
-        Frame at the table's levels.
+        Frame with the levels of the table.
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
     first : MosaicLayer
+        The first layer, with the classes of all sets of transforms.
 
     Returns
     -------
@@ -150,9 +154,9 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
 
 
 def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed: FixedPoint) -> NDArray[np.int32]:
-    """Return the planes (plane, row, col) of the first layer, given its classes (row, col).
+    """Apply the transforms of the first layer in fixed point, and return the planes (plane, row, col).
 
-    The frame must be at the table's levels.
+    The frame must have the levels of the table. `labels` (row, col) contains the class of each pixel.
     """
     return _fixed_point_planes(_mosaic_windows(frame.values.astype(np.int64), table), labels, fixed)
 
@@ -160,14 +164,44 @@ def first_planes(frame: RawFrame, labels: Integers, table: TransformTable, fixed
 def refinement_planes(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, fixed: FixedPoint
 ) -> NDArray[np.int32]:
-    """Return the planes (plane, row, col) of a refinement layer, given the planes of the previous layer."""
+    """Apply the transforms of a refinement layer in fixed point to the planes of the previous layer.
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+        Planes of the previous layer.
+    labels : ndarray, (row, col)
+        Class of each pixel.
+    layer : PlaneLayer
+    fixed : FixedPoint
+        Fixed-point transforms of the layer.
+
+    Returns
+    -------
+    ndarray, (plane, row, col)
+    """
     return _fixed_point_planes(_windows(coarse(planes).astype(np.int64), layer), labels, fixed)
 
 
 def refinement_outputs(
     planes: NDArray[np.int32], labels: Integers, layer: PlaneLayer, share: float = 1.0
 ) -> NDArray[np.float64]:
-    """Return the outputs (output, row, col) of the last layer. `share` is the fraction of the camera's noise variance."""
+    """Apply the transforms of the last refinement layer in floating point.
+
+    Parameters
+    ----------
+    planes : ndarray, (plane, row, col)
+        Planes of the previous layer.
+    labels : ndarray, (row, col)
+        Class of each pixel.
+    layer : PlaneLayer
+    share : float
+        Noise variance of the frame, as a fraction of the noise variance of the camera.
+
+    Returns
+    -------
+    ndarray, (output, row, col)
+    """
     ratios = np.moveaxis(taps_behind(planes, layer.side, layer.ratio_taps), 0, -1) * PLANE_STEP
     made = _transformed(_windows(planes.astype(np.float64) * PLANE_STEP, layer), labels, layer, ratios)
     if layer.coarse_chroma:
@@ -188,7 +222,7 @@ def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
 
 
 def _patches(windows: NDArray, row: int) -> NDArray:
-    """Return the patches (col, tap) of a row of windows, with the taps of all planes in turn."""
+    """Return the taps of all windows in one row, as an array (col, tap). The taps of each plane are consecutive."""
     return np.moveaxis(windows[:, row], 0, 1).reshape(windows.shape[2], -1)
 
 
@@ -204,12 +238,12 @@ def _fixed_point_planes(windows: NDArray, labels: Integers, fixed: FixedPoint) -
 def _transformed(
     windows: NDArray, labels: Integers, layer: MosaicLayer | PlaneLayer, ratios: NDArray | None = None
 ) -> NDArray[np.float64]:
-    """Apply transforms to windows (plane, row, col, …), and return the outputs (output, row, col).
+    """Apply floating-point transforms to windows (plane, row, col, …), and return the outputs (output, row, col).
 
-    `ratios` (row, col, tap) are additional taps after those of the windows.
+    `ratios` (row, col, tap) contains the taps that follow the taps of the windows.
     """
     outputs = np.empty((layer.weights.shape[1], *labels.shape))
-    for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would fill gigabytes
+    for row, label in enumerate(labels):  # row by row, because the transforms of all pixels would need gigabytes
         patches = _patches(windows, row)
         if ratios is not None:
             patches = np.concatenate([patches, ratios[row]], axis=1)
@@ -219,15 +253,27 @@ def _transformed(
 
 
 def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) -> NDArray[np.float64]:
-    """Smooth the spectra of outputs (output, row, col).
+    """Smooth the spectra of outputs (output, row, col) over a window, without changing the brightness of a pixel.
 
-    Let Y be the mean of the outputs, p a pixel, and q the pixels of its window, including p:
+    Let o be the outputs of a pixel, Y the mean of its outputs, p the central pixel of a window, and q any pixel of the
+    window:
 
         w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))²)²
         o_p ← ō_p · Y_p / Ȳ_p
 
-    Here ō and Ȳ are means weighted by w. They are computed from differences to the pixel, so that uniform areas are
-    unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+    ō and Ȳ are means over the window, weighted by w. The means are computed from differences to the central pixel, so that
+    uniform areas are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+
+    Parameters
+    ----------
+    planes : ndarray, (output, row, col)
+        Spectra.
+    smoothing : SpectralSmoothing
+        Size of the window, and reach.
+
+    Returns
+    -------
+    ndarray, (output, row, col)
     """
     _, rows, cols = planes.shape
     brightness = planes.mean(axis=0)
@@ -236,7 +282,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     total, brighter, change = np.ones_like(brightness), np.zeros_like(brightness), np.zeros_like(planes)
     for down, right in np.ndindex(smoothing.window, smoothing.window):
         if down == right == smoothing.radius:
-            continue  # the pixel itself has no difference and a weight of 1
+            continue  # the central pixel has a weight of 1, which `total` already contains
         there = slice(down, down + rows), slice(right, right + cols)
         difference = around[there] - brightness
         weight = np.maximum(1 - np.square(difference / scale), 0) ** 2
