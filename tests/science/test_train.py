@@ -302,7 +302,7 @@ def test_other_outputs_than_xyz(
     if outputs == ("Y",):  # luminance is shown as grey
         assert l3("render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png", "--backend", "reference")[0] == 0
     else:
-        assert "this table has" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
+        assert "pictures need X, Y, Z" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
     # one pass only: two steps
     code, _, err = l3(*arguments, "--shard", "1/1", "-o", tmp_path / "shard.h5")
     assert code == 0, err
