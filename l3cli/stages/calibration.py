@@ -1,4 +1,4 @@
-"""Calibration stage: lab measurements → camera model, and a folder of captures or tables → draft of a measurement file."""
+"""The calibration stage: it fits a camera model to measurements, or drafts a measurement file for a folder of captures."""
 
 import itertools
 import os
@@ -30,18 +30,18 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-MOST_LINES = 8  # assumptions, and missing entries, that are each printed on a line of their own
+MAX_PRINTED = 8  # largest number of assumptions, and of missing entries, that are printed one by one
 
 
 def calibrate(
     measurements: Path | None, output: Path, options: CalibrateOptions
 ) -> tuple[CameraModel, dict[str, Any], FilesUsed]:
-    """Calibrate a camera from a measurement file, or from raw photos of a ColorChecker, and write its model.
+    """Calibrate a camera from a measurement file or from raw photos of a ColorChecker, and write the camera model.
 
     Parameters
     ----------
     measurements : Path or None
-        Measurement file; None if the options name photos.
+        Measurement file. None if `options.photos` contains photos.
     output : Path
         Camera model to write.
     options : CalibrateOptions
@@ -52,21 +52,25 @@ def calibrate(
     CameraModel
         The model.
     dict
-        Its figures, as `l3 calibrate --json` prints them.
+        Output of `l3 calibrate --json`.
+    FilesUsed
+        The files that were read and written.
 
     Raises
     ------
     InputFileError, RecipeError
         If the measurements cannot be used.
     L3Error
-        If the model predicts its charts badly and `accept` is not set, or if an output cannot be written.
+        If the model predicts the charts badly and `accept` is not set, or if the output cannot be written.
     """
     photos, light, truth = options.photos, options.light, options.truth
     console, force = options.console, options.force
     if (measurements is None) == (not photos):
-        raise RecipeError("give either a measurement file or raw photos of a chart, as ‹photo›")
+        raise RecipeError("calibration needs a measurement file or raw photos; name either a measurement file or ‹photo›")
     if light is not None and measurements is not None:
-        raise RecipeError("‹light› is for photos, and a measurement file names its lights itself; leave ‹light› out")
+        raise RecipeError(
+            "‹light› applies only to photos, because a measurement file contains its own illuminants; leave ‹light› out"
+        )
     with OutputGuard(console) as guard:
         guard.protect(*photos, *filter(None, [measurements, truth]))
         guard.guard_file(output, force)
@@ -95,25 +99,29 @@ def calibrate(
         for doubt in figures.doubts(camera):
             console.warn(doubt)
         if shortfall:
-            console.info(f"accepted although {shortfall.partition(';')[0]}")
+            console.info(f"the model is accepted although {shortfall.partition(';')[0]}")
         if result["saturation reached"] is False:
             console.info(
-                "no white frame saturates, so the highest code of the converter counts as white level; add a longer exposure"
+                "no white frame saturates, so the highest code of the converter is used as the white level; to measure the "
+                "white level, add a longer exposure"
             )
         if isinstance(measured.curve, FinishedCurves) and measured.curve.note:
             console.info(measured.curve.note)
         if measured.curve is not None and not camera.responsivity_band.any():
             light = "photodiode" if isinstance(measured.curve, SweepTable) else "lamp_drift"
-            console.info(f"no confidence band: to have one, state [uncertainty] {light} and wavelength_nm")
+            console.info(
+                f"the curves have no confidence band; to compute a band, set {light} and wavelength_nm in [uncertainty]"
+            )
         csv = f"l3 export {shlex.quote(str(output))} -o DIR"
-        console.info(f"{output}: written, with the curves as dataset responsivity; as CSV: {csv}")
+        console.info(f"{output}: written; the dataset responsivity contains the curves; to write the curves as CSV: {csv}")
         return camera, result, files.and_wrote(output)
 
 
 def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
-    """Write a draft of a measurement file for the captures in a folder, or for its tables if it has no frames.
+    """Write a draft of a measurement file for a folder of captures.
 
-    Frames do not state the sensor, array and optics, so these come from the camera in the options.
+    If the folder contains no raw frames, the draft describes its tables of responsivities. The frames contain no information
+    about sensor, CFA and optics, which are taken from the camera in the options.
 
     Parameters
     ----------
@@ -127,19 +135,21 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     Returns
     -------
     FilesUsed
-        Captures and tables that were read, and the draft.
+        The files that were read and written.
 
     Raises
     ------
     InputFileError
-        If the folder holds neither raw frames nor responsivities.
+        If the folder contains neither raw frames nor responsivities.
     RecipeError
-        If the frames are not those of the camera.
+        If the frames do not fit the camera.
     L3Error
         If the output cannot be written.
     """
     if output.suffix != ".toml":
-        raise RecipeError(f"{output}: a measurement file ends in .toml; name it MEASUREMENTS.toml")
+        raise RecipeError(
+            f"{output} is not a valid name for a measurement file; use a name that ends in .toml, such as MEASUREMENTS.toml"
+        )
     camera, console = options.camera, options.console
     with OutputGuard(console) as guard:
         guard.protect(*(camera_files(camera) if camera else ()))
@@ -162,21 +172,25 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
             text, notes = Composer(seen, known, named_from(folder, output), read).text(name), seen.notes
             contents = f"{len(seen.groups)} captures, {sum(len(group.frames) for group in seen.groups)} frames"
         write_whole(output, str(text))
-        assumed = first_lines([f"assumed: {line}" for line in text.assumed], MOST_LINES, "… and {} more, marked ASSUMED")
-        missing = first_lines([f"missing: {line}" for line in text.missing], MOST_LINES, "… and {} more, marked TODO")
+        assumed = first_lines(
+            [f"assumed: {line}" for line in text.assumed], MAX_PRINTED, "… and {} more, marked ASSUMED in the file"
+        )
+        missing = first_lines(
+            [f"missing: {line}" for line in text.missing], MAX_PRINTED, "… and {} more, marked TODO in the file"
+        )
         for line in (*notes, *assumed, *missing):
             console.info(line)
         written = f"{output}: {contents}"
         problem = "" if text.missing else _problem(str(text), output)
         if problem:
-            console.warn(f"l3 calibrate cannot use it yet: {problem}")
-        then = "fill in what is marked TODO, then" if text.missing else "next"
+            console.warn(f"l3 calibrate cannot use {output} yet: {problem}")
+        then = "replace each TODO in the file, then" if text.missing else "next"
         console.info(written if problem else f"{written}; {then}: l3 calibrate {output} -o camera.h5")
         return files.and_wrote(output)
 
 
 def _problem(text: str, output: Path) -> str:
-    """Return the error with which calibration would refuse a complete draft, or ""."""
+    """Return the error that `l3 calibrate` would report for a complete draft, or "" if there is none."""
     try:
         measurements_of(parse_measurements(text, output), output)
     except L3Error as error:
@@ -188,13 +202,16 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return a path as written in a measurement file: relative to the file's folder, or absolute if outside the folder."""
+    """Return a path for a measurement file: relative to the folder of the file if inside this folder, otherwise absolute."""
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
 
 
 def spectra_of(listing: CaptureFolder, output: Path, notes: list[str]) -> list[Spectra]:
-    """Return the tables of spectra in a folder, in natural order of their names. Files that are left out go to `notes`."""
+    """Return the tables of spectra in a folder, in natural order of their names.
+
+    `notes` receives a message about each file that is left out.
+    """
     tables = read_spectra(listing, notes)
     spectra = [Spectra(named_from(listing.folder / name, output), read_name(name), table) for name, table in tables]
     return sorted(spectra, key=lambda each: natural(each.name.path))

@@ -1,4 +1,4 @@
-"""The stage of `l3 compare`: metrics of several cameras over luminance, and where another camera becomes the best."""
+"""The stage of `l3 compare`, which compares metrics of several cameras as functions of luminance."""
 
 import itertools
 import json
@@ -12,7 +12,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import OutputGuard
 
-GIVE = 'give a file that "l3 evaluate --json" printed'
+EXPECTED = 'name a file that contains the output of "l3 evaluate --json"'
 
 
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:
@@ -23,21 +23,28 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
     evaluations : tuple of Path
         Files with the output of `l3 evaluate --json`.
     page : Path or None
-        HTML page to write with the curves.
+        HTML page with curves to write.
     options : CompareOptions
         Options of `l3 compare`.
+
+    Returns
+    -------
+    Comparison
+        The metrics.
+    FilesUsed
+        The files that were read and written.
 
     Raises
     ------
     InputFileError
-        If a file is not an evaluation, or if its luminances differ from those of the others.
+        If a file is not an evaluation, or if the files differ in their luminances.
     RecipeError
-        If the evaluations lack a metric.
+        If an evaluation lacks one of the metrics, or if the name of the page does not end in .html.
     L3Error
         If the page cannot be written.
     """
     if page is not None and page.suffix != ".html":
-        raise RecipeError(f"{page}: the page must end in .html")
+        raise RecipeError(f"{page} cannot contain an HTML page; use a file name that ends in .html")
     figures, console = options.figures, options.console
     with OutputGuard(console) as guard:
         if page is not None:
@@ -62,11 +69,11 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(read_bounded(path, GIVE))
+        document = json.loads(read_bounded(path, EXPECTED))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputFileError(f"{path}: not readable as JSON; {GIVE}") from error
+        raise InputFileError(f"{path} is not a JSON file; {EXPECTED}") from error
     if not isinstance(document, dict):
-        raise InputFileError(f"{path} is not an evaluation; {GIVE}")
+        raise InputFileError(f"{path} is not an evaluation; {EXPECTED}")
     return document
 
 

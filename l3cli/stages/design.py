@@ -1,8 +1,8 @@
 """The stages of `l3 design moments` and `l3 design`.
 
-`l3 design moments` simulates scenes behind a lens and a pixel, and stores the moments of their patches: all that is needed
-to predict the error of any CFA. `l3 design` ranks CFAs made from a library of filters by this error. To check the
-prediction, it can also train and evaluate the best ones.
+`l3 design moments` simulates how a lens and a pixel record scenes, and stores the second moments of image patches. From
+these moments, the error of any CFA can be predicted. `l3 design` ranks the CFAs that can be made from a library of filters
+by this error. To check the prediction, it can also train and evaluate the best CFAs.
 """
 
 import dataclasses
@@ -70,25 +70,27 @@ Arrays = Mapping[str, NDArray]
 
 
 class Parts(PartsFolder):
-    """The finished parts of a run; each part is a set of named NumPy arrays."""
+    """The stored results of a run. Each part is a file with named NumPy arrays."""
 
     def each(
         self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
     ) -> Iterator[dict[str, NDArray]]:
-        """Apply `work` to each item and yield the results in order; parts that an earlier run stored are read instead.
+        """Apply `work` to each item, store the results, and yield them in order.
+
+        If an earlier run has already stored the result for an item, this result is read instead.
 
         Parameters
         ----------
         what : str
-            What the parts are, for their file names and for the progress bar.
+            Name of the results in the plural, for file names and for the progress bar.
         work : callable
-            Turns an item into named arrays. It must be picklable.
+            Function that computes named arrays from an item. It must be picklable.
         items : sequence
-            What there is to do.
+            The items.
         pool : WorkerPool
-            The processes that do the work.
+            The worker processes.
         console : Console
-            Where progress is shown.
+            Shows the progress.
         """
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
         done = [path.is_file() for path in paths]
@@ -102,27 +104,29 @@ class Parts(PartsFolder):
                 yield {name: arrays[name] for name in arrays.files}
 
 
-PARTS = 8  # the scenes are divided into so many parts, whatever the number of processes
+PARTS = 8  # number of parts into which the scenes are divided, independent of the number of processes
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Compute and write the moments of scenes behind the lens and pixel of a camera; its filters do not matter.
+    """Compute the moments of scenes, as recorded by the lens and pixel of a camera, and write them.
+
+    The filters of the camera have no influence.
 
     Parameters
     ----------
     scenes : Path
-        A scene recipe.
+        Scene recipe.
     camera : Path
-        A camera model, a camera recipe, or a design recipe.
+        Camera model, camera recipe or design recipe.
     output : Path
-        The file to write.
+        File of moments to write.
     options : MomentsOptions
-        Seed, patches per scene, and what applies to every stage.
+        Options of `l3 design moments`.
 
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe, the camera or a file cannot be used.
+        If the recipe, the camera or a scene file cannot be used.
     L3Error
         If the output cannot be written.
     """
@@ -174,38 +178,49 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
                 history=(*pixel.history, stage),
             )
             save(moments, output)
-        spectra_of = ", ".join(f"{each.illuminant} {each.terms} spectra" for each in lights)
+        spectra_of = ", ".join(f"{each.terms} principal spectra under {each.illuminant}" for each in lights)
         console.info(f"{output}: {lights[0].patches.sum():.0f} patches, {spectra_of}")
         return moments, used
 
 
 def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
-    """Return whether an earlier run has finished the output, so that with `resume` nothing is left to do.
+    """Whether `resume` is set and an earlier run has already finished the output.
 
     Raises
     ------
     L3Error
-        If another output exists that may not be replaced.
+        If the output exists but belongs to another run, unless `force` is set.
     """
     finished = options.resume and not options.force and is_of_run(output, parts.key)
     if not finished:
         refuse_existing(output, options.force)
     if finished:
-        parts.remove()  # of a run that was killed after the output had appeared
+        parts.remove()  # stored parts remain if a run was killed just after it had written the output
         options.console.info(f"{output} is finished already")
     return finished
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
-    """Raise RecipeError for scenes without reflectance spectra, which could not be relit."""
+    """Raise RecipeError if a scene has no reflectance spectra, which are needed to simulate it under other illuminants."""
     if SCENE_LIGHT in recipe.illuminants:
-        raise RecipeError(f'{path}: moments need named illuminants; leave "{SCENE_LIGHT}" out of illuminants')
+        raise RecipeError(
+            f'{path}: "{SCENE_LIGHT}" in illuminants cannot be used for moments; name illuminants such as "D65"'
+        )
     if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
-        raise RecipeError(f"{path}: moments need spectral scenes; leave out pairs and pictures with codes")
+        raise RecipeError(
+            f"{path}: moments can only be computed from spectral scenes; remove each [[pair]] and each picture whose codes "
+            "are signals of the channels"
+        )
     if any(isinstance(each, Spectral) and each.holds != "reflectance" and each.light is None for each in recipe.scene):
-        raise RecipeError(f"{path}: moments need reflectance; give the illuminant under which radiance was measured")
+        raise RecipeError(
+            f'{path}: moments need reflectances, but a scene contains radiances; add the key "light" with the illuminant of '
+            "the scene"
+        )
     if recipe.lens.transmittance is not None:
-        raise RecipeError(f"{path}: leave out lens.transmittance; in a design it is part of the filters")
+        raise RecipeError(
+            f"{path}: lens.transmittance cannot be used for moments; remove this key, and include the lens in the "
+            "transmittances of the filters"
+        )
 
 
 Chunk = Sequence[tuple[int, WantedScene]]
@@ -218,7 +233,10 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 
 
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
-    """Return the second moments of the photon spectra of some scenes (illuminant, wavelength, wavelength)."""
+    """Return the second moments of the photon spectra of some scenes.
+
+    The array "power" has the axes (illuminant, wavelength, wavelength).
+    """
     power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
     for _, wanted in chunk:
         scene = _scene(wanted, run)
@@ -229,22 +247,22 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Return the sums over the patches of some scenes; each name ends in the number of the illuminant."""
+    """Return sums over the patches of some scenes. The name of each array ends in the number of the illuminant."""
     sums = [empty_sums(basis.shape[1]) for basis in bases]
     for place, wanted in chunk:
         scene = _scene(wanted, run)
         for of_light, name, basis in zip(sums, run.recipe.illuminants, bases, strict=True):
             planes, sharp, target = spectral_planes(run.camera, scene, run.lights[name], run.recipe.lens, basis)
-            rng = np.random.default_rng([run.seed, place])  # the same patches under every light
+            rng = np.random.default_rng([run.seed, place])  # independent of the illuminant, so that patches are the same
             gather(of_light, planes, target, sharp, patches, rng)
     return {f"{name}-{number}": value for number, of_light in enumerate(sums) for name, value in of_light.items()}
 
 
-CLASSES = "single"  # class recipe for training
-CROP = 72  # pixels; side of the square crop of the first scene that a design stores
-FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # of evaluation.quality
-# scene recipe for training
-LEARNED = """illuminants = {lights}
+CLASS_RECIPE = "single"  # class recipe with which CFAs are trained
+CROP = 72  # side in pixels of the square crop of the first scene that a design stores
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics of evaluation.quality that a design stores
+# scene recipe for training CFAs
+TRAINING_SCENES = """illuminants = {lights}
 exposure_share = [0.9]
 [[scene]]
 source = "dead leaves"
@@ -256,8 +274,8 @@ size = [160, 160]
 count = 2
 patches = [4, 4]
 """
-# scene recipe for the evaluation
-UNSEEN = """illuminants = ["{light}"]
+# scene recipe for evaluating CFAs
+EVALUATION_SCENES = """illuminants = ["{light}"]
 luminances_cd_m2 = [{luminance}]
 {exposure}
 [[scene]]
@@ -274,10 +292,10 @@ count = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """A CFA to train, and the conditions to evaluate it under."""
+    """A camera with a CFA to train, and the conditions under which it is evaluated."""
 
     camera: CameraModel
-    levels: Sequence[tuple[str, Level]]  # name of the illuminant, and exposure
+    levels: Sequence[tuple[str, Level]]  # illuminant and exposure of each condition
     seed: int
 
 
@@ -286,20 +304,20 @@ def trained(trial: Trial) -> dict[str, NDArray]:
 
     Returns
     -------
-    dict of str to array
-        `figures` (level, scene, figure): the values of FIGURES. `crops` and `ideals` (level, row, col, 3): sRGB codes of a
-        crop of the first scene, rendered and ideal. `digest`: the SHA-256 of what the scenes show, as bytes.
+    dict of str to ndarray
+        "figures", (level, scene, metric): the metrics in FIGURES. "crops" and "ideals", (level, row, col, 3): a crop of the
+        first scene, rendered and ideal, as sRGB codes. "digest": SHA-256 of the content of all evaluated scenes, as bytes.
     """
     with tempfile.TemporaryDirectory(prefix="l3-") as name:
         folder, shown, ends = Path(name), hashlib.sha256(), []
         save(trial.camera, folder / "camera.h5")
         lights = toml_value(list(dict.fromkeys(light for light, _ in trial.levels)))
-        training = _simulated(LEARNED.format(lights=lights), folder, "training", trial.seed)
-        train((training,), folder / "table.h5", TrainOptions(classes=find_recipe(CLASSES, "classes"), seed=trial.seed))
+        training = _simulated(TRAINING_SCENES.format(lights=lights), folder, "training", trial.seed)
+        train((training,), folder / "table.h5", TrainOptions(classes=find_recipe(CLASS_RECIPE, "classes"), seed=trial.seed))
         table = load(TransformTable, folder / "table.h5")
         for number, (light, level) in enumerate(trial.levels):
             exposure = f"exposure_share = [{level.share}]" if level.share is not None else f"exposure_s = [{level.seconds}]"
-            text = UNSEEN.format(light=light, luminance=level.luminance, exposure=exposure)
+            text = EVALUATION_SCENES.format(light=light, luminance=level.luminance, exposure=exposure)
             ends.append(_judged(table, _simulated(text, folder, f"unseen{number}", trial.seed + 1), shown))
         figures, crops, ideals = map(np.array, zip(*ends, strict=True))
         digest = np.frombuffer(shown.digest(), np.uint8)
@@ -314,12 +332,12 @@ def _simulated(text: str, folder: Path, name: str, seed: int) -> Path:
 
 
 def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tuple[NDArray, NDArray, NDArray]:
-    """Evaluate a table on simulated frames, and add to the hash `shown` what the frames show.
+    """Evaluate a table on simulated frames, and add the content of their scenes to the hash `shown`.
 
     Returns
     -------
-    (array, array, array)
-        FIGURES (frame, figure), and the crop of the first frame, rendered and ideal.
+    (ndarray, ndarray, ndarray)
+        Metrics in FIGURES, (frame, metric); crop of the first rendered frame; crop of its ideal picture.
     """
     rows, crops = [], list[NDArray]()
     renderers = FrameRenderers("reference", table, Silent())
@@ -342,10 +360,10 @@ def _judged(table: TransformTable, frames: Path, shown: "hashlib._Hash") -> tupl
     return np.array(rows), ours, ideal
 
 
-AT_ONCE = 64  # CFAs whose error a process predicts in one part
-RUNS = 2  # runs of simulated annealing for each pattern; Task.annealed says from where they start
-STARTS = 4  # starting points when filters are tuned; the first is the filters of the recipe
-TUNED = " (tuned)"  # follows the name of a CFA with tuned filters
+CFAS_PER_PART = 64  # number of CFAs whose errors a process predicts before the errors are stored
+ANNEALING_RUNS = 2  # runs of simulated annealing for each pattern; see Task.annealed for their starting points
+TUNING_STARTS = 4  # starting points for tuning the filters; the first starting point is the recipe
+TUNED = " (tuned)"  # suffix of the name of a CFA with tuned filters
 
 
 def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
@@ -354,21 +372,21 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
     Parameters
     ----------
     recipe : Path
-        A design recipe.
+        Design recipe.
     output : Path
-        The file to write.
+        Design to write.
     options : DesignOptions
-        The moments, how many CFAs to train and evaluate, and what applies to every stage.
+        Options of `l3 design`.
 
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe, the moments or a file cannot be used.
+        If the recipe, the moments or a file of spectra cannot be used.
     L3Error
         If the output cannot be written.
     """
     if options.moments is None:
-        raise RecipeError('‹moments› is missing; make them with "l3 design moments"')
+        raise RecipeError('the option ‹moments› is missing; set it to a file that "l3 design moments" has written')
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(recipe, options.moments)
@@ -379,7 +397,9 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         task.require_same_pixel()
         seen, noise = task.problem.seen, task.problem.noise
         if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
-            raise RecipeError(f"{listed(wrong)}: every filter clips everywhere in the scenes; reduce the exposure")
+            raise RecipeError(
+                f"at the level {listed(wrong)}, all pixels clip behind every filter in all scenes; reduce the exposure"
+            )
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}
         stage = Stage("design", options.chosen(), read_text(recipe), sums)
@@ -400,14 +420,14 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
                 made = dataclasses.replace(made, truth=run.truth(made, options.truth))
             made = dataclasses.replace(made, history=(*task.scenes.history, stage))
             save(made, output)
-        found = counted(made.tried, "array"), counted(len(made.filters), "filter"), counted(len(made.levels), "level")
+        found = counted(made.tried, "CFA"), counted(len(made.filters), "filter"), counted(len(made.levels), "level")
         console.info(f"{output}: {', '.join(found)}")
         return made, used
 
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """The steps of a design; each stores its finished parts."""
+    """The steps of a design. Each step stores its results, so that an interrupted run can continue."""
 
     task: Task
     parts: Parts
@@ -418,12 +438,17 @@ class _Run:
         return self.parts.each(what, work, items, self.pool, self.options.console)
 
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
-        """Yield every CFA whose error is to be predicted, without duplicates.
+        """Yield each CFA whose error is predicted, without duplicates.
 
-        They are the CFAs of each pattern, or the results of annealing where there are too many, and the Bayer CFAs that
-        the library of filters allows.
+        For a pattern of the recipe, these are all its CFAs or, if a pattern has too many CFAs, the results of simulated
+        annealing. All Bayer CFAs of the library of filters are also included.
+
+        Parameters
+        ----------
+        lists : sequence of list of CFA, or None
+            The CFAs of each pattern. None if a pattern has too many CFAs to predict the error of each of them.
         """
-        runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(RUNS)]
+        runs = [(number, run) for number, arrays in enumerate(lists) if arrays is None for run in range(ANNEALING_RUNS)]
         work = functools.partial(self.task.annealed, self.options.seed)
         annealed = [part["cfa"] for part in self._each("annealings", work, runs)] if runs else []
         known: set[tuple[Any, ...]] = set()
@@ -435,14 +460,14 @@ class _Run:
                 yield cfa
 
     def judged(self, arrays: Sequence[Cfa]) -> NDArray[np.float64]:
-        """Return the predicted errors (CFA, level, group)."""
-        groups = [arrays[start : start + AT_ONCE] for start in range(0, len(arrays), AT_ONCE)]
+        """Return the predicted errors, (CFA, level, group)."""
+        groups = [arrays[start : start + CFAS_PER_PART] for start in range(0, len(arrays), CFAS_PER_PART)]
         return np.concatenate([part["errors"] for part in self._each("arrays", self.task.judged, groups)])
 
     def tuned(self, asked: OptimiseRecipe) -> Tuned:
-        """Tune the filters of a CFA from several starting points, and return the result with the least error."""
+        """Tune the filters of a CFA from several starting points, and return the result with the smallest error."""
         task = self.task
-        ends = list(self._each("tunings", functools.partial(task.descended, self.options.seed), range(STARTS)))
+        ends = list(self._each("tunings", functools.partial(task.descended, self.options.seed), range(TUNING_STARTS)))
         parameters = min(ends, key=lambda end: float(end["score"]))["parameters"]
         curves, cfa = task.tuned_curves(parameters), task.numbered(asked.pattern)
         problem = task.problem_of(curves)
@@ -458,7 +483,7 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Train and evaluate CFAs: the `most` best, a Bayer CFA, the rivals of the recipe, and that with tuned filters."""
+        """Train and evaluate the `most` best CFAs, a Bayer CFA, the rivals in the recipe, and the CFA with tuned filters."""
         task, names = self.task, self.task.names
         given = [made.patterns[place] for place in made.best(most)]
         given += [shown(task.numbered(rows), names) for rows in task.wanted.rivals]
@@ -474,7 +499,7 @@ class _Run:
         ends = list(self._each("trainings", trained, trials))
         digests = {end["digest"].tobytes().hex() for end in ends}
         if len(digests) > 1:
-            raise L3Error("the CFAs were not evaluated on the same scenes; this is a bug in l3, please report it")
+            raise L3Error("the CFAs were not evaluated on the same scenes, which is a bug in l3; please report it")
         figures, crops = (np.array([end[name] for end in ends]) for name in ("figures", "crops"))
         figures = figures.mean(axis=2)  # over scenes
         return Truth(tuple(wanted), np.array(expected), FIGURES, figures, crops, ends[0]["ideals"], digests.pop())

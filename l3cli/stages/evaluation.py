@@ -1,4 +1,4 @@
-"""The stage of `l3 evaluate`: metrics of a table on frames with known targets, or of a rendered sequence over time."""
+"""The stage of `l3 evaluate`: metrics of a table on frames with known targets, or of a rendered video over time."""
 
 import contextlib
 import dataclasses
@@ -49,11 +49,12 @@ from l3cli.system.checkpoint import incomplete_folder, refuse_other_run
 from l3cli.system.console import Console, Silent
 from l3cli.system.files import FilesUsed, files_to_read, sha256
 from l3cli.system.outputs import OutputGuard
+from l3cli.system.text import counted
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
-BRIGHT = 1e4  # cd/m², white of the charts; exposures are then so short that dark current is negligible
+CHART_LUMINANCE = 1e4  # cd/m², luminance of white on the charts; so bright that dark current is negligible
 LUX = 1e-9, 1e9  # lux, range of plausible illuminances
-BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm, bands of the charts; enough to model diffraction
+CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm; fine enough to model diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
@@ -62,19 +63,19 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
     Parameters
     ----------
     head : TrainingSet
-        The training set whose camera photographs the charts, and whose outputs the pipelines compute.
+        Head of a training set. Its camera photographs the charts, and the pipelines compute its outputs.
     planes : callable
-        Takes a frame and returns the outputs (output, row, col) of every pipeline, by name.
+        Takes a frame and returns the output planes (output, row, col) of each pipeline, by the name of the pipeline.
 
     Returns
     -------
     dict
-        The part "standards" of what `l3 evaluate --json` prints; docs/measurement.md describes it.
+        The entry "standards" in the output of `l3 evaluate --json`, which docs/measurement.md describes.
     """
     camera, outputs = head.camera, head.outputs
     camera = dataclasses.replace(camera, rows=standards.SIDE, cols=standards.SIDE, flat_field=None, defects=None)
     target = target_of(head)
-    light = make_light(standards.LIGHT, {}, camera.wavelength).at(BRIGHT)
+    light = make_light(standards.LIGHT, {}, camera.wavelength).at(CHART_LUMINANCE)
     document: dict[str, Any] = {"edge": {}, "grey": None, "chart": None}
     eye = spectra.xyz_weights(light.wavelength)[1] * light.radiance
     for across in ("rows", "columns"):
@@ -90,24 +91,36 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
 
 
 def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -> TrainingFrame:
-    """Return a noise-free frame of a slanted edge, nearly vertical if `across` is "rows" and nearly horizontal otherwise."""
+    """Return a noise-free frame of a slanted edge.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    light : Light
+        The illuminant.
+    across : str
+        "rows" for a nearly vertical edge, "columns" for a nearly horizontal edge.
+    target : Target
+        The outputs.
+    """
     size = standards.SIDE, standards.SIDE
-    cube = slanted_edge(size, BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
-    scene = Scene("edge", BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
+    cube = slanted_edge(size, CHART_BANDS, standards.ANGLE, standards.DARK_SIDE, standards.BRIGHT_SIDE)
+    scene = Scene("edge", CHART_BANDS, cube if across == "rows" else cube.swapaxes(0, 1), NO_ILLUMINANT)
     seconds = automatic_exposure(camera, light, standards.EDGE_FRAME_WHITE)
     return simulate(camera, scene, light, seconds, Lens(), (0,), target, noises="none")
 
 
 def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) -> dict[str, Any]:
-    """Return the mean colour difference that the uncertainty of the camera's curves causes, for each pipeline.
+    """Return the mean colour difference that the uncertainty of the responsivities causes in each pipeline.
 
-    Cameras drawn within the confidence band of the curves photograph a chart without noise. Their pictures, rendered for
-    `camera`, are compared with that of `camera` itself.
+    Cameras with responsivities drawn within the confidence band photograph a chart without noise. The pipelines process
+    these frames as frames of `camera`, and the colours are compared with the colours of a frame that `camera` has taken.
     """
     size = standards.SIDE, standards.SIDE
-    cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, BANDS)
+    cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, CHART_BANDS)
     scene, seconds = (
-        Scene("chart", BANDS, cube, NO_ILLUMINANT),
+        Scene("chart", CHART_BANDS, cube, NO_ILLUMINANT),
         automatic_exposure(camera, light, standards.EDGE_FRAME_WHITE),
     )
     seen: dict[str, list[NDArray[np.floating]]] = {}
@@ -125,8 +138,10 @@ def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) 
 def _greys(
     camera: CameraModel, light: Light, target: Target, outputs: tuple[str, ...], planes: PlanesOf
 ) -> dict[str, Any] | None:
-    """Return the signal-to-noise ratio of grey patches, or None if no channel reaches the reference ratio or dark current
-    alone saturates the pixels."""
+    """Return the signal-to-noise ratio of grey patches at several illuminances.
+
+    The result is None if no channel reaches the reference ratio, or if dark current alone saturates the pixels.
+    """
     side, part = (standards.RAW_SIDE,) * 2, np.s_[: standards.GREY_SIDE, : standards.GREY_SIDE]
     camera, channel = dataclasses.replace(camera, rows=side[0], cols=side[1]), camera.channel_map(side)
     cube = np.full((standards.GREY_SIDE, standards.GREY_SIDE, 2), standards.GREY, np.float32)
@@ -151,16 +166,17 @@ def _greys(
     return standards.grey_document(camera, noise, lux, raw, snr)
 
 
-FRAMES_PER_LIGHT = 2  # frames under each light that are evaluated at every gain
-MOST_KEPT = 8  # renderers in the cache, because consecutive frames show one scene under several lights
-DECIDES = "mean_delta_e"  # metric by which a baseline counts as better
-OTHER_LIGHT = 0.005  # CIE 1960 uv; two whites at least this far apart count as different illuminants
-ONE_LIGHT = 0.001  # CIE 1960 uv; illuminants of a training set that differ by no more count as one
-UNLIKE = 1.05  # from this ratio of brightness on, differences of lightness mostly show a difference of exposure
+FRAMES_PER_LIGHT = 2  # number of frames under each illuminant that are evaluated at several gains
+MAX_RENDERERS = 8  # size of the cache of renderers; consecutive frames show one scene under several illuminants
+DECIDING_METRIC = "mean_delta_e"  # if this metric is smaller for a baseline, the baseline is better than the table
+OTHER_LIGHT = 0.005  # distance in CIE 1960 uv from which two whites count as different illuminants
+ONE_LIGHT = 0.001  # distance in CIE 1960 uv up to which the illuminants of a training set count as the same
+# If two sequences differ in brightness by this factor, their lightness differences are mostly differences in exposure.
+DIFFERENT_BRIGHTNESS = 1.05
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
-    """Evaluate a table on the frames of a training set, and its baselines and rivals on the same frames.
+    """Evaluate a table, the baselines and rival pipelines on the frames of a training set.
 
     Parameters
     ----------
@@ -172,14 +188,14 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
     Returns
     -------
     dict
-        The document of `l3 evaluate --json`.
+        The output of `l3 evaluate --json`.
     FilesUsed
-        The table, the frames and the rivals' pictures that were read, and the pictures that were written.
+        The files that were read and written.
 
     Raises
     ------
     InputFileError, RecipeError
-        If table, frames and rivals cannot be compared.
+        If the table, the frames and the pictures of the rivals do not fit one another.
     L3Error
         If the folder of pictures cannot be written.
     """
@@ -187,7 +203,9 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
     transforms = load(TransformTable, table)
     others = {_name_of(path): (path, picture_files(path)) for path in rivals}
     if len(others) < len(rivals):
-        raise RecipeError("the folders of two ‹rival› have the same name, by which results are listed; rename one")
+        raise RecipeError(
+            "two folders of ‹rival› have the same name, but results are listed by the name of the folder; rename one folder"
+        )
     with OutputGuard(console) as guard:
         if pictures is not None:
             require_xyz(transforms.outputs)
@@ -201,7 +219,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
             for path, files in others.values():
                 if len(files) != len(reader):
                     raise InputFileError(
-                        f"{path} has {len(files)} pictures, but {frames} has {len(reader)} frames; give one per frame"
+                        f"{path} contains {counted(len(files), 'picture')}, but {frames} contains "
+                        f"{counted(len(reader), 'frame')}; provide one picture per frame"
                     )
             if pictures is not None:
                 key = options.run_key(sha256(table), sha256(frames), files=picture_files)
@@ -211,8 +230,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
             if pictures is not None:
                 unfinished.enter_context(incomplete_folder(pictures, key, options.force))
             if any(sha256(frames) in digests for stage in transforms.history for digests in stage.inputs.values()):
-                text = "its metrics are too good; simulate other scenes, or the same ones with another ‹seed›"
-                console.warn(f"{table} was trained on {frames}: {text}")
+                text = "so the metrics are too good; simulate other scenes, or the same scenes with another ‹seed›"
+                console.warn(f"{table} was trained on {frames}, {text}")
             renderers = FrameRenderers(options.backend, at_own, console)
             for index in console.progress(range(len(reader)), len(reader), "frames"):
                 shown = {name: files[index] for name, (_, files) in others.items()}
@@ -236,7 +255,7 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return what `l3 evaluate --json` prints of all evaluated frames, with the metrics on simulated charts."""
+    """Return the output of `l3 evaluate --json`: metrics of all evaluated frames, and metrics on simulated charts."""
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
@@ -247,21 +266,21 @@ def document_of(
 def warn_of_other_lights(
     table: TransformTable, document: dict[str, Any], whites: Mapping[str, NDArray[np.float64]], console: Console
 ) -> None:
-    """Warn if a baseline is better than a table under illuminants that the table was not trained for.
+    """Warn if a baseline is better than a table under an illuminant for which the table was not trained.
 
-    A table that was trained under several illuminants, but has only one set of transforms, does not store their names, so it
-    is not checked.
+    Two types of table are not checked: tables whose outputs are not XYZ, and tables that were trained under several
+    illuminants but have only one set of transforms, because they do not store the illuminants.
 
     Parameters
     ----------
     table : TransformTable
-        The table. Nothing is compared if its outputs are not colours.
+        The table.
     document : dict
-        What `l3 evaluate --json` prints. Its mean ΔE00 decides which is better.
-    whites : mapping
-        The white (output) under each illuminant of the frames, by name.
+        Output of `l3 evaluate --json`. The pipeline with the smaller mean ΔE00 is the better one.
+    whites : mapping of str to ndarray, (output,)
+        White under each illuminant of the frames, by the name of the illuminant.
     console : Console
-        Where the warning goes.
+        Receives the warning.
     """
     several = table.light is not None and table.light.spread > ONE_LIGHT
     if table.outputs != XYZ or (several and not table.lights):
@@ -270,13 +289,14 @@ def warn_of_other_lights(
     lost: list[str] = []
     for group in document["by_illuminant"]:
         white = uv(whites[group["illuminant"]])
-        better = [name for name in document["pipelines"][1:] if group[name][DECIDES] < group[OURS][DECIDES]]
+        ours = group[OURS][DECIDING_METRIC]
+        better = [name for name in document["pipelines"][1:] if group[name][DECIDING_METRIC] < ours]
         if better and all(np.hypot(*(uv(each) - white)) > OTHER_LIGHT for each in trained):
             lost.append(f"{', '.join(better)} under {group['illuminant']}")
     if lost:
         console.warn(
-            f"better than the table: {listed(lost)}, which it was not trained for; add these illuminants to illuminants in "
-            "SCENES.toml and to learning.lights in CLASSES.toml"
+            f"the table is worse than {listed(lost)}, because it was not trained for this light; add the illuminant to "
+            "illuminants in SCENES.toml and to learning.lights in CLASSES.toml"
         )
 
 
@@ -286,31 +306,31 @@ GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains at which a table is evaluated
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
-    """Return a table for the analog gain of the frames on which it is evaluated, and a warning if their cameras differ.
+    """Adapt a table to the analog gain of frames, and warn if the frames were taken by another camera.
 
     Parameters
     ----------
     table : (object, TransformTable)
-        Name of the table's file, and the table.
+        File name of the table, and the table.
     frames : (object, CameraModel)
-        Name of the training set's file, and its camera.
+        File name of the training set, and its camera.
     console : Console
-        Where the warning goes.
+        Receives the warning.
 
     Returns
     -------
     TransformTable
-        The table with the noise of that gain.
+        The table with the noise at the gain of the frames.
     str
-        The warning, or "" if the table was trained for this camera.
+        The warning, or "" if the table was trained for the camera of the frames.
     """
     (name, transforms), (other, camera) = table, frames
     made = at_gain(transforms, gain_of_frames(transforms, camera))
     if not (differences := unlike(made, camera)):
         return made, ""
     text = (
-        f"{name} was trained for another camera ({transforms.camera_name}), not for that of the frames in {other} "
-        f"({camera.name}): they differ in {differences}; evaluate a table on frames of its own camera"
+        f"{name} was trained for another camera ({transforms.camera_name}) than the camera of {other} ({camera.name}): the "
+        f"cameras differ in {differences}; evaluate a table on frames of its own camera"
     )
     console.warn(text)
     return made, text
@@ -326,13 +346,13 @@ def figures_by_gain(
 ) -> list[dict[str, Any]]:
     """Evaluate a few simulated frames per illuminant at several analog gains.
 
-    Gains in GAINS are left out if the noise of the table's camera is not known at the gain.
+    The gains are those values of GAINS at which the noise of the camera is known.
 
     Returns
     -------
     list of dict
-        Metrics for each gain and illuminant, as in `Evaluation.document`. Empty if only one gain is known, or if all frames
-        are real.
+        Metrics for each gain and illuminant, as in `Evaluation.document`. The list is empty if the noise is known at one
+        gain only, or if all frames are real.
     """
     least, most = known_gains(table)
     gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()
@@ -352,9 +372,9 @@ def figures_by_gain(
 
 
 class FrameRenderers:
-    """Renderers for the frames of a training set; the most recent ones are cached.
+    """Renderers for the frames of a training set, with a cache of the most recent renderers.
 
-    A table with transforms for several illuminants is blended for the illuminant of each frame
+    If a table has transforms for several illuminants, the transforms are blended for the illuminant of each frame
     (docs/method.md#several-lights).
     """
 
@@ -364,13 +384,13 @@ class FrameRenderers:
         self._reported: set[str] = set()
 
     def of(self, frame: TrainingPair) -> Renderer:
-        """Return the renderer of a frame."""
+        """Return the renderer for a frame."""
         mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)
             self._console.info(f"frames under {frame.illuminant}: transforms of {described(self._table, mix)}")
         if mix not in self._made:
-            if len(self._made) == MOST_KEPT:
+            if len(self._made) == MAX_RENDERERS:
                 del self._made[next(iter(self._made))]
             self._made[mix] = make_renderer(self._backend, mixed(self._table, mix))
         return self._made[mix]
@@ -384,14 +404,16 @@ def evaluate_frame(
     rivals: Mapping[str, Path] | None = None,
     counted: bool = True,
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
-    """Render a frame of a training set with every pipeline, and add it to the evaluation if `counted` is True.
+    """Render a frame of a training set with every pipeline.
+
+    If `counted` is True, the frame is added to the evaluation.
 
     Returns
     -------
     TrainingPair
-        The frame, with the target that `Evaluation.wanted` gives it.
+        The frame, with its target converted by `Evaluation.wanted`.
     dict
-        The outputs of every pipeline and the pictures of the rivals for this frame, as `Evaluation.planes` returns them.
+        Output planes of each pipeline and of each rival, as in `Evaluation.planes`.
     """
     frame = evaluation.wanted(reader.frame(index))
     theirs = {name: _planes(path, frame) for name, path in (rivals or {}).items()}
@@ -403,19 +425,29 @@ def evaluate_frame(
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
-    """Return the XYZ planes (3, row, col) of a rival's picture in the unit of the target. Raise InputFileError if its size
-    is not that of the frame."""
+    """Read the picture of a rival for a frame.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        X, Y and Z in the unit of the target.
+
+    Raises
+    ------
+    InputFileError
+        If the picture and the frame differ in size.
+    """
     picture = rgb.read(path)
     if picture.shape[:2] != frame.raw.shape:
         sizes = "×".join(map(str, picture.shape[:2])), "×".join(map(str, frame.raw.shape))
         raise InputFileError(
-            f"{path} has {sizes[0]} pixels, but the frame {frame.scene} has {sizes[1]}; give pictures of whole frames"
+            f"{path} has {sizes[0]} pixels, but the frame {frame.scene} has {sizes[1]}; provide a picture of the whole frame"
         )
     return planes_of(picture, frame)
 
 
 def _name_of(rival: Path) -> str:
-    """Return the name of a rival: that of its folder."""
+    """Return the name of a rival, which is the name of the folder with its pictures."""
     return (rival if rival.is_dir() else rival.parent).absolute().name
 
 
@@ -423,21 +455,21 @@ def _name_of(rival: Path) -> str:
 
 
 def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[SequenceFigures, FilesUsed]:
-    """Evaluate rendered pictures or a video over time, optionally against an ideal sequence with known motion.
+    """Evaluate a rendered sequence over time and, optionally, compare it with an ideal sequence whose motion is known.
 
     Parameters
     ----------
     rendered : Path
-        Folder, pattern, glob or video.
+        Folder of pictures, pattern of file names, or video.
     options : SequenceOptions
-        Options of `l3 evaluate`. Without `border`, all pixels count.
+        Options of `l3 evaluate`. If `border` is not set, all pixels are evaluated.
 
     Raises
     ------
     InputFileError
-        If a sequence cannot be read, or if the sequences differ in size or number.
+        If a sequence cannot be read, or if the sequences differ in frame size or number of frames.
     RecipeError
-        If the border leaves no patch.
+        If the pictures are too small after the border is removed.
     """
     ideal, console = options.ideal, options.console
     ours = find_pictures(rendered)
@@ -447,7 +479,8 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[Sequenc
     if min(ours.shape) - 2 * margin < CELL:
         rows, cols = ours.shape
         raise RecipeError(
-            f"{rendered}: ‹border› {margin} leaves no patch of {CELL}×{CELL} pixels of {rows}×{cols}; give a smaller one"
+            f"{rendered} has {rows}×{cols} pixels, so ‹border› {margin} leaves no area of {CELL}×{CELL} pixels; set a "
+            "smaller border"
         )
     roles = {"pictures": ours.files, "ideal": wanted.files if wanted else (), "motion": wanted.motion if wanted else ()}
     used = files_to_read(roles)
@@ -456,10 +489,10 @@ def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[Sequenc
     for ours_now, ideal_now, motion in console.progress(paired(ours, wanted), ours.count, "frames"):
         evaluation.add(ours_now, ideal_now, motion)
         light += [ours_now.mean(), 0.0 if ideal_now is None else ideal_now.mean()]
-    if wanted is not None and not 1 / UNLIKE <= light[0] / max(light[1], 1e-9) <= UNLIKE:
-        ratio = light[0] / max(light[1], 1e-9)
+    ratio = light[0] / max(light[1], 1e-9)
+    if wanted is not None and not 1 / DIFFERENT_BRIGHTNESS <= ratio <= DIFFERENT_BRIGHTNESS:
         console.warn(
-            f"{rendered} is {ratio:.3g} times as bright as {ideal}; render it with ‹exposure› {1 / ratio:.3g} times as large"
+            f"{rendered} is {ratio:.3g} times as bright as {ideal}; multiply ‹exposure› by {1 / ratio:.3g} and render again"
         )
     with raised_as(InputFileError, rendered):
         return evaluation.figures(), used

@@ -1,6 +1,6 @@
 """The stage of `l3 export`, which writes a camera model or a transform table as files for other software.
 
-A camera is written as curves, colour matrices, tuning files and a data sheet, a table as C source or plain arrays.
+A camera is exported as curves, colour matrices, tuning files and a data sheet. A table is exported as C source or as arrays.
 """
 
 from pathlib import Path
@@ -29,32 +29,40 @@ from l3cli.system.text import a
 LOW_NOISE_README = """
 ## Low-noise transforms
 
-This is the second set of transforms of a table. Use it for pixels where a temporal filter has left at most {limit:.3g} of
-the variance of the temporal noise; it was trained for {noise_left:.3g}. Render all other pixels with the usual set, which is
-exported separately with its own test files.
+This is the second set of transforms of a table. Use this set for pixels where a temporal filter has left at most
+{limit:.3g} of the variance of the temporal noise. The set was trained for a fraction of {noise_left:.3g}. Render all other
+pixels with the usual set, which is exported separately and has its own test files.
 """
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file is a transform table rather than a camera. Raise InputFileError if it is neither."""
+    """Return True if a file is a transform table, and False if it is a camera.
+
+    Raises
+    ------
+    InputFileError
+        If the file is neither a transform table nor a camera.
+    """
     if path.suffix == ".toml":
         return False
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in (CameraModel.kind, TransformTable.kind):
-        raise InputFileError(f"{path} is {a(kind)}; give a camera model or recipe, or a transform table")
+        raise InputFileError(
+            f"{path} is {a(kind)}, which cannot be exported; name a camera model, a camera recipe or a transform table"
+        )
     return kind == TransformTable.kind
 
 
 def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str, dict[str, dict[str, Any]]], FilesUsed]:
-    """Write the files of a camera model or recipe into a folder.
+    """Export a camera model or camera recipe into a folder.
 
     Returns
     -------
     dict
         Colour errors of the matrices for each illuminant.
     FilesUsed
-        Files of the camera, and those that were written.
+        The files that were read and written.
 
     Raises
     ------
@@ -81,19 +89,19 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
 
 
 def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[list[str], FilesUsed]:
-    """Write a transform table into a folder, as C source or as arrays.
+    """Export a transform table into a folder, as C source or as arrays.
 
     Returns
     -------
     list of str
-        Names of the files.
+        Names of the files that were written.
     FilesUsed
-        The table and the files.
+        The files that were read and written.
 
     Raises
     ------
     InputFileError
-        If the file is not a table, or if the table does not fit the format.
+        If the file is not a table, or if the format does not support the table.
     RecipeError
         If an option does not fit the format or the table.
     L3Error
@@ -102,28 +110,33 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
     form, words, prefix, which = options.form or "c", options.words, options.prefix, options.which
     white, console = options.white, options.console
     if form != "c" and (words or prefix is not None):
-        raise RecipeError(f"‹{'words' if words else 'prefix'}› is for C source; leave it out")
+        raise RecipeError(f"‹{'words' if words else 'prefix'}› applies only to C source; leave this option out")
     if which and form == "folder":
-        raise RecipeError("a folder of arrays contains both sets; leave ‹set› out")
+        raise RecipeError("‹set› applies only to C source, because a folder of arrays contains both sets; leave ‹set› out")
     with OutputGuard(console) as guard:
         guard.protect(table)
         guard.hold_folder(output)
         transforms = load(TransformTable, table)
         if white is not None and not transforms.lights and (form != "c" or transforms.outputs != XYZ):
-            raise RecipeError(f"{table} has no transforms for single illuminants to blend; leave ‹white› out")
-        if white is not None or form != "folder":  # a folder of arrays has the transforms for all illuminants
+            raise RecipeError(
+                f"‹white› {white} needs transforms for single illuminants, which {table} does not contain; leave ‹white› out"
+            )
+        if white is not None or form != "folder":  # without ‹white›, a folder contains the transforms for each illuminant
             transforms = mixed(transforms, light_mix_of_given(white, transforms, mix_for, console))
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)
         elif known_gains(transforms) != (1, 1):
-            console.report(f"{table}: exporting the transforms for gain 1; choose another one with ‹gain›")
+            console.report(f"{table}: exporting the transforms for gain 1; to export another gain, set ‹gain›")
         shown, readme = given_white(white, transforms), ""
         low = next((each for each in transforms.noises if each.noise and each.noise.noise_left < 1), None)
         if which == "low-noise" and low is None:
-            raise RecipeError(f"{table} has one set of transforms; leave ‹set› out, or train with noise_left")
+            raise RecipeError(
+                f"{table} has only one set of transforms; leave ‹set› out, or train a table with learning.noise_left"
+            )
         if low and form != "folder" and which is None:
             console.report(
-                f"{table}: exporting the usual set; ‹set› low-noise exports the one for temporally filtered frames"
+                f"{table}: exporting the usual set of transforms; to export the set for temporally filtered frames, use "
+                "‹set› low-noise"
             )
         if low and low.noise and which == "low-noise":
             values = {"limit": noise_limits(transforms)[low.noise], "noise_left": low.noise.noise_left}

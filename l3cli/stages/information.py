@@ -1,4 +1,7 @@
-"""The stages of `l3 info` and `l3 bench`: content and verification of an artifact, versions, and frame times."""
+"""The stages of `l3 info` and `l3 bench`.
+
+`l3 info` describes and verifies artifacts and lists the versions of libraries. `l3 bench` measures the time per frame.
+"""
 
 import itertools
 import platform
@@ -29,12 +32,13 @@ WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, 
 
 
 def content(file: Path) -> dict[str, Any]:
-    """Return the document of `l3 info --json`.
+    """Return the output of `l3 info --json`.
 
     Returns
     -------
     dict
-        Kind, version, history and data sets of an artifact. For a transform table, "insight" says what it has learned.
+        Type, version, history and datasets of an artifact. For a transform table, the entry "insight" summarises the
+        training.
 
     Raises
     ------
@@ -51,14 +55,14 @@ def content(file: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Verification:
-    """Result of verifying an artifact and the files it was made from."""
+    """Result of the verification of an artifact and of the files from which it was made."""
 
     intact: Intact
-    links: tuple[Link, ...]  # one for each role of files in the history
-    strangers: tuple[Path, ...]  # given files that do not occur in the history
+    links: tuple[Link, ...]  # for each role of input files in the history, such as "training set", an entry
+    strangers: tuple[Path, ...]  # input files that do not occur in the history
 
     def document(self) -> dict[str, Any]:
-        """Return the result in a form that JSON can hold."""
+        """Return the result as a dictionary that can be written as JSON."""
         return {
             "kind": self.intact.kind,
             "version": self.intact.version,
@@ -69,13 +73,22 @@ class Verification:
 
 
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
-    """Verify an artifact: its bytes against the digest, its content as other commands read it, and `inputs` against its
-    history.
+    """Verify an artifact.
+
+    Three checks are made: the digest of the file must be right, its content must be complete and valid, and the digests of
+    `inputs` are compared with its history.
+
+    Parameters
+    ----------
+    file : Path
+        The artifact.
+    inputs : tuple of Path
+        Files from which the artifact may have been made.
 
     Raises
     ------
     InputFileError
-        If a byte has changed, or if the artifact is incomplete or holds invalid values.
+        If a byte has changed, or if the artifact is incomplete or contains invalid values.
     """
     intact = verify(file)
     _read_whole(file)
@@ -83,7 +96,7 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read everything that an artifact declares. Training sets and partial sums are read one frame or site at a time."""
+    """Read the whole content of an artifact. Large artifacts are read frame by frame or site by site."""
     with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
         kind = str(root.attrs["kind"])
         if kind == TrainingSet.kind:
@@ -98,10 +111,13 @@ def _read_whole(file: Path) -> None:
 
 
 def versions() -> dict[str, Any]:
-    """Return the versions for a bug report: l3, Python, OpenCL devices, and libraries (None if not installed)."""
+    """Return the versions for a bug report: l3, Python, system, libraries and OpenCL devices.
+
+    The version of a library that is not installed is None.
+    """
     try:
         required = metadata.requires("l3cli") or []
-    except metadata.PackageNotFoundError:  # sources on a path, not installed
+    except metadata.PackageNotFoundError:  # l3 is run from its sources and is not installed
         required = []
     used = [each for each in required if not re.search(r"""extra == ['"](dev|docs|fuzz|peers)['"]""", each)]
     names = sorted({re.split(r"[^\w.-]", each)[0] for each in used}, key=str.lower)
@@ -120,18 +136,19 @@ def versions() -> dict[str, Any]:
 
 
 def _decoding() -> str:
-    """Describe how files from elsewhere are decoded on this machine, and what confines the decoding process."""
-    from l3cli.io.decoder_process import SECCOMP, measures  # imported late: searches for libseccomp
+    """Describe how untrusted files are decoded on this machine, and how the decoding process is isolated."""
+    from l3cli.io.decoder_process import SECCOMP, measures  # imported here, because the import searches for libseccomp
 
     try:
         if trusted():
-            return "in the process of l3 itself, without limits (L3_TRUST)"
+            return "in the main process, without isolation, because L3_TRUST is set"
         holds = measures(Path(sys.executable))
     except L3Error as error:
         return str(error)
     landlock = next((each for each in holds if each != SECCOMP), "no Landlock in this kernel")
-    seccomp = "seccomp" if SECCOMP in holds else 'no seccomp (pip install "l3cli[seccomp]", and libseccomp 2 of the system)'
-    return f"isolated process with limits of time and memory, {landlock}, {seccomp}"
+    install = 'no seccomp (run pip install "l3cli[seccomp]", and install libseccomp 2 on the system)'
+    seccomp = "seccomp" if SECCOMP in holds else install
+    return f"in an isolated process with limits on time and memory, {landlock}, {seccomp}"
 
 
 def _version(library: str) -> str | None:
@@ -142,9 +159,19 @@ def _version(library: str) -> str | None:
 
 
 def measure(options: BenchOptions) -> dict[str, Any]:
-    """Return the document of `l3 bench --json`: the OpenCL devices, and frame times for each case under "results".
+    """Measure frame times, and return the output of `l3 bench --json`.
 
-    If the options name a `variant`, only that one is timed. Raise DeviceError if the device does not exist.
+    If `options.variant` is set, only this variant of the kernel is measured.
+
+    Returns
+    -------
+    dict
+        "devices": the OpenCL devices. "results": the frame times for each measured case.
+
+    Raises
+    ------
+    DeviceError
+        If the device does not exist.
     """
     devices = survey()
     jobs = benchmark.jobs(options.device, options.variant)

@@ -1,4 +1,4 @@
-"""The stage of `l3 lab`, a virtual laboratory: simulates the measurements that a laboratory would make of a camera."""
+"""The stage of `l3 lab`, which simulates the laboratory measurements of a camera."""
 
 import functools
 import shlex
@@ -23,7 +23,7 @@ from l3cli.system.files import FilesUsed, files_to_read, refuse_existing, refuse
 from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
-MONO = "spectra/mono.csv"  # spectrum of the light at each step of the monochromator
+MONO = "spectra/mono.csv"  # file with the spectrum of the light at each step of the monochromator
 
 
 def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, FilesUsed]:
@@ -32,7 +32,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
     Parameters
     ----------
     camera : Path
-        Camera model or recipe.
+        Camera model or camera recipe.
     output : Path
         Folder to write.
     options : LabOptions
@@ -43,12 +43,12 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
     Path
         The measurement file in the folder.
     FilesUsed
-        Recipes that were read, and all files of the folder.
+        The files that were read and written.
 
     Raises
     ------
     RecipeError, InputFileError
-        If camera or recipe cannot be used.
+        If the camera or the lab recipe cannot be used.
     L3Error
         If the folder cannot be written.
     """
@@ -60,7 +60,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         refuse_unwritable(file)
         refuse_existing(file, options.force)
         guard.hold(sole_writer_of_folder(output, inside=FOLDERS), output)
-        refuse_existing(file, options.force)  # checked now that no other run can write it
+        refuse_existing(file, options.force)  # checked again, because another run may have written the file before the lock
         guard.protect(*camera_files(camera))
         model = load_camera(camera)
         chosen = load_recipe(recipe, LabRecipe) if recipe else LabRecipe()
@@ -72,7 +72,8 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
             console.info(note)
         for unknown in camera_unknown(camera, model, chosen.lights):
             console.warn(unknown)
-        file.unlink(missing_ok=True)  # it is written last, so that it never names frames of two runs
+        # The measurement file is written last. An old file is removed, so that it never refers to frames of another run.
+        file.unlink(missing_ok=True)
         work = [(capture, trial) for capture in captures for trial in range(capture.trials)]
         write_frame = functools.partial(_write_frame, model, chosen.defects, output, seed)
         with workers(options.jobs) as pool:
@@ -86,7 +87,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
 
 
 def _write_frame(model: CameraModel, defects: DefectRecipe, folder: Path, seed: int, job: tuple[LabCapture, int]) -> None:
-    """Simulate and write one frame; this may run in a worker process."""
+    """Simulate and write one frame. This function may run in a worker process."""
     capture, trial = job
     write_mosaic(folder / _frame_name(capture, trial), take(model, capture, trial, seed, defects), capture.exposure)
 
@@ -96,7 +97,7 @@ def _frame_name(capture: LabCapture, trial: int) -> str:
 
 
 def _names(captures: tuple[LabCapture, ...]) -> list[str]:
-    """Return the names of all files to write, relative to the folder."""
+    """Return the paths of all files to write, relative to the folder."""
     frames = [_frame_name(capture, trial) for capture in captures for trial in range(capture.trials)]
     charts = [_chart_name(capture) for capture in captures if capture.kind == "chart"]
     return ["MEASUREMENTS.toml", MONO, *charts, *frames]
@@ -109,7 +110,7 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """Write the spectra, and return the content of the measurement file."""
+    """Write the files of spectra, and return the content of the measurement file."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}

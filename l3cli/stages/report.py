@@ -1,7 +1,4 @@
-"""The stage of `l3 report`, which writes one HTML page about any set of artifacts.
-
-Evaluation, simulation, training and the sections of the page do not import each other; this module calls them all.
-"""
+"""The stage of `l3 report`, which writes an HTML page about any set of artifacts."""
 
 import functools
 from collections.abc import Sequence
@@ -52,12 +49,14 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 from l3cli.training.summary import insight
 
-# Bytes of the page for the pictures of all evaluated frames, for the pixel viewers, for the examples of other classes in
-# these viewers, and for the thumbnails of all training sets. Together they keep the page below parts.MAX_PAGE_BYTES.
-PICTURE_BYTES, PIXEL_BYTES, CLASS_BYTES, THUMBNAIL_BYTES = 5_500_000, 1_000_000, 300_000, 2_000_000
+# These limits keep the size of the page below parts.MAX_PAGE_BYTES.
+PICTURE_BYTES = 5_500_000  # for the pictures of all evaluated frames
+PIXEL_BYTES = 1_000_000  # for all pixel viewers
+CLASS_BYTES = 300_000  # for the filters of further classes in all pixel viewers
+THUMBNAIL_BYTES = 2_000_000  # for the thumbnails of all training sets
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
-SEQUENCE = ".json"  # suffix of the files that `l3 evaluate` writes for sequences
-CROPPED = ("ours", "ideal", "basic")  # pictures that the pixel viewer shows
+SEQUENCE_SUFFIX = ".json"  # suffix of the files that `l3 evaluate` writes for sequences
+CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel viewer shows
 
 
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
@@ -71,14 +70,14 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
     Raises
     ------
     InputFileError
-        If a file is damaged, is of another kind, or does not fit the others.
+        If a file is damaged, is not an artifact that a report supports, or does not fit the other files.
     RecipeError
-        If the output does not end in .html, or if no frame has the luminance that `options.at` asks for.
+        If the name of the output does not end in .html, or if no frame has the luminance `options.at`.
     L3Error
         If the page cannot be written.
     """
     if output.suffix != ".html":
-        raise RecipeError(f"{output}: a report is a page; name a file that ends in .html")
+        raise RecipeError(f"{output} cannot contain a report, which is an HTML page; use a file name that ends in .html")
     console = options.console
     with OutputGuard(console) as guard:
         guard.protect(*artifacts)
@@ -91,21 +90,21 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
         write_whole(output, page)
         if reason := cache_warning():
             console.warn(reason)
-        much = "; fewer files would make a lighter page" if len(page) > MAX_PAGE_BYTES else ""
+        much = "; report on fewer files to make the page smaller" if len(page) > MAX_PAGE_BYTES else ""
         console.info(f"{output}: {len(page) / 1e6:.2f} MB, {len(sections)} sections{much}")
         return files.and_wrote(output)
 
 
-# --------------------------------------------------------------------------------------------------- what is given
+# --------------------------------------------------------------------------------------------------------- the files
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Read the given files; files with equal content count once."""
+    """Read the files. If several files have the same content, only the first of them is used."""
     entries: dict[str, Entry] = {}
     sequences: dict[str, dict[str, Any]] = {}
     sums: dict[str, str] = {}
     for path, name in zip(paths, short_names(paths), strict=True):
-        if path.suffix.lower() == SEQUENCE:
+        if path.suffix.lower() == SEQUENCE_SUFFIX:
             sequences[name], sums[name] = read_sequence_figures(path).document(), sha256(path)
             continue
         artifact, digest = _artifact(path), sha256(path)
@@ -114,7 +113,8 @@ def _read(paths: tuple[Path, ...]) -> Given:
     for pair in given.pairs:
         if pair.transforms.outputs != pair.head.outputs:
             raise InputFileError(
-                f"{pair.table.path} and {pair.frames.path} have different outputs; report on a matching pair"
+                f"{pair.table.path} and {pair.frames.path} have different outputs; name a table and a training set with the "
+                "same outputs"
             )
     return given
 
@@ -123,7 +123,10 @@ def _artifact(path: Path) -> Artifact:
     with open_artifact(path) as root:
         kind = str(root.attrs["kind"])
     if kind not in KINDS:
-        raise InputFileError(f"{path} is {a(kind)}; give camera models, training sets, transform tables or designs")
+        raise InputFileError(
+            f"{path} is {a(kind)}, which a report cannot show; name camera models, training sets, transform tables or "
+            "designs"
+        )
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
     with open_training_set(path, unchanged=True) as reader:
@@ -134,7 +137,7 @@ def _artifact(path: Path) -> Artifact:
 
 
 def _require_luminance(given: Given, at: float | None) -> None:
-    """Raise RecipeError if a training set that a table is evaluated on has no frame at the luminance `at` (cd/m²)."""
+    """Raise RecipeError if a table is evaluated on a training set without frames at the luminance `at`, in cd/m²."""
     if at is None:
         return
     for path in dict.fromkeys(pair.frames.path for pair in given.pairs):
@@ -142,11 +145,13 @@ def _require_luminance(given: Given, at: float | None) -> None:
             known = sorted({reader.light(index).luminance for index in range(len(reader))})
         if not any(lit_as(luminance, at) for luminance in known):
             held = ", ".join(tidy(np.pi * luminance) for luminance in known)
-            raise RecipeError(f"‹at›: {path} has no frame at {tidy(np.pi * at)} lux; its frames are at {held} lux")
+            raise RecipeError(
+                f"{path} has no frame at ‹at› {tidy(np.pi * at)} lux; choose one of its illuminances: {held} lux"
+            )
 
 
 def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
-    """Return title, lead and sections of the page: pictures first, then the sections of the artifacts, CFA by CFA."""
+    """Return title, lead and sections of the page. Pictures come first, then the artifacts, grouped by CFA."""
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)
     pairs = len(given.pairs)
@@ -187,18 +192,18 @@ def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[st
 
 
 def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called: list[str], limit: int) -> list[Section]:
-    """Return the sections on cameras, training sets and tables that share one CFA.
+    """Return the sections about cameras, training sets and tables with the same CFA.
 
     Parameters
     ----------
     given : Given
         The artifacts with this CFA.
     cameras : list of (str, CameraModel)
-        Their cameras, with the names of the files.
+        File name and camera of each camera with this CFA.
     called : list of str
-        The names of all cameras on the page. A name that occurs twice is followed by the file's name in the heading.
+        Names of all cameras on the page. If two cameras have the same name, their headings also contain the file names.
     limit : int
-        Bytes for the pictures of each training set.
+        Largest number of bytes for the pictures of each training set.
     """
     sections = [camera_section(camera, figures_of_camera(camera), name) for name, camera in cameras]
     for number, (name, camera) in enumerate(cameras):
@@ -215,29 +220,32 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
-    """Return the figures of `l3 calibrate --json` for a camera, as far as it was measured, and any doubt about its fit."""
+    """Return what `l3 calibrate --json` reports about a camera, and the reason not to trust the fit, if there is one."""
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 
 
 def _warn_of_arrays(given: Given, console: Console) -> None:
-    """Warn about every training set whose CFA none of the tables has."""
+    """Warn about each training set whose CFA differs from the CFA of every table."""
     tables = [entry for entry, _ in given.of(TransformTable)]
     for entry, _ in given.of(TrainingSet) if tables else ():
         if all(entry.array != table.array for table in tables):
             names = ", ".join(table.name for table in tables)
-            console.warn(f"{entry.name} is of another colour filter array than {names}: nothing is evaluated on it")
+            console.warn(
+                f"{entry.name} has another colour filter array than {names}, so it is not used for evaluation; add a table "
+                "for this array"
+            )
 
 
 def _warn_of_cameras(given: Given, console: Console) -> None:
-    """Warn about every camera that differs from that of the first table or, without tables, of the first artifact."""
+    """Warn about each camera that differs from the camera of the first table or, if there is no table, of the first file."""
     tables, cameras = given.of(TransformTable), given.of(CameraModel)
     held = [(entry, head.camera) for entry, head in given.of(TrainingSet)]
     known: Sequence[tuple[Entry, Any]] = [*tables, *cameras, *held]
     for entry, camera in cameras if tables else [*cameras, *held]:
         if entry is not known[0][0] and (differences := unlike(known[0][1], camera)):
-            text = f"they differ in {differences}; report on each camera alone"
-            console.warn(f"{entry.name} is of another camera than {known[0][0].name}: {text}")
+            text = f"the cameras differ in {differences}; make a separate report for each camera"
+            console.warn(f"{entry.name} has another camera than {known[0][0].name}: {text}")
 
 
 # ------------------------------------------------------------------------------------------------------ evaluation
@@ -245,16 +253,16 @@ def _warn_of_cameras(given: Given, console: Console) -> None:
 
 @dataclass(frozen=True)
 class Judged:
-    """A table evaluated on frames that it was not trained on."""
+    """Result of the evaluation of a table on a training set."""
 
     pair: Pair
-    document: dict[str, Any]  # as `l3 evaluate --json` prints it
-    front: Section | None  # the section of pictures; None if the outputs are not colours
-    warning: str | None  # why the evaluation is not to be trusted
+    document: dict[str, Any]  # output of `l3 evaluate --json`
+    front: Section | None  # section with the pictures; None if the outputs are not colours
+    warning: str | None  # reason not to trust the evaluation
 
     @property
     def section(self) -> Section:
-        """Return the section with the figures of the evaluation."""
+        """Section with the metrics of the evaluation."""
         section = evaluation_section(
             self.document, (self.pair.table.name, self.pair.frames.name), self.pair.head.camera.rows
         )
@@ -269,13 +277,13 @@ def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: Repor
     pair : Pair
         The table and the training set.
     anchor : str
-        A name for this pair, unique on the page.
+        Identifier of this pair, unique on the page.
     limits : (int, int, int)
-        Bytes for the pictures, for the pixel viewer, and for the other classes in it.
+        Largest number of bytes for the pictures, for the pixel viewer, and for the filters of further classes in the viewer.
     options : ReportOptions
-        The backend, and the illuminance at which pictures are wanted.
+        Options of `l3 report`.
     console : Console
-        Where warnings and progress go.
+        Receives warnings and progress.
     """
     table = (pair.table.name, pair.transforms)
     transforms, warning = for_frames(table, (pair.frames.name, pair.head.camera), console)
@@ -314,7 +322,7 @@ def _pixels(
     pictures: dict[str, Pixels],
     limits: tuple[int, int, int],
 ) -> Subsection:
-    """Return the pixel viewer, which shows the class, filters and values of each pixel in a crop of the frame."""
+    """Return the pixel viewer, which shows the class, the filter and the values of each pixel in a crop of a frame."""
     frame = reader.frame(index)
     renderer, raw = renderers.of(frame), raw_of(frame, index, reader.head.camera)
     table = renderer.table
@@ -325,18 +333,18 @@ def _pixels(
 
 
 def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray], head: TrainingSet) -> Subsection | None:
-    """Return the figure and table of the ColorChecker's patches in a frame, or None if the frame shows no ColorChecker.
+    """Return a figure and a table about the ColorChecker in a frame, or None if the frame shows no ColorChecker.
 
     Parameters
     ----------
     frame : TrainingPair
         A frame of the training set.
     number : int
-        The index of the frame in the set.
-    planes : dict of str to array
-        The outputs of each pipeline for this frame, as planes (output, row, col); the table's come first.
+        Index of the frame in the training set.
+    planes : dict of str to ndarray, (output, row, col)
+        Outputs of each pipeline for this frame. The first entry is the table.
     head : TrainingSet
-        What the training set says of all its frames.
+        Head of the training set.
     """
     light = head.target_light or frame.light
     size = frame.raw.shape[0], frame.raw.shape[1]
@@ -352,43 +360,43 @@ def chart_subsection(frame: TrainingPair, number: int, planes: dict[str, NDArray
 
 
 def _side_by_side(judged: list[Judged], limit: int, options: ReportOptions) -> Section:
-    """Return the section that compares all tables; its pictures take at most `limit` bytes."""
+    """Return the section that compares all tables. `limit` is the largest number of bytes for its pictures."""
     sides = [Side(each.pair.table.name, each.pair.frames.name, each.pair.head.camera, each.document) for each in judged]
     pictures, chosen = [], shared_frame(sides, options.at)
     for each, index in zip(judged, chosen, strict=False):
         with open_training_set(each.pair.frames.path, unchanged=True) as reader:
-            renderers = FrameRenderers(options.backend, each.pair.transforms, Silent())  # each has been judged before
+            renderers = FrameRenderers(options.backend, each.pair.transforms, Silent())  # messages were printed before
             pictures.append(_pictures(Evaluation(each.pair.transforms, reader.head), renderers, reader, index))
     return side_by_side_section(sides, chosen, pictures, limit, jpeg)
 
 
-# ----------------------------------------------------------------------------------- cameras that recipes describe
+# ------------------------------------------------------------------------------------------------- camera recipes
 
 
 def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> None:
-    """Write a page that shows CFA, responsivities and noise of every camera recipe without faults.
+    """Write a page that shows the CFA, the responsivities and the noise of each camera recipe without faults.
 
     Parameters
     ----------
     judged : sequence of Judgement
-        The checked files; those that are not faultless camera recipes are left out.
+        The checked files. Other types of file and camera recipes with faults are left out.
     output : Path
-        The page, which must end in .html.
+        The page, whose name must end in .html.
     options : CheckOptions
-        Whether the page may replace an existing file, and the console.
+        Options of `l3 check`.
 
     Raises
     ------
     RecipeError
-        If no camera recipe is left, or if the output does not end in .html.
+        If there is no camera recipe without faults, or if the name of the output does not end in .html.
     L3Error
         If the page cannot be written.
     """
     paths = [judgement.path for judgement in judged if judgement.kind == CAMERA and not judgement.findings]
     if output.suffix != ".html":
-        raise RecipeError(f"{output}: a plot is a page; name a file that ends in .html")
+        raise RecipeError(f"‹plot› {output} cannot contain an HTML page; use a file name that ends in .html")
     if not paths:
-        raise RecipeError(f"{output}: there is no camera recipe without faults to draw; give one beside ‹plot›")
+        raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; name a camera recipe to check")
     with OutputGuard(options.console) as guard:
         guard.protect(*(file for each in judged for file in (each.path, *each.files)))
         guard.protect(*(file for path in paths for file in camera_files(path)))

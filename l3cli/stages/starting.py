@@ -439,7 +439,7 @@ def photographed(taken: Taken, options: InitOptions) -> PhotoCamera:
         fit = found.fit.photo
         light = white = fit.lights[0]
         if fit.guessed[0] and fit.likely is not None:
-            light, white = f"a light that is {guessed_light(fit.likely.of(0))}", CHART_WHITE
+            light, white = f"an unknown illuminant ({guessed_light(fit.likely.of(0))})", CHART_WHITE
             options.console.warn(
                 f"{other.name}: l3 has estimated the illuminant of the chart, and all colours depend on the illuminant; "
                 "set it with ‹light›"

@@ -224,7 +224,7 @@ def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path
     for stated in ("", "[uncertainty]\nphotodiode = 0.01", "[uncertainty]\nwavelength_nm = 0.5"):
         camera, err = camera_of(stated)
         assert not camera.responsivity_band.any()
-        assert "no confidence band: to have one, state [uncertainty] photodiode and wavelength_nm" in err
+        assert "to compute a band, set photodiode and wavelength_nm in [uncertainty]" in err
     camera, err = camera_of("[uncertainty]\nphotodiode = 0.003\nlamp_drift = 0.004\nwavelength_nm = 0.5")
     assert "no confidence band" not in err
     slope = np.gradient(camera.responsivity, camera.wavelength, axis=1)
@@ -263,7 +263,7 @@ def test_the_last_lines_state_peaks_widths_and_files(table: Path, tmp_path: Path
     assert (title, heading, units) == (["curves,", "400…700", "nm"], ["channel", "peak", "FWHM"], ["nm", "nm"])
     assert (red[:2], green[:2], blue) == (["r", "500"], ["g", "600"], ["b", "400", "–"])
     assert 50 < float(red[2]) < 200
-    written = f"{camera}: written, with the curves as dataset responsivity; as CSV: "
+    written = f"{camera}: written; the dataset responsivity contains the curves; to write the curves as CSV: "
     assert err.splitlines()[-1] == f"{written}l3 export {camera} -o DIR"
 
 

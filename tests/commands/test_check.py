@@ -297,7 +297,7 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
     assert (code, page.read_text()) == (1, text)
     assert "already exists" in err or "--force" in err
     assert l3("check", "bayer", "--plot", page, "--force", "--quiet")[0] == 0
-    assert "there is no camera recipe without faults" in l3("check", "small", "--plot", page, "--force")[2]
+    assert "needs a camera recipe without faults" in l3("check", "small", "--plot", page, "--force")[2]
     assert "ends in .html" in l3("check", "bayer", "--plot", tmp_path / "a.svg")[2]
     recipe = tmp_path / "scenes.html"
     recipe.write_text(SMALL["scenes"])

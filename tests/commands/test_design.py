@@ -160,7 +160,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     folder: Path, tmp_path: Path, l3: L3, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = {"[180, 320]": "[80, 80]", "[160, 160]": "[48, 48]", "count = 24": "count = 2", "count = 2\n": "count = 1\n"}
-    for name in ("UNSEEN", "LEARNED"):
+    for name in ("EVALUATION_SCENES", "TRAINING_SCENES"):
         for old, new in small.items():
             monkeypatch.setattr(stage, name, getattr(stage, name).replace(old, new))
     monkeypatch.setattr(stage, "find_recipe", lambda name, kind: folder / "classes.toml")
@@ -203,7 +203,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
 def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
     made, mine = load(Design, folder / "design.h5"), tmp_path / "mine"
     code, _, err = l3("init", "--from", folder / "design.h5", mine)
-    assert (code, f"{made.patterns[0]}, the best of {made.tried} CFAs; next: make -C" in err) == (0, True)
+    assert (code, f"{made.patterns[0]}, the best of {made.tried} CFAs in the design; next: make -C" in err) == (0, True)
     camera, pixel = load_camera(mine / "camera.toml"), load_camera(folder / "camera.toml")
     assert [[camera.channels[site] for site in row] for row in camera.cfa] == [
         row.split() for row in made.patterns[0].split(" / ")
@@ -260,7 +260,7 @@ WRONG = """
     r = { channel = "r" }               | r = { stack = ["g", "gb"] }        | 2 | gb cannot be stacked
     [[level]]                           | [optimise]; pattern = ["r b"]; [[level]] | 2 | needs a Gaussian filter
     name = "four"                       | name = "four"; rivals = [["r x"]]  | 2 | "x" is not a filter
-    lux = 10                            | lux = 1e9                          | 2 | every filter clips
+    lux = 10                            | lux = 1e9                          | 2 | clip behind every filter
     lux = 10                            | luminance_cd_m2 = 1; lux = 10      | 2 | give either luminance_cd_m2 or lux
     illuminant = "A"                    | illuminant = "F2"                  | 2 | gather moments under F2
     share = 0.9                         | name = "x"                         | 2 | give either share
@@ -284,7 +284,7 @@ def test_wrong_designs_are_refused(line: str, folder: Path, tmp_path: Path, refu
     ("old", "new", "words"),
     [
         ('["D65", "A"]', '["D65", "scene"]', "scene"),
-        ("[[scene]]", "[lens]\ntransmittance = 0.9\n[[scene]]", "leave out lens.transmittance"),
+        ("[[scene]]", "[lens]\ntransmittance = 0.9\n[[scene]]", "lens.transmittance cannot be used"),
     ],
 )
 def test_wrong_moments_are_refused(old: str, new: str, words: str, folder: Path, tmp_path: Path, refused: Refused) -> None:

@@ -337,7 +337,7 @@ def test_a_folder_of_a_sweep_gives_its_measurement_file(tmp_path: Path, l3: L3) 
     file = tmp_path / "M.toml"
     code, _, err = l3("calibrate", "--draft", tmp_path, "-o", file)
     assert code == 0
-    assert "3 tables, no frames; fill in what is marked TODO, then: l3 calibrate" in err
+    assert "3 tables, no frames; replace each TODO in the file, then: l3 calibrate" in err
     drafted = tomllib.loads(file.read_text())
     assert drafted["sweep"] == {"table": "sweep.csv", "photodiode": "fds100.csv"}
     assert drafted["cfa"]["channels"] == list(BUMPS)

@@ -63,7 +63,7 @@ def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l
     save(two, tmp_path / "two.h5")
     save(two.under(two.conditions[0]), tmp_path / "alone.h5")
     err = l3("export", tmp_path / "two.h5", "-o", tmp_path / "c")[2]
-    assert "exporting the usual set; --set low-noise exports the one for temporally filtered frames" in err
+    assert "to export the set for temporally filtered frames, use --set low-noise" in err
     err = l3("export", table, "-o", tmp_path / "c1")[2]
     assert "--set" not in err
     assert contents(tmp_path / "c") == contents(tmp_path / "c1")
@@ -77,7 +77,7 @@ def test_either_set_of_a_table_of_two_is_exported(table: Path, tmp_path: Path, l
 
 def test_a_set_that_is_not_there_is_refused(table: Path, tmp_path: Path, refused: Refused) -> None:
     line = refused(2, "export", table, "-o", tmp_path / "o", "--set", "low-noise")
-    assert "has one set of transforms; leave --set out" in line
+    assert "has only one set of transforms; leave --set out" in line
     line = refused(2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--set", "low-noise")
     assert "a folder of arrays contains both sets; leave --set out" in line
     assert not (tmp_path / "o").exists()
@@ -163,7 +163,7 @@ def test_a_prefix_begins_symbols_of_c_source_alone(table: Path, tmp_path: Path, 
     for wrong in ("9eyes", "my eye", "Eye", "e" * 32, ""):
         assert "letter first" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", wrong)
     assert "taken by the test program" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", "test")
-    assert "--prefix is for C source" in refused(
+    assert "--prefix applies only to C source" in refused(
         2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--prefix", "eye"
     )
 
@@ -173,7 +173,7 @@ def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, 
     assert sorted(contents(tmp_path / "c")) == C_FILES
     assert "typedef int16_t L3Output;" in (tmp_path / "c" / "l3_table.h").read_text()
     assert "$" not in contents(tmp_path / "c")["README.md"].decode()
-    assert "--words is for C source" in refused(
+    assert "--words applies only to C source" in refused(
         2, "export", table, "-o", tmp_path / "f", "--to", "folder", "--words", "int16"
     )
     save(bayer, tmp_path / "camera.h5")
@@ -191,7 +191,7 @@ def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, 
     assert "camera.h5" in line
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")
-    assert "sums; give a camera model or recipe, or a transform table" in line
+    assert "sums, which cannot be exported; name a camera model, a camera recipe or a transform table" in line
     assert "'halide'; there are c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
     assert "is a file; name a folder" in refused(1, "export", table, "-o", table)
     assert not (tmp_path / "c").exists()

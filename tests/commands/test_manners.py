@@ -76,14 +76,14 @@ def test_versions_and_devices(l3: L3, refused: Refused, monkeypatch: pytest.Monk
     assert document["l3"] == document["run"]["l3"] == __version__
     assert document["python"] == ".".join(map(str, sys.version_info[:3]))
     assert document["devices"][0].startswith("0: ")
-    assert document["decoding"].startswith("isolated process with limits of time and memory, ")
+    assert document["decoding"].startswith("in an isolated process with limits on time and memory, ")
     plain = l3("info", "--version")[1]
     for name, version in document["libraries"].items():
         assert f"  {name} {version or 'is not installed'}\n" in plain
     for holds, words in (
-        (("Landlock ABI 7", SECCOMP), "limits of time and memory, Landlock ABI 7, seccomp"),
-        ((SECCOMP,), "limits of time and memory, no Landlock in this kernel, seccomp"),
-        ((), "limits of time and memory, no Landlock in this kernel, no seccomp"),
+        (("Landlock ABI 7", SECCOMP), "limits on time and memory, Landlock ABI 7, seccomp"),
+        ((SECCOMP,), "limits on time and memory, no Landlock in this kernel, seccomp"),
+        ((), "limits on time and memory, no Landlock in this kernel, no seccomp"),
     ):
         monkeypatch.setattr("l3cli.io.decoder_process.measures", lambda path, holds=holds: holds)
         assert words in " ".join(l3("info", "--version")[1].split())

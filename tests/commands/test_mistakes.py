@@ -142,15 +142,15 @@ MISTAKES = """
     3 report table.h5 raw.tif -o new.html
         raw.tif is not an HDF5 file; give the file written by
     2 report table.h5 -o new.pdf
-        name a file that ends in .html
+        use a file name that ends in .html
     1 report table.h5 -o raw.tif/new.html
         raw.tif is a file, not a folder
     3 compare table.h5
-        table.h5: not readable as JSON; give a file that "l3 evaluate --json" printed
+        table.h5 is not a JSON file; name a file that contains the output of "l3 evaluate --json"
     3 compare nothing.json
-        nothing.json does not exist; give a file
+        nothing.json does not exist; name a file
     3 compare folder
-        folder is a folder; give a file
+        folder is a folder; name a file
     3 compare empty.json
         give a file that "l3 evaluate --json" printed
     2 info
@@ -170,7 +170,7 @@ MISTAKES = """
     1 lab camera.toml -o lab
         MEASUREMENTS.toml exists; add --force
     2 report table.h5 unseen.h5 --at "5 lux" -o new.html
-        unseen.h5 has no frame at 5 lux; its frames are at 314 lux
+        unseen.h5 has no frame at --at 5 lux; choose one of its illuminances: 314 lux
     2 report table.h5 unseen.h5 --at 5 -o new.html
         "5" has no unit; give it in lux or cd/m2, such as "5 lux"
     2 report table.h5 unseen.h5 --at "dim lux" -o new.html

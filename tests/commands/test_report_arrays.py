@@ -198,7 +198,7 @@ def test_frames_of_other_sizes_stand_next_to_one_another(
 
 def test_frames_of_an_array_without_a_table_are_reported_to_be_left_out(files: list[Path], page: Callable) -> None:
     text, err = page(files[0], files[3])
-    assert "quad unseen.h5 is of another colour filter array than <i>bayer.h5: nothing is evaluated on it" in err
+    assert "quad unseen.h5 has another colour filter array than <i>bayer.h5, so it is not used for evaluation" in err
     assert "To have each table evaluated, add frames of its colour filter array" in text
     assert "Side by side" not in sections(text)
 

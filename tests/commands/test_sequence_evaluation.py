@@ -172,7 +172,7 @@ def test_a_call_is_of_one_kind(ideal: Path, refused: Refused) -> None:
     assert "or --sequence" in refused(2, "evaluate", "table.h5")
     assert "or --sequence" in refused(2, "evaluate", "table.h5", "frames.h5", "--ideal", ideal)
     assert "leave TABLE.h5" in refused(2, "evaluate", "table.h5", "--sequence", ideal)
-    assert "leaves no patch" in refused(2, "evaluate", "--sequence", ideal, "--border", 10)
+    assert "--border 10 leaves no area" in refused(2, "evaluate", "--sequence", ideal, "--border", 10)
 
 
 # ----------------------------------------------------------------------------------------------------------- report

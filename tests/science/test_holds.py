@@ -249,7 +249,7 @@ def test_without_a_filter_more_is_seen_in_little_light_only(evaluations: Path, l
 def test_the_curves_are_drawn(evaluations: Path, l3: L3, tmp_path: Path) -> None:
     page = tmp_path / "curve.html"
     arguments = ("compare", evaluations / "bayer.json", evaluations / "rgbw.json", "--figure", "psnr", "--figure", "ssim")
-    assert "must end in .html" in l3(*arguments, "-o", tmp_path / "curve.png")[2]
+    assert "ends in .html" in l3(*arguments, "-o", tmp_path / "curve.png")[2]
     assert l3(*arguments, "-o", page)[0] == 0
     first = page.read_bytes()
     assert first.count(b"<figure") == 2

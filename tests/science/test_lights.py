@@ -123,7 +123,7 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
         assert words in refused(2, *train("both", path))
     assert "cannot be trained in shards" in refused(2, *train("both", learned["several.classes.toml"], "--shard", "1/2"))
     export = ("export", learned["one.h5"], "-o", tmp_path / "export", "--to", "folder", "--white", "A")
-    assert "no transforms for single illuminants" in refused(2, *export)
+    assert "needs transforms for single illuminants" in refused(2, *export)
 
 
 # --------------------------------------------------------------------------------------------------------- mixing

@@ -15,7 +15,7 @@ from l3cli.evaluation.standards import EdgeError, edge_sharpness
 from l3cli.physics.display import XYZ
 from l3cli.simulation.light import XYZ as XYZ_TARGET
 from l3cli.simulation.light import electron_weights, make_light
-from l3cli.stages.evaluation import BANDS, edge_frame, standard_figures
+from l3cli.stages.evaluation import CHART_BANDS, edge_frame, standard_figures
 
 
 def stopped_down(camera: CameraModel, f_number: float) -> CameraModel:
@@ -27,11 +27,11 @@ def test_sharpness_is_that_of_lens_and_pixel(bayer: CameraModel, fiveband: Camer
     is below half a cycle a pixel, since simulation takes one sample a pixel."""
     for camera, across in ((stopped_down(bayer, 5.6), "rows"), (stopped_down(fiveband, 8.0), "columns")):
         light = make_light("D65", {}, camera.wavelength)
-        weights = electron_weights(camera, light, BANDS)
+        weights = electron_weights(camera, light, CHART_BANDS)
         for seen, of_channel in zip(edge_frame(camera, light, across, XYZ_TARGET).electrons, weights, strict=True):
             plane = seen[24:-24, 24:-24]
             measured = edge_sharpness(plane if across == "rows" else plane.T)
-            known = standards.known_sharpness(camera, BANDS, of_channel)
+            known = standards.known_sharpness(camera, CHART_BANDS, of_channel)
             resolved = measured.frequency < 0.5
             assert measured.mtf50 == pytest.approx(known.mtf50, rel=0.01)
             assert measured.transfer[resolved] == pytest.approx(known.transfer[resolved], abs=0.01)

@@ -1,1 +1,1 @@
-"""The simulation stage: camera × scenes × lights → training set (`simulate`)."""
+"""The simulation stage: it simulates frames of scenes under several illuminants, and writes a training set."""

@@ -1,4 +1,4 @@
-"""Preparation of a simulation: checks before any frame is simulated, and the scenes as they are imaged on the sensor."""
+"""Preparation of a simulation: it checks the inputs before any frame is simulated, and reads or draws the scenes."""
 
 import dataclasses
 from collections.abc import Callable
@@ -44,12 +44,21 @@ if TYPE_CHECKING:
 
 
 def scene_files(source: sources.Source, recipe: Path) -> list[Path]:
-    """Return the files of a source of a recipe. Raise InputFileError if it names files and there are none."""
+    """Return the scene files of `source`, or an empty list if the source reads no files.
+
+    Raises
+    ------
+    InputFileError
+        If the source needs files, but none exist.
+    """
     return find_scenes(source.file, recipe.parent, is_folder(name_of(source))) if isinstance(source, FileSource) else []
 
 
 def files_of(source: sources.Source, path: Path) -> list[Path]:
-    """Return the files of one scene: the bands in a folder, an ENVI header with its data, or otherwise the file itself."""
+    """Return all files that belong to the scene file or scene folder `path`.
+
+    A folder contains a file for each band. An ENVI header has a separate data file. Any other scene is a single file.
+    """
     return format_of(sources.name_of(source), path).files(path)
 
 
@@ -59,13 +68,13 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     Returns
     -------
     callable
-        For the number of a frame in a clip, the scene as it is imaged on the sensor in this frame. Without motion, it is the
-        same in all frames.
+        A function that takes the number of a frame in a clip and returns the scene as it is projected onto the sensor in
+        this frame. If the scene does not move, the result is the same for all frames.
 
     Raises
     ------
     InputFileError
-        If the scene is smaller than the sensor, or is not known at the wavelengths of the camera.
+        If the scene is smaller than the sensor, or has no data at the wavelengths of the camera.
     """
     from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation import procedural
@@ -93,7 +102,7 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
-    """Return the scene of a file. Pictures and spectral cubes are converted to scenes."""
+    """Read a scene file. Spectral cubes and RGB pictures are converted to scenes with reflectances."""
     from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
@@ -118,9 +127,9 @@ def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "
 
 
 def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, Any]:
-    """Return the keys of the recipe that the reader of a file takes, as keyword arguments.
+    """Return the keys of the recipe that the reader of a scene file needs, as keyword arguments.
 
-    A light is passed as its wavelengths (nm) and its photons per wavelength.
+    The name of an illuminant is replaced by its wavelengths in nm and its photon radiance per wavelength.
     """
     keys = {key: getattr(source, key) for key in format_of(sources.name_of(source), path).keys}
     if keys.get("light"):
@@ -133,12 +142,12 @@ def _keys(source: sources.Source, path: Path, run: SimulationRun) -> dict[str, A
 
 
 def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, InputFileError]]:
-    """Find the files that cannot be read or are too small for the sensor, from their headers.
+    """Find the scene files that cannot be read or that are too small for the sensor. Only the headers are read.
 
     Returns
     -------
     list of dict
-        For each source, the error of each file that cannot be used.
+        For each source, the files that cannot be used, each with its error.
 
     Raises
     ------
@@ -159,8 +168,14 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """Return (rows, cols) of a scene as it is imaged on the sensor. Files are read up to their header. Errors are those of
-    `refusals`.
+    """Return the rows and columns of a scene as it is projected onto the sensor. Only the header of a file is read.
+
+    Raises
+    ------
+    InputFileError
+        If a scene file cannot be read or is too small.
+    RecipeError
+        If a synthetic scene is too small.
     """
     from l3cli.simulation.sources import framed_size
 
@@ -179,19 +194,19 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Check a scene recipe for a camera, and read its curves and lights.
+    """Check a scene recipe for a camera, and read its curves and illuminants.
 
     Returns
     -------
     SimulationRun
-        The run, with everything that the recipe names.
+        The run, with the curves and illuminants of the recipe.
     list of list of Path
-        The files of each source.
+        The scene files of each source.
 
     Raises
     ------
     RecipeError, InputFileError
-        If the recipe has errors, or if curves or files cannot be used.
+        If the recipe has faults, or if a curve or a scene file cannot be used.
     """
     with raised_as(RecipeError, path, RecipeError):
         refuse_first(asked.scene_faults(recipe, camera))
@@ -210,20 +225,22 @@ def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> 
 
 
 def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = None) -> list[str]:
-    """Return warnings about spectra that are unknown at wavelengths at which channels collect electrons.
+    """Return warnings about spectra without data at wavelengths at which the camera collects electrons.
 
     Parameters
     ----------
     run : SimulationRun
+        The run.
     camera : CameraModel
-        The camera of the run without the lens of the scene recipe.
+        The camera of the run, without the lens of the scene recipe.
     recipe : Path or None
-        The file of the camera. If it is a recipe, its curves are also checked.
+        The file of the camera. If this file is a recipe, the curves of the recipe are also checked.
 
     Returns
     -------
     list of str
-        A warning for each light, and one each for the surfaces, the lens, the matching functions and the camera's curves.
+        At most one warning for each illuminant, and at most one warning for each of the following: surfaces, lens, matching
+        functions and camera curves.
     """
     named = asked.curve_files(run.recipe)
     curves = {name: read_curve(run.base / name, role) for name, role in named.items()}
@@ -248,14 +265,21 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
 def fitting(
     run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
 ) -> tuple[list[list[Path]], int]:
-    """Return the files of each source that can be used, and the number of the others.
+    """Return the scene files that can be used, and the number of files that are left out.
 
-    With `skip_bad`, each file that cannot be used is reported and left out.
+    If `skip_bad` is set, each file that cannot be used is reported and left out.
+
+    Returns
+    -------
+    list of list of Path
+        The usable files of each source.
+    int
+        Number of files that are left out.
 
     Raises
     ------
     InputFileError
-        If files cannot be used and `skip_bad` is not set, or if no scene is left.
+        If a file cannot be used and `skip_bad` is not set, or if no scene is left.
     """
     refused = refusals(run, files)
     bad = [error for errors in refused for error in errors.values()]
@@ -264,10 +288,10 @@ def fitting(
     if not skip_bad:
         count = sum(map(len, files))
         if len(bad) == 1:
-            raise InputFileError(f"{bad[0]}, or leave it out with ‹skip_bad›" if count > 1 else str(bad[0]))
+            raise InputFileError(f"{bad[0]}, or leave the scene out with ‹skip_bad›" if count > 1 else str(bad[0]))
         cures = dict.fromkeys(str(error).partition("; ")[2] for error in bad)
         why = listed(str(error).partition("; ")[0] for error in bad)
-        cure = ", ".join([*filter(None, cures), "or leave them out with ‹skip_bad›"])
+        cure = ", ".join([*filter(None, cures), "or leave these scenes out with ‹skip_bad›"])
         raise InputFileError(f"{len(bad)} of {count} scenes cannot be used: {why}; {cure}")
     readable = [[path for path in paths if path not in errors] for paths, errors in zip(files, refused, strict=True)]
     synthetic = any(not isinstance(source, FileSource) for source in run.recipe.scene)
@@ -279,7 +303,7 @@ def fitting(
 
 
 def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Console) -> None:
-    """Report fields of scene files that l3 does not recognise and that may affect the values."""
+    """Report fields in the headers of scene files that l3 does not know and that may affect the meaning of the values."""
     found: dict[str, Path] = {}  # unknown field → first file that contains it
     for source, paths in zip(run.recipe.scene, files, strict=True):
         for path in paths:
@@ -288,13 +312,16 @@ def note_unknown_fields(run: SimulationRun, files: list[list[Path]], console: Co
     if found:
         first = next(iter(found.values()))
         console.info(
-            f"{first}: l3 does not know the field{'s' if len(found) > 1 else ''} {listed(found)}; "
-            "if values depend on it, apply it to the data first"
+            f"{first}: l3 ignores the unknown field{'s' if len(found) > 1 else ''} {listed(found)} of the header; if this "
+            "changes the meaning of the values, convert the data first"
         )
 
 
 def input_files(run: SimulationRun, files: list[list[Path]]) -> dict[str, list[Path]]:
-    """Return all input files of a run by their role. `files` are the files of each source."""
+    """Return all input files of a run by role: "scene", "spectrum" or "pair".
+
+    `files` contains the scene files of each source.
+    """
     return {
         "scene": [
             file
@@ -314,7 +341,21 @@ def head_of(
     inputs: dict[str, list[Path]],
     chosen: dict[str, Any],
 ) -> TrainingSet:
-    """Return the head of the training set. Its history is the camera's, followed by this stage."""
+    """Return the head of the training set.
+
+    Parameters
+    ----------
+    run : SimulationRun
+        The run.
+    camera : CameraModel
+        The camera whose history the training set continues.
+    recipes : (Path, Path)
+        Files of the scene recipe and of the camera.
+    inputs : dict
+        The input files by role.
+    chosen : dict
+        The options to record in the history.
+    """
     texts = [read_text(recipes[0]), recipe_text(recipes[1])]
     sums = {role: [sha256(path) for path in paths] for role, paths in inputs.items() if paths}
     recipe = "\n".join(text for text in texts if text)

@@ -1,4 +1,4 @@
-"""The simulation stage: camera × scenes × lights → training set, and optionally pictures and DNG files of its frames."""
+"""The simulation stage: it writes a training set and, optionally, pictures and DNG files of the frames."""
 
 import contextlib
 import functools
@@ -35,26 +35,30 @@ from l3cli.system.checkpoint import incomplete_folder, is_finished, mark_finishe
 from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
+from l3cli.system.text import counted
 
-NEGLIGIBLE_LIGHT = 1e-3  # fraction of a channel's light that scenes may lack without a warning
+# A scene may lack data at some wavelengths. If less than this fraction of a channel's light is affected, l3 does not warn.
+NEGLIGIBLE_LIGHT = 1e-3
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """Result of a simulation: the number of frames, the number of scenes that were left out, and the files."""
+    """Result of a simulation."""
 
-    frames: int
-    scenes_left_out: int
-    files: FilesUsed
+    frames: int  # number of frames
+    scenes_left_out: int  # number of scenes that could not be used
+    files: FilesUsed  # files that were read and written
 
 
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Simulated:
-    """Simulate the training set of a scene recipe and a camera (model or recipe), and write it.
+    """Simulate the frames of a scene recipe with a camera, and write them as a training set.
 
     Parameters
     ----------
-    scenes, camera : Path
-        Scene recipe, and camera model or recipe.
+    scenes : Path
+        Scene recipe.
+    camera : Path
+        Camera model or camera recipe.
     output : Path
         Training set to write.
     options : SimulateOptions
@@ -63,11 +67,11 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
     Raises
     ------
     RecipeError, InputFileError
-        If recipe, camera or files cannot be used.
+        If the recipe, the camera or a scene file cannot be used.
     L3Error
         If an output cannot be written.
     """
-    # In this order, errors are raised before any work, and no output replaces an input.
+    # The order of these checks ensures that errors are raised before any work, and that no output replaces an input.
     console, resume, force, scheduler = options.console, options.resume, options.force, options.cluster()
     folders = list(dict.fromkeys(filter(None, (options.pictures, options.dng))))
     with OutputGuard(console) as guard:
@@ -75,11 +79,11 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         guard.hold_file(output)
         refuse_existing(output, force or resume)
         for folder in folders:
-            guard.hold_folder(folder, *WRITTEN)
+            guard.hold_folder(folder, *PICTURE_FILES)
         if scheduler:
-            scenes = scenes.absolute()  # because workers elsewhere look for the files that it names
+            scenes = scenes.absolute()  # because workers on other machines may have another working directory
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-        _ = model.saturation_exposure  # raises InputFileError for a camera that is blind to the light, before any work
+        _ = model.saturation_exposure  # raises InputFileError, before any work, if the camera cannot be exposed
         run, files = prepare(recipe, scenes, model, options.seed)
         files, bad = fitting(run, files, scenes, options.skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
@@ -102,7 +106,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 if folder not in done:
                     unfinished.enter_context(incomplete_folder(folder, key, force))
             if stands:
-                stored.remove()  # left by a run that was killed after the output had appeared
+                stored.remove()  # stored frames remain if a run was killed just after it had written the output
                 missing = replace(
                     options,
                     pictures=None if options.pictures in done else options.pictures,
@@ -115,18 +119,18 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
                 with stored.held(resume, force, whole_part):
                     total = _simulate_frames(run, files, head, stored, options)
                     pictures = write_pictures(run, files, stored, options)
-                    _assemble(stored, head, output, console)  # last, so that a finished set always has its pictures
+                    _assemble(stored, head, output, console)  # last, so that the pictures exist if the training set exists
             for folder in folders:
                 mark_finished(folder, key)
         left_out = f"; {bad} scene{'s' if bad > 1 else ''} left out" if bad else ""
-        console.info(f"{output}: {total} frame{'s' if total > 1 else ''}{left_out}{'; finished already' if stands else ''}")
+        console.info(f"{output}: {counted(total, 'frame')}{left_out}{'; finished already' if stands else ''}")
         return Simulated(total, bad, used.and_wrote(output, *pictures))
 
 
 def _simulate_frames(
     run: SimulationRun, files: list[list[Path]], head: TrainingSet, stored: StoredFrames, options: SimulateOptions
 ) -> int:
-    """Simulate and store the frames of a run that are not stored yet. Return the number of all frames."""
+    """Simulate and store all frames of a run that are not stored yet, and return the total number of frames."""
     inputs, sums = input_files(run, files), head.history[-1].inputs
     digests = {
         path: digest for role, paths in inputs.items() for path, digest in zip(paths, sums.get(role, ()), strict=True)
@@ -145,27 +149,45 @@ def _simulate_frames(
 
 
 def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
-    """Write the training set from its stored frames. Warn if a scene lacks data for more than a negligible part of the
-    light.
+    """Write the training set from its stored frames.
+
+    If the data of a scene do not cover all wavelengths at which the camera is sensitive, the user is warned.
     """
     with write_training_set(output, head) as writer:
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
     if worst.uncovered > NEGLIGIBLE_LIGHT:
         share = f"{worst.uncovered:.1%} of the light that a channel collects from white"
-        console.warn(f"{worst.scene} has no data for {share}; give scenes with more wavelengths")
+        console.warn(f"the scene {worst.scene} has no data for {share}; use scenes with a wider range of wavelengths")
 
 
-CHANNELS = ("down", "right", "seen")  # channels of a file of motion
-WRITTEN = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # files in the folders of pictures
+# Channels of an EXR file of motion: displacement downwards and to the right, and whether the pixel was visible before
+MOTION_CHANNELS = ("down", "right", "seen")
+PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # names of the pictures that l3 writes
 
 
 def write_pictures(
     run: SimulationRun, files: list[list[Path]], frames: Iterable[TrainingPair], options: SimulateOptions
 ) -> list[Path]:
-    """Write the pictures and DNGs of all frames that the options ask for, and return their files.
+    """Write pictures and DNG files of the frames, as far as the options specify folders for them.
 
-    `files` are the files of each source. A message names the exposure with which a clip is rendered as bright as its ideal
-    pictures.
+    For each clip, the console also receives the value of ‹exposure› with which `l3 render` makes pictures that are as bright
+    as the ideal pictures.
+
+    Parameters
+    ----------
+    run : SimulationRun
+        The run.
+    files : list of list of Path
+        The scene files of each source.
+    frames : iterable of TrainingPair
+        All frames of the run.
+    options : SimulateOptions
+        Options of `l3 simulate`.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
     """
     written: list[Path] = []
     if options.pictures:
@@ -175,7 +197,8 @@ def write_pictures(
             if index in lengths:
                 last = index + lengths[index] - 1
                 options.console.info(
-                    f"frames {index}–{last}: ‹exposure› {scale:.6g} renders them as bright as their ideal pictures"
+                    f"frames {index}–{last}: to render pictures that are as bright as the ideal pictures, use "
+                    f"‹exposure› {scale:.6g}"
                 )
     if options.dng:
         _write_dng(run, frames, options.dng, written)
@@ -187,25 +210,27 @@ def _write_pictures(
 ) -> dict[int, float]:
     """Write the raw mosaic and the ideal picture of each frame.
 
-    Ideal pictures are exposed like those of `l3 render`: the 99th percentile of Y is shown as white.
+    The exposure of an ideal picture is chosen as in `l3 render`: the 99th percentile of Y becomes white.
 
     Parameters
     ----------
     run : SimulationRun
-        The camera and the outputs of the frames.
+        The run.
     frames : iterable of TrainingPair
-        The frames in their order.
+        All frames of the run.
     folder : Path
-        Where the pictures are written.
+        Folder of the pictures.
     first_of : dict
-        Number of each frame of a clip → number of the clip's first frame, whose exposure applies to the whole clip.
+        Index of each frame of a clip → index of the first frame of this clip. All frames of a clip have the exposure of the
+        first frame.
     written : list of Path
-        The files are appended to this list.
+        Receives the names of the files.
 
     Returns
     -------
     dict
-        Number of each frame with an sRGB ideal picture → the exposure with which `l3 render` makes it equally bright.
+        Index of each frame with an sRGB ideal picture → value of ‹exposure› with which `l3 render` makes a picture that is
+        equally bright.
     """
     import numpy as np
 
@@ -234,12 +259,12 @@ def _write_pictures(
 
 
 def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, written: list[Path]) -> dict[int, int]:
-    """Write the motion of each frame of a clip since the previous frame, and append the files to `written`.
+    """Write a file with the motion since the previous frame, for each frame of each clip. Append the files to `written`.
 
     Returns
     -------
     dict
-        Number of the first frame of each clip → number of frames.
+        Index of the first frame of each clip → number of frames in the clip.
     """
     import numpy as np
 
@@ -253,7 +278,7 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, wri
         moved = known_motion(wanted, run)
         for shot in clip:
             name = frame_name(shot.index, wanted.name)
-            write_picture(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), CHANNELS)
+            write_picture(folder / f"{name}{MOTION}", np.moveaxis(moved(shot.moment), 0, -1), MOTION_CHANNELS)
             written.append(folder / f"{name}{MOTION}")
             if shot.moment == 0:
                 lengths[shot.index] = wanted.source.motion.frames
@@ -261,7 +286,10 @@ def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, wri
 
 
 def _write_dng(run: SimulationRun, frames: Iterable[TrainingPair], folder: Path, written: list[Path]) -> None:
-    """Write each raw frame as DNG, with the white balance of its illuminant if known, and append the files to `written`."""
+    """Write each raw frame as a DNG file, and append the files to `written`.
+
+    If the illuminant of the frame is known, the file contains its white balance.
+    """
     from l3cli.io.pictures.dng import LIGHT_CODES, write_dng
     from l3cli.simulation.light import colour_matrix, make_light, neutral
 

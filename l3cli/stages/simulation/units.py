@@ -1,6 +1,6 @@
-"""What the processes of a simulation do: they read or draw a scene, simulate its frames, and store each frame as a file.
+"""Work units of a simulation. A process reads or draws a scene, simulates its frames, and stores each frame in a file.
 
-The files lie in a folder beside the output, so that an interrupted run can continue.
+The folder with these files is next to the output, so that an interrupted run can continue.
 """
 
 import dataclasses
@@ -29,22 +29,22 @@ from l3cli.system.files import require_same, write_whole
 
 
 def key_of(stage: Stage) -> str:
-    """Return the key of a run: the digest of everything on which its frames depend."""
+    """Return the key of a run: a digest of all options and inputs on which its frames depend."""
     return hashlib.sha256(json.dumps(dataclasses.asdict(stage), sort_keys=True).encode()).hexdigest()
 
 
 class StoredFrames(PartsFolder):
-    """The frames of a run, each in a file named after its index."""
+    """The stored frames of a run. The name of each file is the index of the frame."""
 
     def path(self, index: int) -> Path:
-        """Return the file of a frame. The frame is finished if the file exists."""
+        """Return the file of a frame. If this file exists, the frame is finished."""
         return self.folder / f"{index:06d}.h5"
 
     def __iter__(self) -> Iterator[TrainingPair]:
         return map(read_part, self._files())
 
     def append_to(self, writer: TrainingSetWriter) -> Iterator[SceneCoverage]:
-        """Append all frames to a training set. Yield what each frame's scene covers."""
+        """Append all frames to a training set. Yield, for each frame, how much of the spectrum its scene covers."""
         return map(writer.append_part, self._files())
 
     def _files(self) -> list[Path]:
@@ -57,21 +57,21 @@ def is_of_run(output: Path, key: str) -> bool:
     return bool(history) and key_of(history[-1]) == key
 
 
-MAX_SENT_BYTES = 64 << 20  # largest amount of frames that a worker elsewhere sends at a time, unless one frame is larger
+MAX_SENT_BYTES = 64 << 20  # a worker on another machine returns at most this many bytes at a time, but at least one frame
 
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """The work that a process does at a time: some frames of one scene, or one real pair."""
+    """A unit of work for a process: some frames of one scene, or one real pair."""
 
     run: SimulationRun
     what: sources.WantedScene | Pair
     shots: list[Shot]
-    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of its files, which workers elsewhere compare
+    digests: Mapping[Path, str] = field(default_factory=dict)  # SHA-256 of each file, verified on other machines
 
     @property
     def files(self) -> list[Path]:
-        """Return the files that the unit reads."""
+        """Files that the unit reads."""
         if isinstance(self.what, Pair):
             return [self.run.base / self.what.raw, self.run.base / self.what.picture]
         return files_of(self.what.source, self.what.path) if self.what.path else []
@@ -80,9 +80,21 @@ class WorkUnit:
 def units_of(
     run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
 ) -> list[WorkUnit]:
-    """Return the work that is left, with the frames of a scene in one unit, so that the scene is read once.
+    """Divide the frames that are not stored yet into work units.
 
-    If there are fewer scenes than workers need, the frames of a scene are divided into several units.
+    All frames of a scene are in one unit, so that the scene is read only once. If there are too few scenes for the number of
+    workers, the frames of each scene are divided into several units.
+
+    Parameters
+    ----------
+    run : SimulationRun
+        The run.
+    work : list of (WantedScene, list of Shot)
+        The scenes, each with its frames.
+    stored : StoredFrames
+        The frames that an earlier run has stored.
+    workers : int
+        Number of workers.
     """
     first = sum(len(shots) for _, shots in work)
     pairs = ((pair, [Shot(first + number, "", 0.0, 0.0)]) for number, pair in enumerate(run.recipe.pair))
@@ -98,14 +110,20 @@ def units_of(
 
 
 def simulate_unit(stored: StoredFrames, unit: WorkUnit) -> int:
-    """Simulate and store the frames of a unit. Return their number."""
+    """Simulate and store the frames of a work unit, and return the number of frames."""
     for index, frame, uncovered in simulated(unit):
         write_part(stored.path(index), frame, uncovered)
     return len(unit.shots)
 
 
 def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
-    """Yield the index of each frame, the frame, and the fraction of the light that the data of its scene do not cover."""
+    """Simulate the frames of a work unit.
+
+    Yields
+    ------
+    (int, TrainingPair, float)
+        Index of the frame, the frame, and the fraction of the light at wavelengths for which the scene has no data.
+    """
     run = unit.run
     if isinstance(unit.what, Pair):
         yield unit.shots[0].index, _pair(unit.what, run), 0.0
@@ -118,16 +136,27 @@ def simulated(unit: WorkUnit) -> Iterator[tuple[int, Any, float]]:
     for shot in unit.shots:
         scene = at(shot.moment)
         begins = replace(shot, index=0, moment=0)
-        if shot.moment and begins not in times:  # a clip keeps the exposure of its first frame
+        if shot.moment and begins not in times:  # all frames of a clip have the exposure time of its first frame
             times[begins] = run.exposure_time(at(0), begins)
         uncovered = 0.0 if isinstance(scene, ChannelPicture) else uncovered_share(run.camera, scene.wavelength)
         yield shot.index, run.frame(scene, shot, times.get(begins)), uncovered
 
 
 def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, digests: Mapping[Path, str]) -> Iterator[int]:
-    """Have workers on other machines simulate the units, and store the frames that they send.
+    """Simulate work units on other machines, and store the frames that the workers return.
 
-    Workers must see the same input files. Yields the number of frames after each answer.
+    The workers must have access to the same input files. Each time a worker has returned frames, their number is yielded.
+
+    Parameters
+    ----------
+    pool : WorkerPool
+        The workers.
+    work : list of WorkUnit
+        The work units.
+    stored : StoredFrames
+        Receives the frames.
+    digests : mapping of Path to str
+        SHA-256 of each input file.
     """
     needed = []
     for unit in work:
@@ -142,7 +171,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
 
 
 def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
-    """Simulate a unit on another machine. Return the index of each frame and the content of its file."""
+    """Simulate a work unit on another machine. Return the index of each frame and the bytes of its file."""
     for path, digest in unit.digests.items():
         require_same(path, digest)
     with scratch_folder() as folder:
@@ -171,6 +200,6 @@ def _pair(pair: Pair, run: SimulationRun) -> Any:
         to_xyz = xyz_from_srgb_matrix()[["XYZ".index(output) for output in outputs]]
         picture = read_rgb_picture(path) @ to_xyz.T.astype(np.float32)
     else:
-        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; give an EXR with these channels")
+        raise InputFileError(f"{path} has no channels called {', '.join(outputs)}; use an EXR file with these channels")
     with raised_as(InputFileError, path):
         return make_pair(raw, upright(picture, picture_flip(path)), outputs, run.camera, pair, path.stem)
