@@ -9,16 +9,16 @@ HEAD = """# Gallery
 This page is for readers who want to see results before they try l3. It shows one picture for each colour filter array
 for which `l3 init` has a recipe.
 
-For each array, l3 trains a table with the scene recipe `{scenes}` and with the class recipe that `l3 init` selects. It
-then simulates a frame of a scene that is not in the training set, and renders the frame. The scene is
-illuminated by D65, and a perfect white reaches 0.9 of full scale. The errors are the differences between the rendered
-picture and the *ideal* picture, as a display shows them. `make gallery` makes this page and its pictures.
+For each colour filter array, a table is trained with the scene recipe `{scenes}` and the class recipe that `l3 init`
+selects. The table then renders a simulated frame of a scene that is not in the training set. The illuminant is D65, and
+a perfect white has a signal of 0.9 of full scale. The errors are the differences between the rendered picture and the
+*ideal* picture, as both look on a display. `make gallery` writes this page and its pictures.
 
-The pictures are compared with methods that do not learn:
+The pictures are compared with methods that are not trained:
 
 * *basic* interpolates each channel separately, corrects the white balance and applies a colour matrix.
-* *Malvar* and *Menon* are demosaicing methods for arrays with the layout of a Bayer array.
-* *long*, *short*, *high gain* and *low gain* are *basic* pipelines that read only the pixels with that exposure or gain.
+* *Malvar* and *Menon* are demosaicing methods for colour filter arrays that are arranged as a Bayer array.
+* *long*, *short*, *high gain* and *low gain* are variants of *basic* that use only the pixels with this exposure or gain.
 
 """
 PICTURES = """![Filters and responsivities of {title}](gallery/{name}.svg)
@@ -52,7 +52,7 @@ def table(entries: Entries) -> str:
 
 
 def verdict(entries: Entries) -> str:
-    """Return a sentence that names the arrays on which a method without learning is better."""
+    """Return a sentence that lists the arrays on which a method without training is better."""
     lost = []
     for name, entry in entries.items():
         ours = entry["figures"]["ours"]
@@ -68,7 +68,7 @@ def verdict(entries: Entries) -> str:
             if better:
                 lost.append(f"{NAMES.get(rival, rival)} on {name} ({', '.join(better)})")
     if lost:
-        return f"Better than l3: {'; '.join(lost)}."
+        return f"These methods are better than l3: {'; '.join(lost)}."
     return "None of these methods has a lower ΔE00 or a higher PSNR than l3 on any array."
 
 
@@ -79,7 +79,7 @@ def section(name: str, entry: dict[str, Any]) -> str:
     ]
     errors = "\n".join(["| method | mean ΔE00 | PSNR (dB) |", "|---|---|---|", *rows])
     twins = ", ".join(f"`{twin}`" for twin in entry["twins"])
-    also = f" These recipes have the same array, but start at another pixel: {twins}." if twins else ""
+    also = f" The following recipes describe the same colour filter array, but begin at a different pixel: {twins}." if twins else ""
     period, _, about = entry["summary"].rpartition("  ")
     pictures = PICTURES.format(name=name, title=entry["title"])
     return f"## {name}\n\n{about} ({' '.join(period.split())}).{also}\n\n{errors}\n\n{pictures}"
