@@ -1,4 +1,4 @@
-"""Tables of docs/ that are made from registries: python docs/site/format_tables.py writes them into their pages anew.
+"""Tables of docs/ that are generated from registries. `python docs/site/format_tables.py` updates them in their pages.
 
 A table stands between the comments `<!-- NAME -->` and `<!-- end -->` of a page.
 """
@@ -20,7 +20,7 @@ DOCS = Path(__file__).parents[1]
 
 
 def packings() -> str:
-    """Names of packings by family. Bayer names differ from Mono names in their first letters alone."""
+    """Return the table of packings by family. Bayer names differ from Mono names only in their first letters."""
     orders = ", ".join(code(f"Bayer{order}") for order in BAYER_ORDERS)
     rows = []
     for family, meaning in FAMILIES.items():
@@ -31,24 +31,24 @@ def packings() -> str:
 
 
 def raw_formats() -> str:
-    """Formats of raw frames that l3 reads."""
+    """Return the table of raw formats that l3 reads."""
     rows = ([each.what, " ".join(map(code, each.suffixes)), with_options(each.read_as)] for each in reversed(RAW_FORMATS))
     return table(["format", "suffixes", "what is read"], rows)
 
 
 def unread_formats() -> str:
-    """Formats that l3 recognises and refuses."""
+    """Return the table of formats that l3 recognises but cannot read."""
     rows = ([each.name, " ".join(map(code, each.suffixes)), each.instead] for each in UNREAD)
     return table(["file", "suffixes", "what to do"], rows)
 
 
 def scenes() -> str:
-    """Formats of files of scenes, by the source of a recipe."""
+    """Return the table of scene files, by the value of `source` in a recipe."""
     return table(["`source`", "file", "what it states"], ([code(each.source), each.holds, each.states] for each in FORMATS))
 
 
 def envi_fields(fate: str) -> str:
-    """Fields of ENVI headers of one fate, those of one meaning in one row."""
+    """Return the table of ENVI header fields that are treated as `fate` says. Fields with the same meaning share a row."""
     rows: dict[str, list[str]] = {}
     for field in FIELDS:
         if field.fate == fate:
@@ -57,11 +57,11 @@ def envi_fields(fate: str) -> str:
 
 
 def decoders() -> str:
-    """Which raw formats the isolated process decodes, and which l3 reads itself."""
+    """Return the list item with the raw formats that the isolated process decodes, and the formats that l3 reads itself."""
     names = {each: each.what.partition(" (extra")[0].partition(", also")[0] for each in RAW_FORMATS}
     isolated, own = (", ".join(names[each] for each in RAW_FORMATS if each.isolated is where) for where in (True, False))
-    own += ", and TIFF laid out as l3 writes it"
-    return f"* **Raw files.** The isolated process decodes {isolated}. l3 itself reads {own}."
+    own += ", and TIFF files in the layout that l3 writes"
+    return f"* **Raw files.** The isolated process decodes these formats: {isolated}. l3 itself reads these formats: {own}."
 
 
 TABLES: dict[str, dict[str, Callable[[], str]]] = {
@@ -77,7 +77,7 @@ TABLES: dict[str, dict[str, Callable[[], str]]] = {
 
 
 def with_tables(page: str, text: str) -> str:
-    """The text of a page with its tables as the registries are now."""
+    """Return the text of a page with its tables updated from the registries."""
     for name, made in TABLES[page].items():
         places = list(re.finditer(rf"(?<=<!-- {name} -->\n).*?(?=<!-- end -->)", text, re.DOTALL))
         if len(places) != 1:
