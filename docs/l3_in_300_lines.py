@@ -1,11 +1,12 @@
-"""L3 (Local, Linear, Learned) for a Bayer camera, from spectra to a picture, in numpy alone.
+"""L3 (Local, Linear, Learned) for a Bayer camera, from spectra to a picture, with numpy only.
 
     python l3_in_300_lines.py picture.png
 
-draws scenes of dead leaves, exposes them with a camera of three Gaussian filters, learns one linear transform a class of
-neighbourhood, and renders a frame that it has not seen. It is the method without its refinements: classes by level, contrast
-and saturation, one layer, no symmetry, no chroma. `render` computes what the reference backend of l3cli computes for such a
-table. Equations and sources: method.md; the names of sections are given as "#level".
+This program draws scenes of dead leaves and simulates a camera with three Gaussian filters. It classifies neighbourhoods of
+pixels, learns one linear transform for each class, and renders a frame that was not used for learning. It is the method
+without refinements: it has one layer, and classes by level, contrast and saturation, but no symmetry and no chroma. For such
+a table, `render` computes the same outputs as the reference backend of l3cli. The page method.md contains the equations and
+their sources. "#level" refers to the section Level of that page.
 """
 
 import struct
@@ -30,11 +31,12 @@ SITES = CFA.size
 
 
 def bell(centre, below, above):
-    """Return a Gaussian over wavelength, of standard deviation `below` and `above` its centre (nm)."""
+    """Return a Gaussian over wavelength, with the standard deviations `below` and `above` on the two sides of the centre."""
     return np.exp(-0.5 * ((WAVELENGTH - centre) / np.where(centre > WAVELENGTH, below, above)) ** 2)
 
 
-# Colour matching functions x, y, z (Wyman, Sloan, Shirley 2013, equation 4); the light, a black body of 6500 K, in photons.
+# Colour matching functions x, y, z (Wyman, Sloan, Shirley 2013, equation 4). The illuminant is a black body of 6500 K, in
+# photons.
 MATCHING = np.array(
     [
         1.056 * bell(599.8, 37.9, 31.0) + 0.362 * bell(442.0, 16.0, 26.7) - 0.065 * bell(501.1, 20.4, 26.2),
@@ -44,20 +46,20 @@ MATCHING = np.array(
 )
 LIGHT = 1 / (WAVELENGTH**4 * np.expm1(1.4388e7 / (WAVELENGTH * 6500)))
 TO_SIGNAL = RESPONSIVITY * LIGHT
-TO_SIGNAL /= TO_SIGNAL.sum(axis=1).max()  # (channel, wavelength): a white fills the most sensitive channel
-TO_XYZ = MATCHING * LIGHT / WAVELENGTH  # energy, not photons
-TO_XYZ /= TO_XYZ[1].sum()  # (output, wavelength): a white has Y = 1
+TO_SIGNAL /= TO_SIGNAL.sum(axis=1).max()  # (channel, wavelength); a white just fills the most sensitive channel
+TO_XYZ = MATCHING * LIGHT / WAVELENGTH  # the matching functions apply to energy, not to photons
+TO_XYZ /= TO_XYZ[1].sum()  # (output, wavelength); a white has Y = 1
 
 
 class Frame(NamedTuple):
-    """A scene as the camera would see it without mosaic and noise, and as an observer does."""
+    """The signals of a scene in all channels of the camera, without mosaic and noise, and the ideal outputs."""
 
-    signal: np.ndarray  # (row, col, channel) share of full scale
-    target: np.ndarray  # (row, col, output) X, Y, Z of a white with Y = 1
+    signal: np.ndarray  # (row, col, channel), as a fraction of full scale
+    target: np.ndarray  # (row, col, output): X, Y, Z, where a white has Y = 1
 
 
 def draw_scene(size, rng):
-    """Return a Frame of dead leaves: discs of many radii and smooth spectra that hide one another (#procedural-scenes)."""
+    """Return a frame of dead leaves: overlapping discs of many sizes with smooth spectra (#procedural-scenes)."""
     reflectance = np.empty((size, size, WAVELENGTH.size))
     row, col = np.mgrid[:size, :size]
     reflectance[:] = draw_spectrum(rng)
@@ -66,7 +68,7 @@ def draw_scene(size, rng):
         inside = (row - centre[0]) ** 2 + (col - centre[1]) ** 2 < radius**2
         stripes = 1 + 0.3 * rng.random() * np.sin(row * rng.normal() + col * rng.normal())
         reflectance[inside] = np.minimum(draw_spectrum(rng) * stripes[inside, None], 1)
-    for axis in (0, 1):  # the lens: a binomial blur of three pixels
+    for axis in (0, 1):  # the lens blurs by a binomial kernel of three pixels
         shifted = np.pad(reflectance, [(1, 1) if each == axis else (0, 0) for each in range(3)], mode="edge")
         before, middle, after = (np.take(shifted, np.arange(size) + step, axis) for step in range(3))
         reflectance = (before + 2 * middle + after) / 4
@@ -74,7 +76,7 @@ def draw_scene(size, rng):
 
 
 def draw_spectrum(rng):
-    """Return a reflectance (wavelength) in 0…1, a step or a band of random place, width and height; one in four is grey."""
+    """Return a random reflectance (wavelength) between 0 and 1: a step or a band, or grey in one of four cases."""
     height, floor = rng.uniform(0.1, 0.9), rng.uniform(0.02, 0.1)
     if rng.random() < 0.25:
         return np.full(WAVELENGTH.size, height)
@@ -84,44 +86,44 @@ def draw_spectrum(rng):
 
 
 def channel_of(rows, cols):
-    """Return the channel (row, col) of every pixel of a mosaic."""
+    """Return the channel number (row, col) of every pixel of a mosaic."""
     return CFA[np.arange(rows)[:, None] % CFA.shape[0], np.arange(cols)[None] % CFA.shape[1]]
 
 
 def mosaic_of(signal):
-    """Return (row, col): of every pixel the one channel that the filter above it passes."""
+    """Return the mosaic (row, col) of signals (row, col, channel): for each pixel, the signal behind its filter."""
     rows, cols, _ = signal.shape
     return np.take_along_axis(signal, channel_of(rows, cols)[..., None], axis=2)[..., 0]
 
 
 def noise_variance(signal):
-    """Return the noise variance of a signal, both as shares of full scale: photons and readout (#noise)."""
+    """Return the variance of photon noise and read noise (#noise). Signal and noise are fractions of full scale."""
     return np.maximum(signal, 0) / FULL_WELL + (READ_NOISE / FULL_WELL) ** 2
 
 
 def expose(mosaic, rng):
-    """Return DN (row, col), uint16, of a mosaic in shares of full scale, with noise, clipped and rounded."""
+    """Convert a mosaic (row, col) in fractions of full scale to DN (uint16): add noise, round and clip."""
     electrons = rng.poisson(mosaic * FULL_WELL) + rng.normal(0, READ_NOISE, mosaic.shape)
     values = BLACK_LEVEL + electrons / FULL_WELL * (WHITE_LEVEL - BLACK_LEVEL)
     return np.clip(np.rint(values), 0, WHITE_LEVEL).astype(np.uint16)
 
 
-# Classes: integers alone, so that every machine decides alike (#classes).
+# Classes are computed with integers only, so that every computer assigns the same classes (#classes).
 
-PATCH = 7  # pixels, side of the neighbourhood
+PATCH = 7  # side of the neighbourhood in pixels
 RADIUS = PATCH // 2
-LEVEL_SHARES = np.geomspace(0.002, 0.9, 11)  # of full scale, where the next level begins
+LEVEL_SHARES = np.geomspace(0.002, 0.9, 11)  # boundaries between levels, as fractions of full scale
 LEVELS = LEVEL_SHARES.size + 1
-CONTRAST = 1.4  # √(variance of the patch / variance of its noise) from which a patch is textured
+CONTRAST = 1.4  # a patch is textured if √(variance of the patch / variance of its noise) is above this value
 CONTRASTS = 2
 SATURATION = int(np.ceil(BLACK_LEVEL + 0.985 * (WHITE_LEVEL - BLACK_LEVEL)))  # DN
 SATURATION_RADIUS = 2  # pixels
-CASES = 2**CHANNELS  # every pattern of saturated channels
+CASES = 2**CHANNELS  # one case for each set of saturated channels
 CLASSES = SITES * LEVELS * CONTRASTS * CASES
 SPAN = WHITE_LEVEL - BLACK_LEVEL  # DN
 
-# A level is compared in 256 × channels × DN, a variance in 512 × channels × DN²; 1/12 DN² is that of rounding, and 1/3 what
-# variances gain on average because means are rounded down.
+# Levels are compared in units of 1/(256 × channels) DN, and variances in units of 1/(512 × channels) DN². The variance of
+# rounding is 1/12 DN². Because means are rounded down, variances are too large by 1/3 DN² on average.
 LEVEL_EDGES = np.rint((BLACK_LEVEL + LEVEL_SHARES * SPAN) * 256 * CHANNELS).astype(np.int64)
 LEVEL_CENTRES = np.concatenate([LEVEL_SHARES[:1] / 2, np.sqrt(LEVEL_SHARES[1:] * LEVEL_SHARES[:-1]), [0.95]])
 NOISE_OF_LEVEL = noise_variance(LEVEL_CENTRES) * SPAN**2 + 1 / 12 + 1 / 3
@@ -129,19 +131,19 @@ CONTRAST_EDGES = np.rint(CONTRAST**2 * NOISE_OF_LEVEL * CHANNELS * 512).astype(n
 
 
 def padded(mosaic, margin):
-    """Return the mosaic with `margin` more pixels on every side, mirrored in step with the CFA (#rendering)."""
-    return np.pad(mosaic, margin, mode="reflect")  # a Bayer mosaic mirrored about a pixel is the same mosaic
+    """Extend the mosaic by `margin` mirrored pixels on every side, so that the CFA pattern continues (#rendering)."""
+    return np.pad(mosaic, margin, mode="reflect")  # a Bayer pattern that is mirrored about a pixel is unchanged
 
 
 def windows_of(mosaic, radius):
-    """Return a view (row, col, tap) of the square neighbourhood of every pixel, row by row."""
+    """Return the square neighbourhood of every pixel as an array (row, col, tap). The taps are in row-major order."""
     side = 2 * radius + 1
     view = np.lib.stride_tricks.sliding_window_view(padded(mosaic, radius), (side, side))
     return view.reshape(*mosaic.shape, side * side)
 
 
 def classify(values):
-    """Return the class (row, col) of every pixel of a raw frame of DN (row, col), and its site (row, col)."""
+    """Return the class (row, col) and the CFA site (row, col) of every pixel of a raw frame (row, col) in DN."""
     rows, cols = values.shape
     channel = channel_of(rows, cols)
     taps, tap_channel = windows_of(values.astype(np.int64), RADIUS), windows_of(channel, RADIUS)
@@ -152,7 +154,7 @@ def classify(values):
     for each in range(CHANNELS):
         same_channel = tap_channel == each
         count, total, squares = same_channel.sum(-1), (taps * same_channel).sum(-1), (taps**2 * same_channel).sum(-1)
-        scaled = total * ((2 * 65536 + count) // (2 * count))  # 65536 × the channel's mean
+        scaled = total * ((2 * 65536 + count) // (2 * count))  # 65536 × the mean of the channel
         mean = scaled >> 16
         level_sum += scaled >> 8
         deviation = squares - mean * (2 * total - count * mean)
@@ -164,18 +166,19 @@ def classify(values):
     return ((site * LEVELS + level) * CONTRASTS + contrast) * CASES + case, site
 
 
-# Learning: for each class the affine transform of least expected squared error (#solution).
+# Learning: for each class, compute the affine transform with the smallest expected squared error (#solution).
 
-NOISE_WEIGHT = 1.5  # of the noise in the equations: above 1, smoother pictures
-RIDGE = 1e-5  # of the mean power of a tap
-FEWEST = 4 * PATCH**2  # samples from which a class has equations of its own
+NOISE_WEIGHT = 1.5  # weight of the noise in the equations; values above 1 give smoother pictures
+RIDGE = 1e-5  # ridge, relative to the mean power of a tap
+FEWEST = 4 * PATCH**2  # a class with fewer samples uses the equations of a similar class
 
 
 def learn(frames, exposures, rng):
-    """Return weights (class, output, tap) and intercepts (class, output) from Frames, each exposed so many times as bright.
+    """Learn weights (class, output, tap) and intercepts (class, output). Each frame is used once for each exposure factor.
 
-    Classes are decided on noisy values, as in rendering. The moments are those of signals without noise, to which the
-    expected noise is added on the diagonal: nothing is learned from chance. Signals clip as pixels do; targets do not.
+    Classes are determined from noisy values, as in rendering. The moments are computed from signals without noise, and the
+    expected noise variance is added to the diagonal. The transforms therefore do not depend on random noise. Signals are
+    clipped like the values of pixels, but targets are not clipped.
     """
     size = PATCH**2 + 1  # the intercept is a tap that is always 1
     squares, products, counts = np.zeros((CLASSES, size, size)), np.zeros((CLASSES, size, 3)), np.zeros(CLASSES)
@@ -185,7 +188,7 @@ def learn(frames, exposures, rng):
             label, _ = classify(expose(signal, rng))
             taps = windows_of(np.minimum(signal, 1), RADIUS)
             noise = windows_of(np.where(signal < 1, noise_variance(signal), 0), RADIUS)
-            inner = slice(RADIUS, -RADIUS), slice(RADIUS, -RADIUS)  # borders are no scenes
+            inner = slice(RADIUS, -RADIUS), slice(RADIUS, -RADIUS)  # mirrored borders do not occur in scenes
             label, taps, noise, target = (each[inner] for each in (label, taps, noise, frame.target * exposure))
             order = np.argsort(label, axis=None, kind="stable")
             label, taps, noise, target = (each.reshape(label.size, -1)[order] for each in (label, taps, noise, target))
@@ -206,7 +209,7 @@ def learn(frames, exposures, rng):
 
 
 def fullest_neighbour(one, counts):
-    """Return a class of the same site whose equations serve a class that has too few samples."""
+    """Return the most similar class of the same site that has enough samples. Its equations replace those of class `one`."""
     by_feature = counts.reshape(SITES, LEVELS, CONTRASTS, CASES)
     site, level, contrast, case = np.unravel_index(one, by_feature.shape)
     distance = abs(np.arange(LEVELS) - level)[:, None, None] + 3 * (np.arange(CONTRASTS) != contrast)[:, None]
@@ -215,35 +218,37 @@ def fullest_neighbour(one, counts):
     return site * LEVELS * CONTRASTS * CASES + found
 
 
-# Rendering: one dot product an output (#rendering).
+# Rendering: one dot product per output (#rendering).
 
 
 def render(values, weights, intercept):
-    """Return X, Y, Z (row, col, output) of a raw frame of DN (row, col): the transform of each pixel's class applied to its
-    neighbourhood."""
+    """Render a raw frame (row, col) in DN to X, Y, Z (row, col, output).
+
+    The transform of the class of each pixel is applied to the neighbourhood of the pixel.
+    """
     label, _ = classify(values)
     taps = windows_of((values - float(BLACK_LEVEL)) / SPAN, RADIUS)
     picture = np.empty((*values.shape, 3))
-    for row in range(len(values)):  # the transforms of all pixels at once would fill the memory
+    for row in range(len(values)):  # row by row, because the transforms of all pixels together would need too much memory
         chosen = weights[label[row]].astype(np.float64)
         picture[row] = np.einsum("pot,pt->po", chosen, taps[row]) + intercept[label[row]]
     return picture
 
 
-# The picture: XYZ to sRGB (IEC 61966-2-1), the light's white to white.
+# Display: convert XYZ to sRGB (IEC 61966-2-1), so that a white under the illuminant becomes display white.
 
 XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
 def encode(xyz):
-    """Return sRGB (row, col, 3), uint8, of X, Y, Z (row, col, output) of which a white has Y = 1."""
+    """Convert X, Y, Z (row, col, output), where a white has Y = 1, to sRGB (row, col, 3) of type uint8."""
     linear = np.clip(xyz @ XYZ_TO_RGB.T / (XYZ_TO_RGB @ TO_XYZ.sum(axis=1)), 0, 1)
     curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.rint(curve * 255).astype(np.uint8)
 
 
 def write_png(path, pixels):
-    """Write sRGB pixels (row, col, 3), uint8."""
+    """Write sRGB pixels (row, col, 3) of type uint8 to a PNG file."""
     rows, cols, _ = pixels.shape
     lines = np.concatenate([np.zeros((rows, 1), np.uint8), pixels.reshape(rows, -1)], axis=1).tobytes()
     chunks = (b"IHDR", struct.pack(">IIBBBBB", cols, rows, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
@@ -254,7 +259,7 @@ def write_png(path, pixels):
 
 
 def main():
-    """Learn from scenes, render another, print its PSNR, write it beside the ideal picture."""
+    """Learn a table, render an unseen scene, print its PSNR, and write the picture next to the ideal picture."""
     rng = np.random.default_rng(1)
     weights, intercept = learn([draw_scene(160, rng) for _ in range(20)], (0.02, 0.1, 0.4, 0.8, 1.5), rng)
     unseen = draw_scene(160, rng)

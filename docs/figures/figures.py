@@ -3,7 +3,7 @@
 python docs/figures/figures.py                        # pipeline.svg
 python docs/figures/figures.py table.h5 frame.tif     # the same, and neighbourhood.svg and filters.svg
 
-The table is learned from `l3 simulate default --camera bayer` with the class recipe `default`. The frame is the raw frame
+The table is trained on `l3 simulate default --camera bayer` with the class recipe `default`. The frame is the raw frame
 that `l3 simulate docs/gallery/scene.toml --camera bayer --pictures` writes.
 """
 
@@ -34,7 +34,7 @@ CELL = 24  # px, side of a pixel of the neighbourhood
 
 
 class Box(NamedTuple):
-    """A file of the pipeline: its place, its name and what it contains."""
+    """A box for a file of the pipeline: position, title, and lines that describe the content."""
 
     x: float
     y: float
@@ -51,7 +51,7 @@ def text(x: float, y: float, content: str, kind: str = "", anchor: str = "start"
 
 
 def sheet(width: float, height: float, parts: Iterable[str], description: str) -> str:
-    """Return an SVG file that brings its own style and white background."""
+    """Return the parts as an SVG file with styles and a white background."""
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" '
         f'role="img"><title>{description}</title><style>{STYLE}</style><defs><marker id="tip" viewBox="0 0 8 8" refX="7" '
@@ -112,7 +112,7 @@ def pipeline() -> str:
 
 
 def filter_colours(table: TransformTable) -> list[str]:
-    """Return a colour for each channel, pale enough for numbers to be read on it."""
+    """Return a background colour for each channel, pale enough for numbers to be legible."""
     assert table.camera is not None
     light = channel_light(table.camera)
     return [hex_colour(0.55 + 0.45 * each / each.max()) for each in light]
@@ -124,7 +124,7 @@ def channel_at(table: TransformTable, row: int, col: int) -> int:
 
 
 def neighbourhood(table: TransformTable, frame: RawFrame, renderer: l3.Renderer) -> str:
-    """Return the drawing of the raw values around a pixel, and the features by which its class is decided."""
+    """Return the drawing of the raw values around a pixel, and of the features that determine the class of the pixel."""
     colours, (row, col), radius = filter_colours(table), CENTRE, table.first.rule.radius
     side = 2 * radius + 1
     parts = []
@@ -162,7 +162,7 @@ def neighbourhood(table: TransformTable, frame: RawFrame, renderer: l3.Renderer)
 
 
 def filter_of(table: TransformTable, level: int, output: str) -> NDArray[np.float32]:
-    """Return the weights (row, col) of one output in the class of a level: white, uniform, at the first site."""
+    """Return the weights (row, col) of an output for a uniform white area of a level, at the first site."""
     rule = table.first.rule
     index = rule.join(level, 0, rule.chromas - 1)
     return table.first.weights[index, table.outputs.index(output)].reshape(rule.patch, rule.patch)
@@ -176,7 +176,7 @@ def diverging(value: float) -> str:
 
 
 def filters(table: TransformTable) -> str:
-    """Return the drawing of a table as a stack of filters: a row per class, a column per output."""
+    """Return the drawing of the filters of a table, with one row per class and one column per output."""
     side, cell, gap = table.first.rule.patch, 15, 28
     size = side * cell
     left, top = 130, 62

@@ -79,7 +79,7 @@ def section(name: str, entry: dict[str, Any]) -> str:
     ]
     errors = "\n".join(["| method | mean ΔE00 | PSNR (dB) |", "|---|---|---|", *rows])
     twins = ", ".join(f"`{twin}`" for twin in entry["twins"])
-    also = f" The following recipes describe the same colour filter array, but begin at a different pixel: {twins}." if twins else ""
+    also = f" These recipes describe the same colour filter array, but begin at a different pixel: {twins}." if twins else ""
     period, _, about = entry["summary"].rpartition("  ")
     pictures = PICTURES.format(name=name, title=entry["title"])
     return f"## {name}\n\n{about} ({' '.join(period.split())}).{also}\n\n{errors}\n\n{pictures}"
