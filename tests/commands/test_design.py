@@ -164,7 +164,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
         for old, new in small.items():
             monkeypatch.setattr(stage, name, getattr(stage, name).replace(old, new))
     monkeypatch.setattr(stage, "find_recipe", lambda name, kind: folder / "classes.toml")
-    monkeypatch.setattr(stage, "STARTS", 2)
+    monkeypatch.setattr(stage, "TUNING_STARTS", 2)
     (folder / "classes.toml").write_text(FEW_CLASSES)
     recipe = folder / "truth.toml"
     pattern = DESIGN.index("[[pattern]]"), DESIGN.index("[[level]]")

@@ -310,7 +310,7 @@ def test_what_cannot_be_compared_is_one_line(evaluations: Path, tmp_path: Path, 
     (tmp_path / "no.json").write_text("{")
     (tmp_path / "list.json").write_text("[1]")
     document = json.loads((evaluations / "bayer.json").read_text())
-    assert "not readable" in refused(3, "compare", tmp_path / "no.json")
+    assert "is not a JSON file" in refused(3, "compare", tmp_path / "no.json")
     assert "does not exist" in refused(3, "compare", tmp_path / "missing.json")
     assert "not an evaluation" in refused(3, "compare", tmp_path / "list.json")
     (tmp_path / "none.json").write_text("{}")
