@@ -22,7 +22,7 @@ from l3cli.parallel import workers
 from l3cli.parallel.cluster import Scheduler
 from l3cli.system.limits import ONE_BLAS_THREAD
 from tests.helpers.calls import L3, Refused
-from tests.helpers.paths import ROOT
+from tests.helpers.paths import PYTHONPATH
 from tests.helpers.tasks import PATIENCE, refusing, squared
 
 WORKERS = 2
@@ -61,7 +61,7 @@ class Cluster:
         self.workers += [self._start("worker", self.address, *options) for _ in range(count)]
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
-        place = {"PYTHONPATH": str(ROOT), **ONE_BLAS_THREAD}  # holds what the workers are to do
+        place = {"PYTHONPATH": PYTHONPATH, **ONE_BLAS_THREAD}  # holds what the workers are to do
         line = [sys.executable, "-c", DASK, *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
             return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **place})

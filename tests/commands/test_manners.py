@@ -104,7 +104,7 @@ def completed(words: str) -> list[str]:
         "from l3cli.cli import main; main()"
     )
     asked = {"_L3_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-    environment = {**os.environ, **asked, "PYTHONPATH": str(CONFIGS.parent)}
+    environment = {**os.environ, **asked}
     run = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600, check=True
     )
@@ -131,7 +131,7 @@ def test_bash_completes_with_the_line_of_the_docs(tmp_path: Path) -> None:
     (line,) = re.findall(r'^    (eval "\$\(.*bash_source.*?\)")', page, re.MULTILINE)
     script = f'{line}\nCOMP_WORDS=(l3 eval) COMP_CWORD=1\n_l3_completion l3\necho "${{COMPREPLY[@]}}"'
     path = f"{tmp_path}:{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(CONFIGS.parent)}
+    environment = {**os.environ, "PATH": path}
     run = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, timeout=600)
     assert (run.stdout, run.stderr) == ("evaluate\n", "")
 

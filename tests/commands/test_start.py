@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.desk import make_desk
-from tests.helpers.paths import CONFIGS
+from tests.helpers.paths import PYTHONPATH
 
 UNNEEDED = {"asyncio", "av", "colour", "concurrent.futures", "dask", "distributed", "jinja2", "multiprocessing", "rawpy"}
 UNNEEDED |= {"numpy.ma", "rich", "scipy", "ssl", "tifffile", "l3cli.parallel.cluster", "l3cli.simulation", "l3cli.training"}
@@ -34,7 +34,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rendered(desk: Path, cache: Path, frame: str) -> dict[str, Any]:
     """What a process says of itself that has rendered a frame."""
     known = {name: value for name, value in os.environ.items() if name not in ("POCL_CACHE_DIR", "L3_TRUST")}
-    known |= {"PYTHONPATH": str(CONFIGS.parent), "XDG_CACHE_HOME": str(cache)}
+    known |= {"PYTHONPATH": PYTHONPATH, "XDG_CACHE_HOME": str(cache)}
     call = [sys.executable, "-c", PROGRAM, "render", f"{desk}/table.h5", f"{desk}/{frame}", "-o", f"{desk}/x.png", "--force"]
     ended = subprocess.run(call, env=known, capture_output=True, text=True, check=True)
     words: dict[str, Any] = json.loads(ended.stdout)
@@ -65,9 +65,7 @@ def test_one_frame_needs_one_process_few_libraries_and_few_programs(desk: Path, 
 def test_nothing_is_reported_when_all_is_done(desk: Path) -> None:
     """Libraries tell of their objects that are still there when Python ends, of a picture's file among them."""
     call = [sys.executable, "-m", "l3cli", "render", "table.h5", "raw.tif", "-o", "y.exr", "--force", "--quiet"]
-    ended = subprocess.run(
-        call, cwd=desk, env=os.environ | {"PYTHONPATH": str(CONFIGS.parent)}, capture_output=True, check=False
-    )
+    ended = subprocess.run(call, cwd=desk, capture_output=True, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
 
 

@@ -19,7 +19,6 @@ import pytest
 from l3cli.artifacts.store import save
 from l3cli.io.pictures.openimageio import write_mosaic
 from l3cli.io.raw.hdf5 import chunks_of_a_frame
-from tests.helpers.paths import ROOT
 from tests.helpers.sequences import RGGB
 
 L3 = (sys.executable, "-c", "from l3cli.cli import main; main()")
@@ -71,11 +70,8 @@ def sample_of(run: int, frames: int) -> Sample | None:
 
 def watched(done: Callable[["subprocess.Popen[bytes]"], int], pulse: float, *command: object) -> list[Sample]:
     """Samples of `l3 COMMAND`, every `pulse` seconds while it runs; `done` counts its frames."""
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
     samples: list[Sample] = []
-    with subprocess.Popen(
-        [*L3, *map(str, command), "--quiet"], env=env, stdout=subprocess.PIPE, start_new_session=True
-    ) as run:
+    with subprocess.Popen([*L3, *map(str, command), "--quiet"], stdout=subprocess.PIPE, start_new_session=True) as run:
         while run.poll() is None:
             frames = done(run)
             if (not samples or frames > samples[-1].frames) and (sample := sample_of(run.pid, frames)):

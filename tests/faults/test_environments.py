@@ -29,7 +29,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def environment(**variables: str) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(CONFIGS.parent), **variables}
+    return {**os.environ, **variables}
 
 
 # ------------------------------------------------------------------------------------------------ streams, locales
@@ -222,7 +222,7 @@ def test_no_other_user_can_exchange_the_folder_of_kernels(tmp_path: Path) -> Non
     """Whatever the umask, neither it nor a folder that is made above it: compiled kernels run as their user."""
     program = "import os; os.umask(0); from l3cli.rendering.opencl import devices; assert devices.prepare_cache() == ''"
     env = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
-    env |= {"XDG_CACHE_HOME": str(tmp_path / "caches"), "PYTHONPATH": str(CONFIGS.parent)}
+    env |= {"XDG_CACHE_HOME": str(tmp_path / "caches")}
     subprocess.run([sys.executable, "-c", program], env=env, check=True, timeout=60)
     for folder in ("caches", "caches/l3cli", "caches/l3cli/pocl"):
         assert stat.S_IMODE((tmp_path / folder).stat().st_mode) == 0o700

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from tests.helpers.hostile import HANGS
-from tests.helpers.paths import ROOT
 from tests.helpers.stages import CLASSES, SCENES, is_remnant, make_inputs
 
 CALLS = {  # that take more than a second, and the files in "out" that show that they are at work
@@ -46,7 +45,6 @@ def test_a_signal_ends_a_command(line: str, number: int, code: int, word: str, i
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     try:
         wait_until(lambda: any((tmp_path / "out").glob(CALLS[line])) and ("--jobs" not in line or others(run.pid)))

@@ -18,8 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.helpers.paths import ROOT
-
 IMPORTS = (
     "numpy colour colour_demosaicing h5py OpenImageIO rawpy scipy.optimize scipy.ndimage scipy.interpolate tifffile jinja2 "
     "l3cli.cli.render l3cli.stages.rendering.render l3cli.stages.report l3cli.cli.train l3cli.cli.lab l3cli.cli.calibrate "
@@ -57,7 +55,6 @@ class ForkServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
         )
 
     def start(self, *arguments: object, disk: str = "", kill: tuple[float, int] = (0.0, 0)) -> int:

@@ -33,7 +33,6 @@ from l3cli.rendering.reference import ReferenceRenderer
 from l3cli.system.locks import ThreadLock
 from tests.helpers.cameras import BAYER
 from tests.helpers.hostile_spoiling import Choices, one_of
-from tests.helpers.paths import ROOT
 from tests.helpers.tables import random_table
 from tests.helpers.tasks import PATIENCE, squared
 
@@ -196,7 +195,7 @@ def judge_cases(cases: Iterable[Case]) -> Iterator[str]:
         for suffix in ("tif", "png"):
             write_mosaic(Path(name) / f"raw.{suffix}", values)
         call = [sys.executable, "-m", "tests.helpers.hostile_forks", name, *map(json.dumps, cases)]
-        known = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        known = dict(os.environ)
         ended = subprocess.run(call, env=known, capture_output=True, text=True, check=False)
         yield from map(json.loads, ended.stdout.splitlines())
         if ended.returncode:

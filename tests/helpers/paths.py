@@ -1,9 +1,12 @@
 """Paths of the project."""
 
+import os
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
+HIDDEN = Path(__file__).parent / "hidden"  # modules that cannot be imported
+PYTHONPATH = os.pathsep.join(map(str, (ROOT, HIDDEN)))  # of the processes that tests start
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -3,8 +3,6 @@
 import contextlib
 import os
 
-from tests.helpers.paths import ROOT
-
 TERMINAL = ("TERM", "COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")  # what tests of terminals say themselves
 
 
@@ -19,7 +17,7 @@ def in_terminal(command: list[str], environment: dict[str, str], columns: int = 
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
     known = {"TERM": "xterm-256color", **{key: value for key, value in os.environ.items() if key not in TERMINAL}}
-    known |= {"PYTHONPATH": str(ROOT), **environment}
+    known |= environment
     run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=theirs, stderr=theirs, env=known)
     os.close(theirs)
     shown = b""

@@ -138,8 +138,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from l3cli.__main__ import main
 main()
 """
-    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
-    ended = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True, timeout=PATIENCE)
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", f"l3: {word}\n")
 
 
@@ -173,10 +172,7 @@ mock.patch.object(signals, "RETRY_SECONDS", 2.0).start()
 cli.l3.main = work
 cli.main()
 """
-    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
-    ended = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=PATIENCE
-    )
+    ended = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stdout, ended.stderr) == (143, "whole\n", "l3: terminated\n")
 
 
@@ -204,8 +200,7 @@ cli.l3.main = work
 if __name__ == "__main__":
     cli.main()
 """
-    env = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
-    run = subprocess.Popen([sys.executable, "-c", program], env=env, stderr=subprocess.PIPE, text=True)
+    run = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
     try:
         assert run.communicate(timeout=PATIENCE) == (None, "l3: terminated\n")
     finally:
@@ -233,7 +228,6 @@ def _simulation(folder: Path) -> "subprocess.Popen[str]":
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(CONFIGS.parent)},
     )
     _wait_until(lambda: any(folder.glob("training.h5.parts/0*.h5")))
     return run
@@ -301,9 +295,6 @@ if __name__ == "__main__":
 def test_an_end_while_a_worker_sends_a_large_result_is_an_end(tmp_path: Path) -> None:
     """Half a result lies in the pipe: nobody waits for the rest."""
     (tmp_path / "cut_off.py").write_text(CUT_OFF)
-    environment = {**os.environ, "PYTHONPATH": str(CONFIGS.parent)}
     call = [sys.executable, "cut_off.py"]
-    ended = subprocess.run(
-        call, cwd=tmp_path, env=environment, timeout=PATIENCE, capture_output=True, text=True, check=False
-    )
+    ended = subprocess.run(call, cwd=tmp_path, timeout=PATIENCE, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr

@@ -20,7 +20,7 @@ import pytest
 
 from l3cli.classes.features import FEATURES, ClassRecipe, FeatureModule
 from l3cli.io.images import read_image
-from tests.helpers.paths import ROOT
+from tests.helpers.paths import HIDDEN, ROOT
 
 MOST = 3  # places
 PAGE = ROOT / "docs/architecture.md"
@@ -311,7 +311,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the program with all additions made."""
     folder = tmp_path_factory.mktemp("program")
     for name in ("l3cli", "opencl", "configs"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, folder / name)  # with compiled modules, which are valid at the times that are copied
     for places in ADDITIONS.values():
         assert len(places) <= MOST
         for name, change in places.items():
@@ -341,7 +341,7 @@ for line in sys.argv[1:]:
 
 def run(program: Path, folder: Path, *words: str) -> str:
     """What `python WORDS` prints in `folder` with the changed program."""
-    environment = {**os.environ, "PYTHONPATH": str(program), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (program, HIDDEN)))}
     done = subprocess.run([sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr

@@ -139,12 +139,14 @@ def lit_set(path: Path, camera: CameraModel, count: int, white: tuple[float, flo
 
 
 @pytest.mark.usefixtures("same_workers")
-def test_same_bytes_for_jobs_and_shards(bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused) -> None:
+def test_same_bytes_for_jobs_and_shards(
+    bayer: CameraModel, tmp_path: Path, l3: L3, refused: Refused, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One process, two processes, three shards of each pass merged in any order: the same table to the last bit."""
     training = a_set(tmp_path / "training.h5", bayer, 4, smooth=False)
     more = a_set(tmp_path / "more.h5", bayer, 3, smooth=True)
-    # more patches than are sorted together, so that there are blocks to deal out: two, and the third shard is empty
-    small = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"
+    monkeypatch.setattr(training_pass, "BATCH_PATCHES", 500)  # two blocks of frames, and the third shard is empty
+    small = "[classes]\npatch = 3\nlevels = 4\nchromas = 2\n[learning]\npatches = 1000\nfirst_draws = 1\ndraws = 1\n"
     (tmp_path / "classes.toml").write_text(small)
     run = (training, more, "--classes", tmp_path / "classes.toml", "--seed", 5)
     for jobs in (1, 2):
