@@ -1,9 +1,9 @@
-"""python docs/gallery/gallery.py [NAME …]: the pictures of docs/gallery/ and the page docs/gallery.md, from recipes alone.
+"""Make the pictures of docs/gallery/ and the page docs/gallery.md: python docs/gallery/gallery.py [NAME …]
 
-Every array that `l3 init` knows, or those of the names: its camera learns from the scenes of SCENES by the classes that
-`l3 init` gives it, and takes the picture of scene.toml, which it has not seen. What is named already in figures.json stays
-as it is unless it is named here. As many arrays are made at a time as there are jobs, each by one process: no sums travel,
-and no core waits for what one core does.
+For every camera recipe of `l3 init`, or for the recipes in the arguments, a table is trained with the scene recipe SCENES
+and with the class recipe that `l3 init` selects. The table then renders a frame of scene.toml, which is not in the training
+set. If recipes are named, the entries of all other recipes in figures.json are kept. Several arrays are processed at the
+same time, each in one process, so that no process has to wait for another.
 """
 
 import argparse
@@ -36,18 +36,18 @@ FOLDER = Path(__file__).parent
 FIGURES = FOLDER / "figures.json"
 PAGE = FOLDER.parent / "gallery.md"
 SCENES = "default"
-FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the array of README's picture
+FRONT, FRONT_FILE = "fiveband", "front.jpg"  # the camera recipe and the file of the picture in the README
 SHOWN = ("raw", "ideal", "ours", "basic")
 FACTOR = 4
-CROP, CROP_SIZE = (10, 215), (45, 80)  # pixels: corner and size (row, col) of what is enlarged; as large as the picture
-FRONT_CORNER, FRONT_SIZE, FRONT_FACTOR = (15, 106), (156, 210), 2  # what README's picture shows of the frame, enlarged
+CROP, CROP_SIZE = (10, 215), (45, 80)  # pixels; corner and size (row, col) of the crop that is enlarged
+FRONT_CORNER, FRONT_SIZE, FRONT_FACTOR = (15, 106), (156, 210), 2  # crop of the picture in the README, and its enlargement
 LABELS = {"raw": "raw frame", "ideal": "ideal", "ours": "l3", "basic": "basic pipeline"}
-QUALITY, FRONT_QUALITY = 80, 90  # of JPEG
-PNG_UP = 0x20  # a row as its difference from the row above: nothing, where it is enlarged
+QUALITY, FRONT_QUALITY = 80, 90  # JPEG quality
+PNG_UP = 0x20  # PNG filter that stores the difference from the row above, which is zero in enlarged pictures
 
 
 def png(picture: Picture) -> bytes:
-    """A picture as a PNG file: as small as it gets, where those of l3 are quick."""
+    """Encode a picture as a small PNG file. l3 itself encodes faster but larger files."""
     spec = oiio.ImageSpec(picture.shape[1], picture.shape[0], 3, "uint8")
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("png:compressionLevel", 9)
@@ -56,7 +56,7 @@ def png(picture: Picture) -> bytes:
 
 
 def arrays() -> dict[str, tuple[Path, list[str]]]:
-    """Recipe and twins of every array by name: twins start at another pixel of the same array."""
+    """Return the recipe and the twins of every array by name. Twins have the same array but begin at a different pixel."""
     known = known_recipes("cameras")
     recipes = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known.items()}
     twins = {name: Path(recipe["base"]).stem for name, recipe in recipes.items() if set(recipe) <= {"name", "base", "phase"}}
@@ -68,7 +68,7 @@ def arrays() -> dict[str, tuple[Path, list[str]]]:
 
 
 class Array(NamedTuple):
-    """An array to be made."""
+    """A colour filter array for which pictures are made."""
 
     name: str
     path: Path
@@ -77,13 +77,13 @@ class Array(NamedTuple):
 
 
 def effort(path: Path) -> int:
-    """What an array takes, about: sites by channels. The largest are begun first: no core shall wait for one at the end."""
+    """Estimate the effort for an array as sites × channels. Large arrays start first, so that no core is idle at the end."""
     rows, cols, channels = map(int, re.findall(r"\d+", summary(path))[:3])
     return rows * cols * channels
 
 
 def make(array: Array) -> tuple[dict[str, Any], float]:
-    """Write the pictures of an array; its entry in figures.json, and the seconds of processor that it took this process."""
+    """Write the pictures of an array. Return its entry for figures.json and the CPU time in seconds."""
     begin, (name, path, twins, jobs) = time.process_time(), array
     with tempfile.TemporaryDirectory(prefix="l3-gallery-") as folder:
         training, table, unseen = (Path(folder, f"{each}.h5") for each in ("training", "table", "unseen"))
@@ -103,7 +103,7 @@ def make(array: Array) -> tuple[dict[str, Any], float]:
 
 
 def front(pictures: dict[str, Picture]) -> Picture:
-    """README's picture: two by two, each panel with its label above it."""
+    """Return the picture of the README: 2 × 2 panels, each with a label above."""
     panels = [
         labelled(enlarged(pictures[name], FRONT_CORNER, FRONT_SIZE, FRONT_FACTOR), label) for name, label in LABELS.items()
     ]
@@ -111,7 +111,7 @@ def front(pictures: dict[str, Picture]) -> Picture:
 
 
 def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], dict[str, dict[str, float]]]:
-    """The only frame of a set rendered by a table: its pictures, and mean ΔE00 and PSNR of every pipeline."""
+    """Render the only frame of a set. Return the head of the set, the pictures, and mean ΔE00 and PSNR of every pipeline."""
     transforms = l3cli.load(table)
     assert isinstance(transforms, TransformTable)
     with open_training_set(unseen) as reader:
@@ -124,7 +124,7 @@ def judged(table: Path, unseen: Path) -> tuple[TrainingSet, dict[str, Picture], 
 
 
 def main(names: list[str], jobs: int) -> int:
-    """0, or 2 if a name is none of an array."""
+    """Return 0, or 2 if a name is not the name of an array."""
     known = arrays()
     if unknown := [name for name in names if name not in known]:
         print(f'no array "{unknown[0]}"; there are {", ".join(known)}', file=sys.stderr)

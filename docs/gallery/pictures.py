@@ -1,4 +1,4 @@
-"""What the gallery shows of an array: its pictures in a grid, and its filters and responsivities drawn as one file."""
+"""Draw the figures of the gallery: grids of pictures, and SVG files with the filters and responsivities of a camera."""
 
 import re
 
@@ -16,12 +16,12 @@ from l3cli.report.parts import Key
 
 Picture = NDArray[np.uint8]  # (row, col, 3) encoded sRGB
 GAP = 4  # white pixels between pictures
-LABEL_HEIGHT, LABEL_SIZE = 26, 17  # px of the white strip above a labelled picture, and of its letters
+LABEL_HEIGHT, LABEL_SIZE = 26, 17  # px; height of the white strip above a labelled picture, and of its letters
 
-SIDE, KEY, MARGIN = 300, 150, 10  # px of a drawing: the array's box, the legend, around both
-CELL_SIDE = 90  # px of a filter, at most
-LINE = 17  # px of a legend's line
-# Written into each drawing, which pages show as a picture: none of their styles reach it, so it brings paper of its own.
+SIDE, KEY, MARGIN = 300, 150, 10  # px in a drawing: side of the array, width of the legend, margin
+CELL_SIDE = 90  # px; largest side of a filter
+LINE = 17  # px; height of a line in the legend
+# Each drawing contains this style and a white background, because the styles of a page do not apply to its pictures.
 STYLE = (
     "text{font:12px system-ui,'Segoe UI',Roboto,'DejaVu Sans',sans-serif;fill:#1b1f24}.grid{stroke:#d0d7de;fill:none}"
     ".axis{stroke:#57606a;fill:none}.mark{paint-order:stroke;stroke:#fff;stroke-width:3px;stroke-linejoin:round}"
@@ -29,7 +29,7 @@ STYLE = (
 
 
 def raw_picture(frame: TrainingPair, camera: CameraModel) -> Picture:
-    """The mosaic, each pixel in the colour of its filter, from the black level to the white level."""
+    """Return the mosaic as a picture from the black level to the white level. Each pixel has the colour of its filter."""
     share = np.clip((frame.raw - camera.black_level) / (camera.white_level - camera.black_level), 0.0, 1.0)
     light = colours.channel_light(camera)
     rows, cols = (np.arange(length) % period for length, period in zip(frame.raw.shape, camera.cfa.shape, strict=True))
@@ -38,13 +38,13 @@ def raw_picture(frame: TrainingPair, camera: CameraModel) -> Picture:
 
 
 def enlarged(picture: Picture, corner: tuple[int, int], size: tuple[int, int], factor: int) -> Picture:
-    """The crop of `size` (rows, cols) at `corner`, each pixel a square of `factor`."""
+    """Return the crop of `size` (rows, cols) at `corner`, enlarged by `factor`."""
     crop = picture[corner[0] : corner[0] + size[0], corner[1] : corner[1] + size[1]]
     return crop.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
 def labelled(picture: Picture, label: str) -> Picture:
-    """The picture below a white strip that names it."""
+    """Return the picture with a white strip above it that contains the label."""
     strip = oiio.ImageBuf(oiio.ImageSpec(picture.shape[1], LABEL_HEIGHT, 3, "uint8"))
     oiio.ImageBufAlgo.fill(strip, (1.0, 1.0, 1.0))
     baseline = LABEL_HEIGHT - 8
@@ -54,7 +54,7 @@ def labelled(picture: Picture, label: str) -> Picture:
 
 
 def grid(pictures: list[list[Picture]]) -> Picture:
-    """Rows of pictures, a gap between them; those of a row are of one height, the rows of one width."""
+    """Join rows of pictures, with gaps. The pictures of a row must have equal heights, and the rows equal widths."""
     rows = [_joined(row, axis=1) for row in pictures]
     return _joined(rows, axis=0)
 
@@ -68,7 +68,7 @@ def _joined(pictures: list[Picture], axis: int) -> Picture:
 
 
 def drawing(camera: CameraModel) -> str:
-    """An SVG file: one period of the array, the responsivities, their legend."""
+    """Return an SVG file with one period of the array, the responsivities and a legend."""
     array, curves = array_figure(camera), responsivity_figures(camera)[0]
     side = min(SIDE, CELL_SIDE * max(camera.cfa.shape))
     left, legend = MARGIN + SIDE + MARGIN, MARGIN + SIDE + MARGIN + WIDTH + MARGIN
@@ -85,7 +85,7 @@ def drawing(camera: CameraModel) -> str:
 
 
 def placed(svg: str, x: int, y: int, width: int, height: int) -> str:
-    """A drawing inside another, in a box of which it fills the upper left."""
+    """Return an SVG drawing as an element of another drawing, scaled into a box and aligned at its upper left corner."""
     view = re.match(r'<svg (viewBox="[^"]+")[^>]*>', svg)
     assert view is not None
     box = f'x="{x}" y="{y}" width="{width}" height="{height}" preserveAspectRatio="xMinYMin meet"'

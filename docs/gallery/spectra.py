@@ -1,8 +1,8 @@
-"""The figure of docs/measurement.md#reflectances: what 16 bands say of the reflectance of four pixels.
+"""Draw the figure of docs/measurement.md#reflectances: reflectances of four pixels, estimated from 16 bands.
 
 python docs/gallery/spectra.py table.h5 unseen.h5
 
-The table and the frames are those that tests/studies/test_reflectance_study.py makes.
+tests/studies/test_reflectance_study.py writes the table and the frames.
 """
 
 import sys
@@ -24,16 +24,16 @@ from l3cli.simulation.frame import frames_like
 from l3cli.system.files import write_whole
 
 PIXELS = {"plate": (0, 60, 200), "skin": (3, 85, 90), "orange": (3, 8, 115), "blue": (3, 22, 13)}  # frame, row, column
-LINES = {  # colour, dashes and width, by pipeline
+LINES = {  # colour, dashes and width of the line of each pipeline
     "scene": ("#57606a", "line", 5.0), "table": ("#1f6fb4", "line", 2.0),
     "wiener": ("#c2560c", "dashed", 1.5), "pinv": ("#2b7d46", "dotted", 1.5),
 }  # fmt: skip
-LEGEND, LINE = 30, 110  # px: its height, from key to key
+LEGEND, LINE = 30, 110  # px; height of the legend, and distance between its entries
 Spectra = dict[str, np.ndarray]
 
 
 def spectra_of(table: Path, frames: Path) -> dict[str, Spectra]:
-    """The reflectances of each pixel, by pipeline."""
+    """Return the reflectance of each pixel in PIXELS, as computed by each pipeline."""
     transforms = load(TransformTable, table)
     renderer, spectra = make_renderer("opencl", transforms), dict[str, Spectra]()
     with open_training_set(frames) as reader:
@@ -47,7 +47,7 @@ def spectra_of(table: Path, frames: Path) -> dict[str, Spectra]:
 
 
 def drawing(spectra: dict[str, Spectra]) -> str:
-    """An SVG file with a plot of each pixel, two in a row, and their legend."""
+    """Return an SVG file with a legend and one plot per pixel, two plots in a row."""
     parts = []
     for number, (name, curves) in enumerate(spectra.items()):
         plot = Plot(

@@ -1,4 +1,4 @@
-"""Tables and rivals on the frames of a training set: figures of each by its best setting, and its seconds a megapixel."""
+"""Evaluate tables and rival methods: metrics with the best setting of each method, and seconds per megapixel."""
 
 import functools
 import hashlib
@@ -26,14 +26,14 @@ Array = NDArray[np.floating]
 Figures = dict[str, float]
 Row = dict[str, Any]  # of figures.json: name, program, ours, figures, settings (of several), seconds, by_frame (of some)
 BORDER = 10  # pixels left out at each edge
-LOWER = ("delta_e", "angle")  # figures that are better when small
+LOWER = ("delta_e", "angle")  # metrics that are better if they are smaller
 OURS = "l3"
-DIGITS = 12  # of a digest that are stored
+DIGITS = 12  # stored digits of a digest
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is made of a frame by a demosaicking, and what is measured of it."""
+    """How a method processes a frame, and which metrics are computed from the result."""
 
     planes: Callable[[TrainingPair, TrainingSet, Method], Array]  # in the unit of the frame's target
     figures: Callable[[Array, TrainingPair], Figures]
@@ -42,9 +42,11 @@ class Protocol:
 def judged(
     sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Sequence[Rival], protocol: Protocol
 ) -> list[Row]:
-    """The rows of tables and rivals, best first by the first figure of the first set. `sets`: training sets by name; figures
-    are means over the frames of each, named "SET figure". Rows of tables, and of rivals that are given the noise, have
-    those of every frame, too."""
+    """Return the rows of tables and rivals, sorted by the first metric, with the best row first.
+
+    Metrics are means over the frames of a training set in `sets`, and are called "SET METRIC". Rows of tables, and of rivals
+    that use the noise model, also contain the metrics of every frame.
+    """
     methods: dict[str, tuple[Row, dict[str, Callable[[TrainingPair, TrainingSet], Array]]]] = {}
     given_noise = {f"{rival.program} {rival.name}" for rival in rivals if rival.given_noise}
     for name, table in tables.items():
@@ -67,7 +69,7 @@ def judged(
 
 
 def best_first(rows: Sequence[Row]) -> list[Row]:
-    """Rows by their first figure."""
+    """Sort rows by their first metric."""
     first = next(iter(rows[0]["figures"]))
     return sorted(rows, key=lambda row: row["figures"][first], reverse=not lower_is_better(first))
 
@@ -77,7 +79,7 @@ def lower_is_better(figure: str) -> bool:
 
 
 def best_settings(means: Mapping[str, Figures]) -> dict[str, Any]:
-    """By figure the best of several settings, and which it is where it is not the plain one."""
+    """Return the best value of each metric over all settings, and the best setting if it is not the default."""
     figures, settings = {}, {}
     for figure in next(iter(means.values())):
         choose = min if lower_is_better(figure) else max
@@ -92,7 +94,7 @@ def best_settings(means: Mapping[str, Figures]) -> dict[str, Any]:
 
 
 def code_protocol() -> Protocol:
-    """CPSNR (dB) of the codes of all channels, as published."""
+    """Return the protocol of published benchmarks: the CPSNR (dB) of the values of all channels."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
         return {"psnr": band_quality(planes, frame.target, frame.white, BORDER).psnr}
@@ -101,7 +103,7 @@ def code_protocol() -> Protocol:
 
 
 def band_protocol() -> Protocol:
-    """PSNR (dB) of codes and SSIM, means over the bands, and the mean spectral angle (degrees)."""
+    """Return the protocol for bands: PSNR (dB) and SSIM, averaged over the bands, and the mean spectral angle (degrees)."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
         given = planes, frame.target, frame.white, BORDER
@@ -113,7 +115,7 @@ def band_protocol() -> Protocol:
 
 
 def picture_protocol() -> Protocol:
-    """PSNR (dB) of sRGB and mean CIEDE2000, as displayed; all rivals have the matrix that is fitted for camera and light."""
+    """Return the protocol for pictures: PSNR (dB) of sRGB and mean CIEDE2000. Rivals use a fitted colour matrix."""
 
     def figures(planes: Array, frame: TrainingPair) -> Figures:
         scale = white_luminance(frame.target[1])
@@ -129,7 +131,7 @@ def picture_protocol() -> Protocol:
 
 
 def _given_noise(method: Method, frame: TrainingPair, camera: CameraModel, balance: Array) -> Demosaic:
-    """`balance`: what a photo-electron is in the mosaic, by channel."""
+    """Return the method with the noise of the frame. `balance` is the mosaic value of a photo-electron in each channel."""
     if not isinstance(method, Denoiser):
         return method
     constant, _, _ = camera.noise_terms(camera.dark_signal(frame.dark_time))
@@ -149,7 +151,7 @@ def _renderer(table: TransformTable) -> tuple[TransformTable, Any]:
 
 
 def rendered(ours: tuple[TransformTable, Any], frame: TrainingPair, head: TrainingSet) -> Array:
-    """A frame's outputs by a table, in the unit of its target."""
+    """Render a frame with a table, in the unit of the target."""
     table, renderer = ours
     outputs: Array = renderer.outputs(raw_frame(frame.raw, frame, head.camera)) * (table.output_unit / frame.exposure)
     return outputs
@@ -167,7 +169,7 @@ def _by_rival(protocol: Protocol, demosaic: Method) -> Callable[[TrainingPair, T
 def _frames(
     sets: Mapping[str, Path], run: Callable[[TrainingPair, TrainingSet], Array], protocol: Protocol
 ) -> dict[str, list[float]]:
-    """Figures of all frames, by set and figure."""
+    """Return the metrics of all frames, by set and metric."""
     figures: dict[str, list[float]] = {}
     for name, path in sets.items():
         with open_training_set(path) as reader:
@@ -177,7 +179,7 @@ def _frames(
 
 
 def described(sets: Mapping[str, Path]) -> dict[str, Any]:
-    """The scene of each frame of the first set, and a digest of all frames."""
+    """Return the scene of each frame of the first set, and a digest of all frames."""
     whole, frames = hashlib.sha256(), []
     for path in sets.values():
         with open_training_set(path) as reader:
@@ -190,7 +192,7 @@ def described(sets: Mapping[str, Path]) -> dict[str, Any]:
 def put_seconds(
     rows: Iterable[Row], sets: Mapping[str, Path], tables: Mapping[str, TransformTable], rivals: Iterable[Rival]
 ) -> None:
-    """Put into every row the seconds a megapixel of the slowest setting that its figures are of."""
+    """Add the seconds per megapixel to every row, for the slowest of the settings with the best metrics."""
     with open_training_set(next(iter(sets.values()))) as reader:
         frame, head = reader.frame(0), reader.head
     cfa = head.camera.cfa

@@ -1,4 +1,4 @@
-"""LibRaw's demosaicking methods, by rawpy."""
+"""The demosaicing methods of LibRaw, called with rawpy."""
 
 import functools
 from pathlib import Path
@@ -10,8 +10,8 @@ from raw_file import through_file
 from rivals import CFA, PLAIN, Array, Rival, installed
 
 BAYER = ("LINEAR", "VNG", "PPG", "AHD", "DCB", "DHT", "AAHD")
-XTRANS = {"VNG": "VNG", "PPG": "1 pass", "AHD": "3 passes"}  # what the names stand for there
-# FBDD works on the mosaic, medians on differences of channels. The wavelets (noise_thr) are left out: they end the process.
+XTRANS = {"VNG": "VNG", "PPG": "1 pass", "AHD": "3 passes"}  # rawpy calls the X-Trans methods by these names
+# FBDD filters the mosaic, and medians filter channel differences. Wavelets (noise_thr) are left out, because they crash.
 DENOISING: dict[str, dict[str, Any]] = {
     "FBDD full": {"fbdd_noise_reduction": rawpy.FBDDNoiseReductionMode.Full},
     "medians": {"median_filter_passes": 2},
@@ -19,7 +19,7 @@ DENOISING: dict[str, dict[str, Any]] = {
 
 
 def bayer(noisy: bool) -> list[Rival]:
-    """Methods for Bayer arrays; `noisy`: with denoising, too."""
+    """Return the methods for Bayer arrays. If `noisy`, they are also run with noise reduction."""
     program = _program()
     options: dict[str, dict[str, Any]] = {PLAIN: {}} | (DENOISING if noisy else {})
     rivals = []
@@ -30,7 +30,7 @@ def bayer(noisy: bool) -> list[Rival]:
 
 
 def xtrans() -> list[Rival]:
-    """Methods for X-Trans arrays."""
+    """Return the methods for X-Trans arrays."""
     program = _program()
     return [Rival(shown, program, {PLAIN: functools.partial(_developed, name, {})}) for name, shown in XTRANS.items()]
 
@@ -40,7 +40,7 @@ def _program() -> str:
 
 
 def _developed(method: str, options: dict[str, Any], mosaic: Array, cfa: CFA) -> Array:
-    """Channels of a mosaic (`rivals.Demosaic`)."""
+    """Demosaic a mosaic (see `rivals.Demosaic`)."""
     return through_file(functools.partial(_planes, method, options), mosaic, cfa)
 
 
@@ -52,7 +52,7 @@ def _planes(method: str, options: dict[str, Any], path: Path) -> Array:
             output_bps=16,
             gamma=(1, 1),
             no_auto_bright=True,
-            adjust_maximum_thr=0.0,  # full scale is that of the file
+            adjust_maximum_thr=0.0,  # keep the full scale of the file
             user_wb=[1.0, 1.0, 1.0, 1.0],
             user_flip=0,
             **options,

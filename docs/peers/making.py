@@ -1,4 +1,4 @@
-"""What the peers are compared on: training sets and tables in a folder, where what is there already is not made again."""
+"""Make the training sets and tables for the comparison in a folder. Existing files are reused."""
 
 import os
 import re
@@ -14,18 +14,18 @@ from l3cli.options.commands import InitOptions
 from l3cli.recipes.builtin import find_recipe, known_benchmarks
 from l3cli.stages.starting import start
 
-PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders in demosaicking/ of the data
-RECIPES = ("default", "best")  # of classes, where there is noise
-LEVELS = (0.2, 0.02, 0.01)  # mean signal as a share of full scale
+PICTURES = {"Kodak": "kodak", "McMaster": "mcmaster"}  # folders below demosaicking/ in the data folder
+RECIPES = ("default", "best")  # class recipes for frames with noise
+LEVELS = (0.2, 0.02, 0.01)  # mean signals, as fractions of full scale
 DAYS, FACES = ("01", "06", "13"), (1, 2, 4, 5, 6)
-PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # with their shrinking
+PHOTOS = {"BanteaySrei_03.jpg": 4, "FruitMCC_6500.tif": 3, "woodDuck.png": 3, "elephant.png": 2}  # reduction factor of each
 NANOMETRES = [405, 435, 450, 470, 505, 525, 570, 590, 630, 645, 660, 700, 780, 850, 870, 890, 910, 940, 970]
 COMPOSITION = '[[scene]]\nsource = "composition"\nsize = [360, 480]\nseed = 7\n'
 PATTERN = re.compile(r"^pattern = \[.*?^\]", re.DOTALL | re.MULTILINE)
 
 
 def data_folder() -> Path:
-    """The folder of L3_DATA; SystemExit where it lacks the pictures."""
+    """Return the data folder (L3_DATA). Raise SystemExit if pictures are missing."""
     folder = Path(os.environ.get("L3_DATA", "../shared/data")).resolve()
     for needed in ("demosaicking/kodak", "demosaicking/training", "pictures", "scenes"):
         if not (folder / needed).is_dir():
@@ -34,7 +34,7 @@ def data_folder() -> Path:
 
 
 def codes(folder: Path, data: Path, array: str, jobs: int) -> tuple[dict[str, Path], Path]:
-    """Test sets by name and table of the benchmark that `l3 init benchmark-bayer` makes, with the CFA of a camera recipe."""
+    """Return test sets and table of the benchmark `l3 init benchmark-bayer`, with the CFA of the recipe `array`."""
     if not (folder / "camera.toml").exists():
         start(known_benchmarks()["benchmark-bayer"], folder, InitOptions(force=True))
         given = PATTERN.search(find_recipe(array, "cameras").read_text(encoding="utf-8"))
@@ -54,7 +54,7 @@ def codes(folder: Path, data: Path, array: str, jobs: int) -> tuple[dict[str, Pa
 
 
 def bands(folder: Path, data: Path, jobs: int) -> tuple[dict[str, Path], Path]:
-    """Sixteen bands: unseen scenes and faces, and a table of dead leaves alone."""
+    """Return the test set of sixteen bands (scenes and faces), and the table, which is trained on dead leaves only."""
     head = 'illuminants = ["D65"]\nexposure_share = [0.9]\n[target]\noutputs = "camera"\n'
     cubes = [
         f'[[scene]]\nsource = "cube"\nfile = "{data}/scenes/multispectral_day{day}.mat"\nwavelengths_nm = {NANOMETRES}\n'
@@ -68,7 +68,7 @@ def bands(folder: Path, data: Path, jobs: int) -> tuple[dict[str, Path], Path]:
 
 
 def noise(folder: Path, data: Path, jobs: int, recipes: Sequence[str] = RECIPES) -> tuple[dict[str, Path], dict[str, Path]]:
-    """A Bayer camera with noise: unseen scenes at each of LEVELS, and the tables by class recipe."""
+    """Return the test sets of a Bayer camera with noise at each of LEVELS, and the tables by class recipe."""
     folder.mkdir(parents=True, exist_ok=True)
     sets = {}
     for level in LEVELS:

@@ -1,4 +1,4 @@
-"""The network of Gharbi, Chaurasia, Paris and Durand (Deep Joint Demosaicking and Denoising, 2016), by demosaicnet."""
+"""The network of Gharbi, Chaurasia, Paris and Durand (Deep Joint Demosaicking and Denoising, 2016), from demosaicnet."""
 
 import functools
 import warnings
@@ -11,13 +11,16 @@ from l3cli.evaluation.demosaic import tiled
 from l3cli.frames.frame import pad_mosaic
 from l3cli.physics.display import srgb_curve, srgb_decoded
 
-MARGIN = 48  # pixels, of whole periods, a period beyond what the networks take off on each side
+MARGIN = 48  # pixels; whole periods, and one period more than the networks cut off on each side
 NETWORKS = {(2, 2): "BayerDemosaick", (6, 6): "XTransDemosaick"}
 
 
 def rivals(period: tuple[int, int], noisy: bool) -> list[Rival]:
-    """The network of an array by its period; the array begins at the same pixel as ours; `noisy`: the mosaic is linear, and
-    is also shown to it as the codes that it was trained on. NotInstalled without demosaicnet or its torch."""
+    """Return the network for the array with this period, which begins at the same pixel as the array of l3.
+
+    If `noisy`, mosaics are linear, and the network is also run on sRGB values, on which it was trained. Raises NotInstalled
+    if demosaicnet or torch is missing.
+    """
     program = installed("demosaicnet")
     model = _model(NETWORKS[period])
     settings = {PLAIN: functools.partial(_shown, model)}
@@ -37,7 +40,7 @@ def _model(name: str) -> Any:
 
 
 def _shown(model: Any, mosaic: Array, cfa: CFA) -> Array:
-    """Channels of a mosaic (`rivals.Demosaic`)."""
+    """Demosaic a mosaic (see `rivals.Demosaic`)."""
     import torch
 
     padded = pad_mosaic(mosaic, MARGIN, cfa.shape).astype(np.float32)

@@ -1,8 +1,10 @@
-"""python docs/peers/peers.py [PART …] [--folder DIR] [--seconds | --ours]: ours beside other methods, and docs/peers.md.
+"""Compare l3 with other methods and write docs/peers.md.
 
-One run makes one page: without names all parts are measured, and named by day, machine and source. Training sets and tables
-lie in the folder (build/peers) and are not made again where they are there; the page says so where their source was another.
-With names, the other parts of figures.json stay as they are, with the run that they are of; with --ours, so do the rivals.
+    python docs/peers/peers.py [PART …] [--folder DIR] [--seconds | --ours]
+
+Without arguments, all parts are measured. The page states the date, the computer and the source digest of each part.
+Training sets and tables are stored in the folder (build/peers) and reused. If a table was trained with another source, the
+page says so. If parts are named, the other parts in figures.json are kept. With --ours, the results of the rivals are kept.
 """
 
 import argparse
@@ -42,22 +44,22 @@ from l3cli.system.files import write_whole
 FOLDER = Path(__file__).parent
 FIGURES, PAGE = FOLDER / "figures.json", FOLDER.parent / "peers.md"
 Programs = list[Callable[[], list[Rival]]]
-OUR_METHODS = "l3's own"  # methods of the literature that l3 itself holds, as baselines
+OUR_METHODS = "l3's own"  # published methods that l3 contains as baselines
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a part compares, on which training sets, and how it is judged."""
+    """The training sets, tables, rivals and metrics of one part of the page."""
 
     sets: Mapping[str, Path]
     tables: Mapping[str, Path]
     rivals: Sequence[Rival]
     protocol: Protocol
     missing: Sequence[str] = ()  # programs that are not installed
-    absent: Sequence[str] = ()  # pictures that are not there
+    absent: Sequence[str] = ()  # picture sets that are missing
 
     def measured(self) -> Part:
-        """The part as figures.json has it, but for its run."""
+        """Measure the part. Return its entry for figures.json, without the run."""
         rows = judged(self.sets, self._loaded(), self.rivals, self.protocol)
         trained = {name: provenance.stamped(path) for name, path in self.tables.items()}
         return {
@@ -69,8 +71,10 @@ class Comparison:
         }
 
     def renewed(self, part: Part) -> Part:
-        """The same part with figures of ours measured now, beside the rivals and all seconds as they were; SystemExit if the
-        rivals saw other frames."""
+        """Measure only the tables again, and keep the results of the rivals and all times.
+
+        Raises SystemExit if the rivals were measured on other frames.
+        """
         ours = replace(self, rivals=(), missing=part["missing"]).measured()
         if ours["digest"] != part.get("digest"):
             raise SystemExit("the rivals were measured on other frames; measure them again, without --ours")
@@ -81,7 +85,7 @@ class Comparison:
         return ours | {"rows": best_first(rows + rivals), "rivals": run, "timed": part.get("timed", run)}
 
     def timed(self, part: Part) -> Part:
-        """The same part with the seconds of a run now; a row whose method is not there keeps its own."""
+        """Measure only the times again. Rows of methods that are not installed keep their times."""
         known = {(rival.name, rival.program) for rival in self.rivals} | {(name, OURS) for name in self.tables}
         rows = [row | {"seconds": 0.0} for row in part["rows"] if (row["name"], row["program"]) in known]
         put_seconds(rows, self.sets, self._loaded(), self.rivals)
@@ -151,8 +155,10 @@ def _colour_demosaicing() -> list[Rival]:
 
 
 def main(names: list[str], folder: Path, jobs: int, seconds: bool = False, ours: bool = False) -> int:
-    """0, or 2 if a name is none of a part. `seconds`: figures stay as they are, only the seconds are measured again; `ours`:
-    rivals stay as they are."""
+    """Return 0, or 2 if a name is not the name of a part.
+
+    If `seconds`, only times are measured again. If `ours`, only the tables of l3 are measured again.
+    """
     if unknown := [name for name in names if name not in PARTS]:
         print(f'no part "{unknown[0]}"; there are {", ".join(PARTS)}', file=sys.stderr)
         return 2
@@ -181,7 +187,7 @@ if __name__ == "__main__":
     parser.add_argument("names", nargs="*", metavar="PART")
     parser.add_argument("--folder", type=Path, default=Path("build/peers"))
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--seconds", action="store_true", help="measure the seconds again, and nothing else")
-    parser.add_argument("--ours", action="store_true", help="measure ours again, beside the rivals as they were")
+    parser.add_argument("--seconds", action="store_true", help="measure only the times again")
+    parser.add_argument("--ours", action="store_true", help="measure only the tables of l3 again")
     given = parser.parse_args()
     sys.exit(main(given.names, given.folder.resolve(), given.jobs, given.seconds, given.ours))

@@ -1,4 +1,4 @@
-"""docs/peers.md, from the figures of its parts."""
+"""Write docs/peers.md from the results of its parts."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -6,10 +6,10 @@ from typing import Any
 import published
 
 Row = dict[str, Any]
-Part = dict[str, Any]  # rows, frames (their scenes), digest (of them), missing (programs), absent (pictures)
+Part = dict[str, Any]  # rows, scenes of the frames, digest of the frames, missing programs, absent pictures
 DIGITS = {"psnr": 2, "delta_e": 2, "ssim": 4, "angle": 2}
 LOWER = ("delta_e", "angle")
-METHOD = "method.md"  # beside the page
+METHOD = "method.md"  # in the folder of the page
 HEAD = """# Other methods
 
 This page is for readers who want to know how l3 compares with other demosaicing methods. All methods process the same
@@ -82,7 +82,7 @@ COLUMNS = {
 
 
 def page(parts: dict[str, Part]) -> str:
-    """The whole page, of the parts that have been measured; the others are named."""
+    """Return the page with all measured parts. The page lists parts that have not been measured."""
     lacking = [
         f"{TEXTS[name].splitlines()[0].removeprefix('## ')} (`make peers PARTS={name}`)"
         for name in TEXTS
@@ -93,14 +93,14 @@ def page(parts: dict[str, Part]) -> str:
 
 
 def common_run(parts: dict[str, Part]) -> str:
-    """The run that all parts are of, if they are of one."""
+    """Return a sentence about the run of the parts, if all parts come from one run."""
     runs = {_run(part[key]) for part in parts.values() for key in ("run", "rivals", "timed") if key in part}
     every = f"All results come from one run: {runs.pop()}." if len(runs) == 1 else "The sections come from several runs."
     return f"\n{every} *Source* is a digest of `l3cli/`, `opencl/` and `configs/`.\n"
 
 
 def origin(part: Part) -> str:
-    """The run that a part is of, and those of tables that were trained before it."""
+    """Return sentences about the run of a part, and about the runs of tables that were trained earlier."""
     text = f"Measured: {_run(part['run'])}."
     if "rivals" in part:
         text += f" Other methods: {_run(part['rivals'])}."
@@ -119,7 +119,7 @@ def _run(run: dict[str, str]) -> str:
 
 
 def section(name: str, part: Part) -> str:
-    """One part: its table, where ours is beaten, what is missing."""
+    """Return the section of a part: its table, the methods that are better than l3, and missing programs and pictures."""
     columns = [(key, title) for key, title in COLUMNS[name] if key in part["rows"][0]["figures"]]
     lines = [TEXTS[name], table(name, columns, part["rows"]), verdict(columns, part["rows"])]
     chosen = [settings(row, columns) for row in part["rows"] if row["settings"]]
@@ -139,7 +139,7 @@ def section(name: str, part: Part) -> str:
 
 
 def table(name: str, columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
-    """Measured rows, best first, the best of each column in bold; below them what is published only."""
+    """Return the table of measured results, with the best value of each column in bold, followed by published results."""
     printed = published.BAYER if name == "bayer" else {}
     more = [f"published: {title} (dB)" for title in published.PICTURES.values()] if printed else []
     heads = ["method", "program", *(title for _, title in columns), "core-s/MP", *more]
@@ -156,13 +156,13 @@ def table(name: str, columns: Sequence[tuple[str, str]], rows: Sequence[Row]) ->
 
 
 def _compared(rows: Sequence[Row]) -> list[tuple[Row, Row]]:
-    """Pairs of ours and a rival of which the figures of every frame are stored."""
+    """Return the pairs of a table and a rival for which the metrics of every frame are stored."""
     stored = [row for row in rows if "by_frame" in row]
     return [(ours, rival) for ours in stored for rival in stored if ours["ours"] and not rival["ours"]]
 
 
 def frame_by_frame(columns: Sequence[tuple[str, str]], frames: Sequence[str], ours: Row, rival: Row) -> str:
-    """Figures of every frame, the better in bold, and on how many ours is better."""
+    """Return a table of the metrics of every frame, with the better value in bold, and the number of wins of l3."""
     wins = dict.fromkeys((key for key, _ in columns), 0)
     lines = []
     for place, frame in enumerate(frames):
@@ -180,7 +180,7 @@ def frame_by_frame(columns: Sequence[tuple[str, str]], frames: Sequence[str], ou
 
 
 def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
-    """By figure who is better than the best of ours, or that nobody is."""
+    """Return sentences that list the methods that are better than the best table, for each metric."""
     text = []
     for key, title in columns:
         best = _best(key)
@@ -195,7 +195,7 @@ def verdict(columns: Sequence[tuple[str, str]], rows: Sequence[Row]) -> str:
 
 
 def settings(row: Row, columns: Sequence[tuple[str, str]]) -> list[str]:
-    """Rows of a table: with which setting each of a method's numbers was reached."""
+    """Return table rows with the setting to which each number of a method belongs."""
     titles = dict(columns)
     chosen: dict[str, list[str]] = {}
     for key, setting in row["settings"].items():
@@ -204,7 +204,7 @@ def settings(row: Row, columns: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def folded(title: str, text: str) -> str:
-    """A part of the page that opens when its title is clicked."""
+    """Return a part of the page that opens when the reader clicks its title."""
     return f"<details>\n<summary>{title}</summary>\n\n{text}\n</details>\n"
 
 

@@ -1,7 +1,7 @@
-"""A mosaic as a raw file for other developers, who give its channels back as they are.
+"""Write a mosaic as a raw file for other raw converters, and read the demosaiced channels from their output.
 
-The file says that the camera's channels are linear sRGB and that a grey is alike in all of them. So every developer has the
-right white balance and matrix, denoises in colours that it knows, and its linear sRGB is the channels themselves.
+The file states that the channels of the camera are linear sRGB and that a grey has equal signals. Every raw converter
+therefore uses the correct white balance and matrix, reduces noise in known colours, and outputs the channels as linear sRGB.
 """
 
 import tempfile
@@ -20,14 +20,14 @@ from l3cli.physics.display import SRGB_FROM_XYZ
 Array = NDArray[np.floating]
 BITS = 16
 BLACK, TOP = 1024.0, 2.0**BITS - 1  # DN
-WHITE_SHARE = 0.8  # of full scale, of a mosaic's 1: what is brighter than white is not clipped at once
-LEAST = 256  # pixels, of a file's sides: RawTherapee opens none of 180
-PERIOD = 12  # pixels, of margins: whole periods of 2×2, 4×4 and 6×6 arrays
-MARGIN = 12  # pixels mirrored in phase, at least: developers cut some off, or know less there
+WHITE_SHARE = 0.8  # fraction of full scale to which white is mapped, so that brighter values do not clip
+LEAST = 256  # pixels; smallest side of a file, because RawTherapee rejects files of 180 pixels
+PERIOD = 12  # pixels; margins are multiples of this, which are whole periods of 2×2, 4×4 and 6×6 arrays
+MARGIN = 12  # pixels; smallest mirrored margin, because raw converters cut off borders or are less accurate there
 
 
 def write_mosaic(path: Path, mosaic: Array, cfa: NDArray[np.uint8]) -> None:
-    """A mosaic (row, col) of the channels red, green, blue in which a white is 1, as a new DNG file."""
+    """Write a mosaic (row, col) of red, green and blue, in which a white is 1, to a new DNG file."""
     values = np.clip(np.rint(BLACK + WHITE_SHARE * (TOP - BLACK) * mosaic), 0, TOP).astype(np.uint16)
     matrix = SRGB_FROM_XYZ
     colour = dict.fromkeys(LIGHT_CODES, matrix)
@@ -35,9 +35,11 @@ def write_mosaic(path: Path, mosaic: Array, cfa: NDArray[np.uint8]) -> None:
 
 
 def through_file(develop: Callable[[Path], Array], mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Channels (channel, row, col) of a mosaic, by a developer that makes linear planes, full scale as 1, of a DNG file.
+    """Demosaic a mosaic with a raw converter. Return the channels (channel, row, col).
 
-    It is given more than the mosaic on all sides, and may cut as much from each."""
+    `develop` converts a DNG file to linear planes in which full scale is 1. The file is larger than the mosaic on all sides,
+    and `develop` may cut the same number of pixels from each side.
+    """
     with tempfile.TemporaryDirectory(prefix="l3-peers-") as folder:
         path = Path(folder, "mosaic.dng")
         lacking = -(-max(LEAST - min(mosaic.shape), 0) // 2)
@@ -51,7 +53,7 @@ def through_file(develop: Callable[[Path], Array], mosaic: Array, cfa: NDArray[n
 
 
 def _camera(cfa: NDArray[np.uint8], shape: tuple[int, ...]) -> CameraModel:
-    """A camera for the file's tags; what light and noise would be is not read from it."""
+    """Return a camera model for the tags of the file. Raw converters do not read its responsivities and noise."""
     return CameraModel(
         name="peers",
         rows=shape[0],

@@ -1,4 +1,4 @@
-"""RawTherapee's demosaicking methods, by its command line (Debian's package rawtherapee)."""
+"""The demosaicing methods of RawTherapee, called with its command line (Debian package rawtherapee)."""
 
 import functools
 import re
@@ -14,21 +14,21 @@ from rivals import CFA, PLAIN, Array, NotInstalled, Rival
 from l3cli.physics.display import srgb_decoded
 
 COMMAND = "rawtherapee-cli"
-SECONDS = 600  # that a picture may take
+SECONDS = 600  # time limit for a picture
 BAYER = {
     "amaze": "AMaZE", "rcd": "RCD", "lmmse": "LMMSE", "igv": "IGV", "dcb": "DCB", "vng4": "VNG4", "ahd": "AHD",
     "eahd": "EAHD", "hphd": "HPHD",
 }  # fmt: skip
 XTRANS = {"4-pass": "4 passes", "3-pass (best)": "3 passes", "1-pass (medium)": "1 pass"}
-# Strengths of luminance and of colour, and medians. What the program chooses by itself (CMethod=AUT), or more than this, is
-# worse on two of the noisy pictures than no denoising at all.
+# Strengths for luminance and for colour, and median filter. On two of the noisy pictures, automatic strengths (CMethod=AUT)
+# and larger strengths are worse than no noise reduction.
 DENOISED = {
     "colour 5": (0, 5, ""),
     "5, colour 5, soft medians": (5, 5, "soft"),
     "5, colour 5, medians 3×3": (5, 5, "33"),
 }
-NOISY = ("amaze", "rcd", "lmmse", "igv", "dcb", "vng4")  # the methods that are tried where there is noise
-# Nothing but white balance as stated, demosaicking, and the sRGB curve, which is taken off again.
+NOISY = ("amaze", "rcd", "lmmse", "igv", "dcb", "vng4")  # methods that are run on frames with noise
+# Only the white balance of the file, demosaicing, and the sRGB curve, which is removed afterwards.
 PROFILE = """[Version]
 AppVersion=5.9
 Version=349
@@ -81,7 +81,7 @@ Passes=1
 
 
 def bayer(noisy: bool) -> list[Rival]:
-    """Methods for Bayer arrays; `noisy`: with its noise reduction, too. NotInstalled without the program."""
+    """Return the methods for Bayer arrays, with noise reduction if `noisy`. Raise NotInstalled without the program."""
     program = _program()
     profiles = {PLAIN: PROFILE}
     if noisy:
@@ -92,7 +92,7 @@ def bayer(noisy: bool) -> list[Rival]:
 
 
 def xtrans() -> list[Rival]:
-    """Methods for X-Trans arrays; NotInstalled without the program."""
+    """Return the methods for X-Trans arrays. Raise NotInstalled if the program is missing."""
     program = _program()
     return [Rival(shown, program, _settings(method, {PLAIN: PROFILE})) for method, shown in XTRANS.items()]
 
@@ -114,7 +114,7 @@ def _settings(method: str, profiles: dict[str, str]) -> dict[str, functools.part
 
 
 def _developed(profile: str, mosaic: Array, cfa: CFA) -> Array:
-    """Channels of a mosaic (`rivals.Demosaic`)."""
+    """Demosaic a mosaic (see `rivals.Demosaic`)."""
     return through_file(functools.partial(_planes, profile), mosaic, cfa)
 
 

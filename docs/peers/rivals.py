@@ -1,4 +1,4 @@
-"""Demosaicking methods as peers of a table: what each is called, whose it is, with which settings it may be run."""
+"""Data types for demosaicing methods with which tables are compared: name, program and settings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ PLAIN = ""  # the setting that changes nothing
 
 @dataclass(frozen=True)
 class Noise:
-    """The true noise of a mosaic where a white is 1: its shot noise, and its variance where there is no light."""
+    """The true noise of a mosaic in which a white is 1: its shot noise, and its variance in the dark."""
 
-    electron: Array  # (channel) a photo-electron in the mosaic's unit
+    electron: Array  # (channel) value of a photo-electron in the mosaic
     dark: float  # electrons²
 
 
 @dataclass(frozen=True)
 class Denoiser:
-    """A demosaicking that is given the noise of the mosaic, too."""
+    """A demosaicing method that also uses the noise of the mosaic."""
 
     channels: Callable[[Array, CFA, Noise], Array]
 
@@ -35,12 +35,12 @@ Method = Demosaic | Denoiser
 
 
 class NotInstalled(Exception):
-    """A program of rivals that this machine lacks; its text names it."""
+    """A program is not installed. The message is the name of the program."""
 
 
 @dataclass(frozen=True)
 class Rival:
-    """A method and the settings under which it runs, each a demosaicking; where several, the best counts."""
+    """A method with one or more settings. The best setting counts."""
 
     name: str
     program: str  # with its version
@@ -52,7 +52,7 @@ class Rival:
 
 
 def installed(package: str) -> str:
-    """Name and version of a package; NotInstalled without it."""
+    """Return the name and the version of a package. Raise NotInstalled if it is missing."""
     try:
         return f"{package} {version(package)}"
     except PackageNotFoundError as error:
@@ -60,7 +60,7 @@ def installed(package: str) -> str:
 
 
 def gathered(programs: list[Callable[[], list[Rival]]]) -> tuple[list[Rival], list[str]]:
-    """The rivals of every program that is installed, and the names of those that are not."""
+    """Return the rivals of all installed programs, and the names of the missing programs."""
     rivals: list[Rival] = []
     missing = []
     for program in programs:

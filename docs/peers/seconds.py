@@ -1,4 +1,4 @@
-"""Processor time a megapixel of demosaicking, start-up and other costs of a picture taken off."""
+"""Measure the CPU time of demosaicing per megapixel, without start-up and other fixed costs of a picture."""
 
 import resource
 from collections.abc import Callable, Mapping
@@ -6,20 +6,20 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-SIDES = (504, 1512)  # pixels, whole periods of every array; what the larger takes more is the time of the pixels it has more
-ROUNDS = 3  # all methods in turn, the least of each counts
-ENOUGH = 3.0  # s of processor time, after which a slow method is not run again
-LONG = 20.0  # s of processor time; a method that takes more for the small picture is measured by it alone
+SIDES = (504, 1512)  # sides of two pictures in pixels (whole periods); the difference is timed
+ROUNDS = 3  # rounds over all methods; the smallest time of each counts
+ENOUGH = 3.0  # s of CPU time, after which a slow method is not run again
+LONG = 20.0  # s of CPU time; a method that needs more for the small picture is measured only on this picture
 
 
 def core_seconds() -> float:
-    """Processor time so far of this process and of those it has run to their end."""
+    """Return the CPU time of this process and of its finished child processes."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
 
 
 def tiled_to(plane: NDArray, side: int, period: tuple[int, ...]) -> NDArray:
-    """A square of `side` from repetitions of a plane (row, col), cut to whole periods so that its array goes on."""
+    """Repeat a plane (row, col) to a square of `side`. The plane is cut to whole periods, so that the array continues."""
     rows, cols = (length // by * by for length, by in zip(plane.shape, period, strict=True))
     whole = plane[:rows, :cols]
     repeated = np.tile(whole, (-(-side // rows), -(-side // cols)))
@@ -27,8 +27,11 @@ def tiled_to(plane: NDArray, side: int, period: tuple[int, ...]) -> NDArray:
 
 
 def per_megapixel(methods: Mapping[str, Callable[[int], Callable[[], object]]]) -> dict[str, float]:
-    """Core-seconds a megapixel by name. Each method makes, for the side of a square picture, the call to be timed. It is
-    called once before: what the first call alone takes, such as to compile kernels, would count as a small picture's."""
+    """Return the core-seconds per megapixel of each method.
+
+    Each method maps the side of a square picture to the call that is timed. A first call is not counted, because it includes
+    costs such as the compilation of kernels.
+    """
     first = {name: _taken(prepared(SIDES[0])) for name, prepared in methods.items()}
     least: dict[tuple[str, int], float] = {}
     spent = dict.fromkeys(methods, 0.0)

@@ -1,4 +1,4 @@
-"""The reference of the Python API, which Sphinx reads from docstrings."""
+"""Generate the reference page of the Python API. Sphinx inserts the docstrings."""
 
 from markup import page
 
@@ -19,7 +19,7 @@ INTRO = (
 
 
 def api_pages() -> dict[str, str]:
-    """Return the page; ValueError unless its groups name all of the API."""
+    """Return the page by its file name. Raise ValueError unless GROUPS contains every public name of the API."""
     named = sorted(name for names in GROUPS.values() for name in names)
     if named != sorted(l3cli.__all__):
         raise ValueError(f"docs/site/api_pages.py names {named}, not l3cli.__all__")
@@ -28,7 +28,7 @@ def api_pages() -> dict[str, str]:
 
 
 def directive(name: str) -> str:
-    """Return the Sphinx directive that writes the docstring of a name."""
+    """Return the Sphinx directive that inserts the docstring of `name`."""
     members = "\n   :members:" if name == "Renderer" else ""
     kind = "autoclass" if isinstance(getattr(l3cli, name), type) else "autofunction"
     if name == "L3Error":

@@ -1,4 +1,4 @@
-"""The datasets of every kind of artifact, from the declarations that saving and loading follow."""
+"""Generate the list of datasets of every type of artifact, from the declarations for saving and loading."""
 
 import inspect
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ def section(kind: type[Artifact]) -> str:
 
 
 def first(kind: type) -> str:
-    """The first paragraph of what a class says of itself."""
+    """Return the first paragraph of the docstring of a class."""
     return (inspect.getdoc(kind) or "").partition("\n\n")[0]
 
 

@@ -1,4 +1,4 @@
-"""python docs/site/build.py FOLDER: build the site of docs/ there, warnings being errors, and check what was built."""
+"""Build the site of docs/ in a folder, with warnings as errors, and check the pages: python docs/site/build.py FOLDER"""
 
 import shutil
 import sys
@@ -10,7 +10,7 @@ from sphinx.cmd.build import main as sphinx
 
 
 def main(folder: Path) -> int:
-    """0, or 1 after saying what is wrong."""
+    """Return 0, or print what is wrong and return the exit code."""
     pages, site = folder / "pages", folder / "html"
     for each in (pages, site):
         shutil.rmtree(each, ignore_errors=True)

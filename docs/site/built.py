@@ -1,4 +1,4 @@
-"""What is wrong with a built site: links and anchors that lead nowhere, anything that a page would fetch from elsewhere."""
+"""Check a built site for broken links, for missing anchors, and for content that a page would fetch from another site."""
 
 import re
 from html.parser import HTMLParser
@@ -6,11 +6,11 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 FETCHED = {("script", "src"), ("link", "href"), ("img", "src"), ("iframe", "src"), ("source", "src"), ("object", "data")}
-NAMED = ("canonical", "author", "license", "next", "prev")  # a link of such a relation is not fetched
+NAMED = ("canonical", "author", "license", "next", "prev")  # browsers do not fetch links with these relations
 
 
 class Page(HTMLParser):
-    """Anchors of a page, where it leads and what it fetches."""
+    """The anchors of a page, its links, and the addresses that a browser fetches to display it."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -30,7 +30,7 @@ class Page(HTMLParser):
 
 
 def faults(site: Path) -> list[str]:
-    """A line for each fault of the pages and styles below a folder."""
+    """Return one line for each fault in the pages and styles below a folder."""
     pages = {path.resolve(): Page(path) for path in sorted(site.rglob("*.html"))}
     wrong = []
     for path, page in pages.items():

@@ -1,4 +1,4 @@
-"""The command reference, from what click knows of every command."""
+"""Generate the command reference from the click declarations of the commands."""
 
 import inspect
 
@@ -39,7 +39,7 @@ def section(name: str) -> str:
 
 
 def paragraphs(text: str) -> list[str]:
-    """A help text; a paragraph marked \\b, whose lines click leaves alone, as code."""
+    """Return the paragraphs of a help text. A paragraph marked with \\b, in which click keeps the lines, becomes code."""
     parts = inspect.cleandoc(text).split("\n\n")
     return ["```none\n" + part[2:] + "\n```" if part.startswith("\b\n") else plain(part) for part in parts]
 

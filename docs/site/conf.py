@@ -1,4 +1,4 @@
-"""How Sphinx makes the pages of docs/ into a site. `make docs` gathers the pages first (gather.py) and then calls it."""
+"""Sphinx configuration of the site. `make docs` collects the pages (gather.py) and then runs Sphinx."""
 
 from typing import Any
 
@@ -18,14 +18,14 @@ root_doc = "index"
 
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]
-html_math_renderer = "mathml"  # what browsers show themselves: the pages of the site fetch nothing from elsewhere
-myst_heading_anchors = 4  # links to the headings of a page, as on the sites that show Markdown
+html_math_renderer = "mathml"  # browsers display MathML themselves, so pages fetch no scripts from other sites
+myst_heading_anchors = 4  # anchors of headings have the same names as on GitHub
 nitpicky = True
-nitpick_ignore_regex = [("py:.*", ".*")]  # types in docstrings, most of which are numpy's and have no page here
+nitpick_ignore_regex = [("py:.*", ".*")]  # types in docstrings, most of which belong to numpy and have no page on this site
 napoleon_google_docstring = False
-autodoc_typehints = "none"  # docstrings name types, shapes and units
+autodoc_typehints = "none"  # the docstrings contain types, shapes and units
 autodoc_member_order = "bysource"
-smartquotes = False  # a pair of hyphens begins an option
+smartquotes = False  # keep the double hyphens of options
 
 html_theme = "furo"
 html_title = f"l3cli {release}"
@@ -43,11 +43,11 @@ def _inline_math(translator: Any, node: nodes.math) -> None:
 
 
 def _math_block(translator: Any, node: nodes.math_block) -> None:
-    """Write a displayed equation as MathML, which scrolls where the page is narrower."""
+    """Write a displayed equation as MathML, which scrolls if it is wider than the page."""
     translator.body.append(f'<div style="overflow-x: auto">{tex2mathml(node.astext(), as_block=True)}</div>\n')
     raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> None:
-    """Register the renderer of equations."""
+    """Register the functions that write equations."""
     app.add_html_math_renderer("mathml", (_inline_math, None), (_math_block, None))

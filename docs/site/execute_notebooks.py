@@ -1,6 +1,8 @@
-"""python docs/site/execute_notebooks.py FOLDER: run the notebooks of docs/, write each as a page NAME.md into a new folder.
+"""Run the notebooks of docs/ and write each as a page NAME.md into a new folder.
 
-With --strip instead of FOLDER, take out of docs/notebooks what running them in Jupyter has left there.
+    python docs/site/execute_notebooks.py FOLDER
+
+With --strip instead of FOLDER, remove the outputs that Jupyter has stored in docs/notebooks.
 """
 
 import base64
@@ -18,9 +20,9 @@ from typing import Any
 import nbformat
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
-LONGEST = 300  # s, of a cell
-JOBS = 2  # each has a kernel, a process of its own
-COLOURS = re.compile(r"\x1b\[[\d;]*m")  # of a traceback
+LONGEST = 300  # s; time limit of a cell
+JOBS = 2  # notebooks that run at the same time; each has a kernel process
+COLOURS = re.compile(r"\x1b\[[\d;]*m")  # escape sequences in a traceback
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"name": "python"},
@@ -28,7 +30,7 @@ METADATA = {
 
 
 def stripped(notebook: Any) -> Any:
-    """A notebook without outputs, counts, and what it says of the machine and editor it was written with."""
+    """Return a notebook without outputs, execution counts, and metadata about the computer and the editor."""
     notebook = nbformat.from_dict(notebook)
     notebook.metadata = nbformat.from_dict(METADATA)
     for cell in notebook.cells:
@@ -39,16 +41,16 @@ def stripped(notebook: Any) -> Any:
 
 
 def executed(path: Path) -> Any:
-    """A notebook with its outputs, after it has run in a new folder, which is then removed with all that it left behind.
+    """Run a notebook in a temporary folder, and return the notebook with its outputs.
 
-    Of nbclient.exceptions: CellExecutionError if a cell fails, CellTimeoutError if it takes too long, DeadKernelError.
+    Raises CellExecutionError (a cell fails), CellTimeoutError (a cell takes too long) or DeadKernelError of nbclient.
     """
     from jupyter_client.manager import AsyncKernelManager
     from nbclient import NotebookClient
 
     notebook = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory(prefix="l3-") as folder:
-        kernels = AsyncKernelManager(transport="ipc")  # sockets in the file system, which nobody else reads
+        kernels = AsyncKernelManager(transport="ipc")  # sockets in a private folder, so that no other user can connect
         kernels.connection_file = str(Path(folder, "kernel.json"))
         client = NotebookClient(notebook, km=kernels, timeout=LONGEST, resources={"metadata": {"path": folder}})
         client.execute(cleanup_kc=True, env=os.environ | {"TMPDIR": folder})
@@ -56,7 +58,7 @@ def executed(path: Path) -> Any:
 
 
 def page(notebook: Any, name: str, folder: Path) -> str:
-    """A notebook as Markdown; its pictures are written into `folder`."""
+    """Return a notebook as Markdown, and write its pictures into `folder`."""
     parts = []
     for number, cell in enumerate(notebook.cells):
         if cell.cell_type == "markdown":
@@ -69,7 +71,7 @@ def page(notebook: Any, name: str, folder: Path) -> str:
 
 
 def shown(outputs: Any, name: str, folder: Path) -> Iterator[str]:
-    """What a cell printed, in one piece, returned and drew."""
+    """Yield the outputs of a cell as Markdown: the printed text, the result, and the pictures."""
     printed = "".join(output.get("text", "") for output in outputs)
     if printed:
         yield f"```none\n{printed.rstrip()}\n```"
@@ -84,7 +86,7 @@ def shown(outputs: Any, name: str, folder: Path) -> Iterator[str]:
 
 
 def written(path: Path, folder: Path) -> str:
-    """Run a notebook and write its page; what to say of it: the seconds, or the cell that fails and why."""
+    """Run a notebook and write its page. Return a line with the time, or with the failed cell and its error."""
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
     start = time.perf_counter()
@@ -98,7 +100,7 @@ def written(path: Path, folder: Path) -> str:
 
 
 def main(argument: str) -> int:
-    """0, 1 if a notebook fails, or 2 if the folder exists."""
+    """Return 0, 1 if a notebook fails, or 2 if the folder exists."""
     paths = sorted(NOTEBOOKS.glob("*.ipynb"))
     if argument == "--strip":
         for path in paths:

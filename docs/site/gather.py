@@ -1,4 +1,4 @@
-"""The pages of the site in one folder: those of docs/, README as the first, notebooks, those made of declarations."""
+"""Collect the pages of the site in one folder: docs/, the README as first page, notebooks, generated reference pages."""
 
 import re
 import shutil
@@ -12,10 +12,10 @@ from licence_pages import licence_pages
 from recipe_pages import recipe_pages
 
 ROOT = Path(__file__).parents[2]
-EXECUTED = ROOT / "build/notebooks"  # by make notebooks
-DEMO = ROOT / "build/web"  # by make web
-BUILT = "doctrees"  # what Sphinx leaves beside a site
-NOTEBOOKS = "python.md"  # whose table lists them
+EXECUTED = ROOT / "build/notebooks"  # written by `make notebooks`
+DEMO = ROOT / "build/web"  # written by `make web`
+BUILT = "doctrees"  # folder that Sphinx writes next to a site
+NOTEBOOKS = "python.md"  # the page that lists the notebooks
 FRONT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "SECURITY.md": "security.md"}
 AS_THEY_ARE = ("LICENSE", "CITATION.cff")
 CONTENTS = {
@@ -58,13 +58,13 @@ def gather(folder: Path) -> None:
 
 
 def _left_out(folder: str, names: list[str]) -> set[str]:
-    """What no page is made of, sites that were built inside docs/ among it."""
+    """Return the names that are not copied, including sites that were built inside docs/."""
     built = {name for name in names if Path(folder, name, BUILT).is_dir()}
     return built | shutil.ignore_patterns("site", "paper", "Dockerfile*", "meta.yaml", "__pycache__")(folder, names)
 
 
 def relinked(text: str) -> str:
-    """A page with its links as they lead in the site, where README and its like lie beside the pages of docs/."""
+    """Return a page with its links adapted to the site, where the README is in the folder of the pages."""
     for name, page in (FRONT | {"README.md": "index.md"}).items():
         text = re.sub(rf"\]\((\.\./)?{re.escape(name)}", f"]({page}", text)
     text = re.sub(r"\]\((notebooks/[\w-]+)\.ipynb\)", r"](\1.md)", text)
@@ -72,7 +72,7 @@ def relinked(text: str) -> str:
 
 
 def with_demo(readme: str) -> str:
-    """The first page, with the demo that conf.py copies into the site below its picture, if make web has made it."""
+    """Return the first page, with a link to the browser demo below the picture if `make web` has built the demo."""
     if not (DEMO / "demo.html").is_file():
         return readme
     words = '<a href="demo.html">Render a raw file in this browser</a>: a Bayer DNG, <a href="demo.dng">this one</a>'
@@ -81,9 +81,9 @@ def with_demo(readme: str) -> str:
 
 
 def contents(pages: set[str]) -> str:
-    """The tables of contents, with a last one of the pages that no other names."""
+    """Return the tables of contents. A last table lists the pages that are in no other table."""
     listed = {name for names in CONTENTS.values() for name in names}
-    listed |= {page for page in pages if page.startswith(("reference/", "notebooks/"))}  # below the page of its kind
+    listed |= {page for page in pages if page.startswith(("reference/", "notebooks/"))}  # listed on other pages
     more = {"More": others} if (others := sorted(pages - listed)) else {}
     return "\n\n".join(tree(names, f":caption: {caption}") for caption, names in (CONTENTS | more).items()) + "\n"
 

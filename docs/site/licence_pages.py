@@ -1,4 +1,4 @@
-"""Licences of what l3cli depends on, as the installed packages state them."""
+"""Generate the list of the licences of all dependencies, as stated by the installed packages."""
 
 import re
 from importlib.metadata import PackageMetadata, PackageNotFoundError, distribution, requires
@@ -24,7 +24,7 @@ def licence_pages() -> dict[str, str]:
 
 
 def needed(name: str, extra: str, seen: set[tuple[str, str]]) -> list[str]:
-    """Names of all packages that one needs, itself or through others, as far as they are installed."""
+    """Return the names of all installed packages on which a package depends, directly or indirectly."""
     found: list[str] = []
     for line in requires(name) or []:
         need = Requirement(line)
@@ -48,7 +48,7 @@ def installed(name: str) -> bool:
 
 
 def stated(name: str) -> tuple[str, str]:
-    """Version and licence of a package: its SPDX expression, else its classifiers, else the first line of its text."""
+    """Return version and licence of a package: its SPDX expression, its classifiers, or the first line of its text."""
     known = distribution(name).metadata
     classes = [each.rpartition(" :: ")[2] for each in known.get_all("Classifier", []) if each.startswith("License :: OSI")]
     text = _one(known, "License-Expression") or ", ".join(classes) or _one(known, "License").strip().partition("\n")[0]
@@ -56,5 +56,5 @@ def stated(name: str) -> tuple[str, str]:
 
 
 def _one(known: PackageMetadata, name: str) -> str:
-    """An entry of a package's metadata, empty where there is none: some libraries raise an error there, some give None."""
+    """Return a metadata entry of a package, or an empty text if the entry is missing."""
     return (known.get_all(name) or [""])[0]

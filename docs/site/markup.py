@@ -1,16 +1,16 @@
-"""Text in Markdown."""
+"""Write Markdown."""
 
 import re
 from collections.abc import Iterable, Sequence
 
 
 def plain(text: str) -> str:
-    """Text that shows as it is written, in one line, also in a cell of a table."""
+    """Escape a text for Markdown, and join its lines so that it fits into a table cell."""
     return re.sub(r"([\\`*_{}\[\]<>#|$~])", r"\\\1", " ".join(text.split()))
 
 
 def code(text: str) -> str:
-    """Text as code; a bar would end the cell of a table."""
+    """Return a text as inline code. Vertical bars are escaped, because they would end a table cell."""
     return f"`{text.replace('|', chr(92) + '|')}`" if text else ""
 
 

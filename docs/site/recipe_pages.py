@@ -1,4 +1,4 @@
-"""The keys of every kind of recipe, from the declared types: what `l3 schema` prints, as pages."""
+"""Generate pages with the keys of every type of recipe, from the JSON schemas that `l3 schema` prints."""
 
 import json
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def recipe_page(kinds: str, whole: dict[str, Any]) -> str:
 
 
 def references(value: Any) -> Iterator[str]:
-    """Names of the tables that a type is or holds."""
+    """Yield the names of the tables to which a schema value refers."""
     if isinstance(value, dict):
         if "$ref" in value:
             yield value["$ref"].rpartition("/")[2]
@@ -49,7 +49,7 @@ def references(value: Any) -> Iterator[str]:
 
 
 def _place(tables: dict[str, Any], name: str, path: str, several: bool, places: dict[str, list[str]]) -> None:
-    """Under which heading each table stands in a file, in the order of the declarations: [lens], [[scene]]."""
+    """Collect the TOML headings of each table, such as [lens] or [[scene]], in the order of the declarations."""
     heading = "" if not path else f"[[{path}]]" if several else f"[{path}]"
     known = places.setdefault(name, [])
     if heading in known:
@@ -61,11 +61,11 @@ def _place(tables: dict[str, Any], name: str, path: str, several: bool, places: 
 
 
 def section(declared: dict[str, Any], places: list[str], needed: list[str]) -> str:
-    """A table; `needed`: keys that distinguish kinds of file."""
+    """Return the section of a TOML table. `needed` are keys that distinguish tables with the same heading."""
     rows, kinds = [], []
     for key, value in declared["properties"].items():
         if len(value.get("enum", [])) == 1 and "default" not in value:
-            kinds.append(f"{key} = {json.dumps(value['enum'][0])}")  # which of several tables of a name it is
+            kinds.append(f"{key} = {json.dumps(value['enum'][0])}")  # the key that distinguishes tables with the same name
         else:
             rows.append((code(key), words(value), default(key, value, declared), plain(value.get("description", ""))))
     heading = ", ".join(map(code, filter(None, places))) or "At the top of the file"
@@ -86,7 +86,7 @@ NAMES = {"string": "text", "integer": "whole number", "number": "number", "boole
 
 
 def words(value: dict[str, Any]) -> str:
-    """A type in words."""
+    """Describe a schema type in words."""
     if "$ref" in value:
         return "table"
     if "enum" in value:
