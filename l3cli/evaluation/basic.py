@@ -1,7 +1,10 @@
-"""The basic pipeline, an untrained baseline: white balance, demosaicking, colour matrix (docs/method.md#basic-pipeline).
+"""The basic pipeline, an untrained baseline (docs/method.md#basic-pipeline).
 
-Channels are clipped individually. Clipping all channels at the level of the first one would keep highlights neutral, but
-costs 0.6 ΔE00 on faces at three light levels. A baseline should be as strong as possible.
+Its steps are white balance, demosaicking and a colour matrix.
+
+Each channel clips at its own full scale. If all channels were clipped where the first channel clips, highlights would stay
+neutral, but the colour error of faces would increase by 0.6 ΔE00 (at three light levels). A baseline should be as strong
+as possible, so the basic pipeline does not do this.
 """
 
 from collections.abc import Callable
@@ -17,29 +20,32 @@ from l3cli.evaluation.demosaic import Demosaic, interpolate
 from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
-# Function that merges white-balanced planes (channel, row, col) of several exposures into one plane per colour filter. The
-# last argument is the white balance (channel).
+# Function that merges the exposures of each colour filter. The first argument and the result are white-balanced planes
+# (channel, row, col), and the last argument contains one white-balance factor per channel.
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
 CLIPPED = 0.985  # fraction of full scale from which a sample counts as clipped
 TOUCHED = 0.02  # an interpolated value counts as clipped if clipped samples contribute more than this fraction
-# Regularisation relative to the mean square of the channel differences. It reduces noise at the cost of colour accuracy
-# (ΔE 1.7 on a chart).
+# Ridge parameter, relative to the mean square of the channel differences. A larger value reduces noise but costs colour
+# accuracy. This value costs 1.7 ΔE on a chart.
 RIDGE = 0.05
-BLIND = 1e-6  # a channel whose response to white, relative to the brightest channel, is smaller counts as blind
-ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, range of the CIE observers
-UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidate illuminants if only the white point is known
+BLIND = 1e-6  # a channel counts as blind if its response to white is less than this fraction of the largest response
+ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, wavelength range of the CIE observers
+UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # illuminants to choose from if only a white point is known
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Colour correction of a camera for one illuminant, relative to a perfect white."""
+    """White balance and colour matrix of a camera for one illuminant. A perfect white of 1 cd/m² becomes 1 in all outputs.
 
-    balance: Array  # (channel) fraction of a white of 1 cd/m² per photo-electron per second; 0 for a blind channel
-    matrix: Array  # (output, channel) whose rows sum to 1
+    The factors and the matrix apply to photo-electrons per second.
+    """
+
+    balance: Array  # (channel) white-balance factors; 0 for channels that do not respond to white
+    matrix: Array  # (output, channel); each row sums to 1
 
 
 def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
-    """Fit a colour matrix by ridge regression over measured reflectances. White remains exactly white.
+    """Fit a white balance, and a colour matrix by ridge regression over measured reflectances. White is mapped exactly.
 
     Parameters
     ----------
@@ -59,32 +65,39 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     electrons = electrons_of(camera, light, library * falling)
     seen = electrons[0] > BLIND * electrons[0].max()
     if not seen.any():
-        raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
+        raise InputFileError(
+            f"camera {camera.name} does not respond to the illuminant of a frame; simulate it under another illuminant"
+        )
     library, falling = lit_library(wanted or light)
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
     balance, matrix = np.zeros(len(seen)), np.zeros((3, len(seen)))
     balance[seen] = 1.0 / electrons[0, seen]
-    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # deep red light has Z = 0
+    white = np.where(xyz[0] > 0, xyz[0], 1.0)  # Z of white is 0 under deep red light
     matrix[:, seen] = white_preserving_ridge(electrons[1:, seen] * balance[seen], xyz[1:] / white)
     return Colour(balance, matrix)
 
 
 def electrons_of(camera: CameraModel, light: LightSpectrum, radiances: Array) -> Array:
-    """Return the photo-electrons per second (sample, channel) for `radiances` (sample, wavelength).
+    """Return the photo-electrons per second (sample, channel) that radiance spectra generate in a pixel.
 
-    The radiances are sampled at the wavelengths of `light`.
+    The spectra `radiances` (sample, wavelength) are sampled at the wavelengths of `light`.
     """
     return radiances @ (camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)).T
 
 
 def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
-    """Return the reflectances (sample, wavelength) of white and of the measured surfaces, and the illuminant (wavelength).
+    """Return the library of measured reflectances and the scaled illuminant.
 
-    The illuminant is scaled so that white has 1 cd/m².
+    Returns
+    -------
+    reflectances : ndarray, (sample, wavelength)
+        A perfect white, followed by the measured surfaces.
+    radiance : ndarray, (wavelength)
+        Radiance of the perfect white, scaled to a luminance of 1 cd/m².
     """
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:
-        raise InputFileError("the light of a frame is invisible; simulate it again under another light")
+        raise InputFileError("the illuminant of a frame emits no visible light; simulate the frame under another illuminant")
     library = np.vstack([np.ones(light.wavelength.size), spectra.reflectance_library(light.wavelength)])
     return library, spectra.at_luminance(radiance, light.wavelength, 1.0)
 
@@ -92,7 +105,8 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     """Fit a matrix that maps white-balanced channels to outputs and preserves white.
 
-    The mean of the channels is subtracted from channels and outputs, and ridge regression maps the differences.
+    The mean of a sample's channels is subtracted from its channels and outputs. Ridge regression maps the channel
+    differences to the output differences.
 
     Parameters
     ----------
@@ -104,13 +118,13 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
     Returns
     -------
     ndarray, (output, channel)
-        Matrix whose rows sum to 1.
+        Colour matrix. Each row sums to 1.
     """
     mean = channels.mean(axis=1, keepdims=True)
     differences = channels - mean
     gram = differences.T @ differences
     ridge = RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    # lstsq instead of solve, because the equation of a single channel is 0 = 0
+    # lstsq instead of solve: with a single channel, the equation is 0 = 0.
     matrix = np.linalg.lstsq(gram + ridge, differences.T @ (outputs - mean))[0].T
     return matrix - matrix.mean(axis=1, keepdims=True) + 1.0 / len(gram)
 
@@ -118,20 +132,25 @@ def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
 def develop(
     frame: TrainingPair, camera: CameraModel, colour: Colour, demosaic: Demosaic, merge: Merge | None = None
 ) -> Array:
-    """Convert a raw frame to XYZ (3, row, col) in the target's unit.
+    """Convert a raw frame to XYZ with the basic pipeline.
 
     Parameters
     ----------
     frame : TrainingPair
-        The frame.
+        Raw frame, with the white of its target.
     camera : CameraModel
-        Its camera.
+        Camera that took the frame.
     colour : Colour
-        White balance and colour matrix.
+        White balance and colour matrix for the illuminant of the frame.
     demosaic : callable
         Demosaicking method.
     merge : callable, optional
-        Merges the exposures of a camera whose channels are exposed differently.
+        Function that merges the exposures, for cameras whose channels have different exposures or gains.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+        XYZ in the unit of the target.
     """
     electrons = _electrons(frame, camera)
     balance = colour.balance / (frame.luminance * frame.exposure)
@@ -144,65 +163,69 @@ def develop(
 
 
 def develop_bands(frame: TrainingPair, camera: CameraModel, relit: bool, demosaic: Demosaic) -> Array:
-    """Convert a raw frame to the camera's bands (docs/method.md#baselines-for-bands).
+    """Demosaick a raw frame to the bands of its camera (docs/method.md#baselines-for-bands).
 
-    The steps are black and dark subtraction, white balance, demosaicking, and the white balance of the target.
+    The black level and the dark signal are subtracted, the white balance is applied, the mosaic is demosaicked, and the
+    bands are multiplied by the white of the target.
 
     Parameters
     ----------
     frame : TrainingPair
-        The frame.
+        Raw frame, with the white of its target.
     camera : CameraModel
-        Its camera.
+        Camera that took the frame.
     relit : bool
-        Whether the target has another illuminant than the frame.
+        Whether the illuminant of the target differs from the illuminant of the frame.
     demosaic : callable
         Demosaicking method.
 
     Returns
     -------
     ndarray, (channel, row, col)
-        Bands in the target's unit.
+        Bands in the unit of the target.
 
     Raises
     ------
     InputFileError
         If the illuminant is invisible to the camera.
     """
-    share = camera.saturation_exposure / camera.full_scale  # target value of a band per electron per second
+    share = camera.saturation_exposure / camera.full_scale  # increase of a band in the target per electron per second
     white = white_electrons(frame, camera) if relit else frame.white / (share * camera.channel_gains)
     return balanced_bands(frame, camera, white, demosaic) * frame.white[:, None, None]
 
 
 def white_electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons per second (channel) from a perfect white under the illuminant of a frame."""
+    """Return the photo-electrons per second that a perfect white generates in each channel under the frame's illuminant."""
     light = light_of(frame, camera)
     falling = spectra.at_luminance(light.radiance.astype(np.float64), light.wavelength, frame.luminance)
     return electrons_of(camera, light, falling[None])[0]
 
 
 def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
-    """Return the fraction of a perfect white per photo-electron (channel), or 0 for channels that are blind to the light.
+    """Return the white-balance factor of each channel. The factor of a channel that does not respond to white is 0.
 
-    `white` (channel) is the signal of white in electrons per second. Raises InputFileError if all channels are blind.
+    The factors scale photo-electrons so that a perfect white becomes 1. `white` is the signal of a perfect white, in
+    electrons per second for each channel. Raises InputFileError if no channel responds to white.
     """
     if not white.max() > 0:
-        raise InputFileError(f"camera {camera.name} sees nothing of a frame's light; simulate it under another")
+        raise InputFileError(
+            f"camera {camera.name} does not respond to the illuminant of a frame; simulate it under another illuminant"
+        )
     seen = white > BLIND * white.max()
     return np.where(seen, 1.0 / np.where(seen, white, 1.0), 0.0) / exposure
 
 
 def balanced_bands(frame: TrainingPair, camera: CameraModel, white: Array, demosaic: Demosaic) -> Array:
-    """Return the camera's bands (channel, row, col) of a raw frame, relative to a perfect white.
+    """Demosaick a raw frame to bands (channel, row, col) in which a perfect white is 1.
 
-    `white` (channel) is the signal of white in electrons per second.
+    `white` is the signal of a perfect white, in electrons per second for each channel.
     """
     balance = balance_of(white, frame.exposure, camera)
     return demosaic(_electrons(frame, camera) * balance[camera.channel_map(frame.raw.shape)], camera.cfa)
 
 
 def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
-    """Return the photo-electrons (row, col) of a raw frame."""
+    """Convert raw values to photo-electrons (row, col)."""
     signal = (frame.raw - camera.black_level) / camera.gain
     dark = camera.noise.dark_current * frame.dark_time
     if camera.readout is None:
@@ -212,10 +235,11 @@ def _electrons(frame: TrainingPair, camera: CameraModel) -> Array:
 
 
 def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
-    """Return the spectrum of the illuminant of a frame.
+    """Return the spectrum of a frame's illuminant, from the first available source.
 
-    If the frame does not contain the spectrum, its illuminant is looked up by name. If the name is unknown, the result is
-    the common illuminant whose white point is nearest to the frame's white.
+    1. The spectrum that is stored with the frame.
+    2. The standard illuminant with the name that is stored with the frame.
+    3. The illuminant in UNNAMED whose white point is nearest to the white of the frame.
     """
 
     def distance(white: Array) -> float:
@@ -232,7 +256,7 @@ def light_of(frame: TrainingPair, camera: CameraModel) -> LightSpectrum:
 
 
 def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
-    """Return a standard illuminant in steps of 1 nm over the range of the observer and of the cameras."""
+    """Return a standard illuminant in steps of 1 nm, over the wavelengths of the CIE observers and of the cameras."""
     first, last = (bound(end, *(camera.wavelength[at] for camera in cameras)) for bound, end, at in ENDS)
     grid = np.arange(np.floor(first), last + 1.0)
     light = spectra.at_luminance(spectra.illuminant(name, grid), grid, 1.0)
@@ -243,9 +267,9 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the methods that merge the exposures of a camera, by name.
+    """Return the functions that merge the exposures of a camera, by pipeline name.
 
-    "basic" is the best method. It is None if all channels have the same exposure.
+    "basic" averages the exposures. If all channels have the same sensitivity, nothing has to be merged and "basic" is None.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}
@@ -256,7 +280,8 @@ def merges(camera: CameraModel) -> dict[str, Merge | None]:
 def merged(planes: Array, frame: TrainingPair, camera: CameraModel, balance: Array) -> Array:
     """Average the exposures of each colour filter, weighted by inverse noise variance.
 
-    Exposures that clip around a pixel are left out. If all clip, the least sensitive exposure is used.
+    An exposure does not contribute to a pixel near which it clips. If all exposures of a filter clip there, the result is
+    the least sensitive exposure.
     """
     span, channels = camera.white_level - camera.black_level, np.arange(len(camera.channels))
     clipped = interpolate((frame.raw >= camera.black_level + CLIPPED * span).astype(np.float64), camera.cfa) > TOUCHED

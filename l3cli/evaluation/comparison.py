@@ -1,4 +1,4 @@
-"""Compares cameras as a function of scene luminance: in which range is which camera better?"""
+"""Compares cameras as a function of scene luminance, and finds the luminances between which each camera is better."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,16 @@ from l3cli.frames.scene import shown_alike
 from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
-MAX_METRIC = 1e12  # largest plausible value of a metric, and of a luminance in cd/m²
-CLIPPING = 0.05  # smallest fraction of pixels at full scale that counts as clipping; highlights alone stay below it
+MAX_METRIC = 1e12  # largest plausible metric, luminance in cd/m² and exposure time in s
+CLIPPING = 0.05  # a camera clips if at least this fraction of pixels is at full scale; normal highlights stay below it
 OTHER_SCENES = (
-    "the evaluations have different scenes or lights and cannot be compared; simulate all with the same recipe and seed"
+    "the evaluations show different scenes or illuminants and cannot be compared; "
+    "simulate all training sets with the same scene recipe and seed"
 )
-UNKNOWN_SCENES = "some frames have no fingerprints, so scenes and lights may differ; simulate the training sets again"
+UNKNOWN_SCENES = (
+    "some frames do not record which scene and illuminant they show, so the cameras may not be comparable; "
+    "simulate the training sets again"
+)
 
 
 @dataclass(frozen=True)
@@ -36,9 +40,9 @@ class Curve:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All metrics of every camera as functions of luminance, and the luminances at which the ranking changes."""
+    """All metrics of several cameras as functions of luminance."""
 
-    curves: dict[str, list[Curve]]  # metric → one curve per camera, in the order of the evaluations
+    curves: dict[str, list[Curve]]  # for each metric, one curve per camera in the order of the evaluations
     alike: bool | None  # whether all cameras were evaluated on the same scenes; None if unknown
 
     @property
@@ -47,22 +51,22 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Say for each pair of cameras which is better, at which luminances, and by how much. Empty if the scenes differ."""
+        """Describe for each pair of cameras which camera is better at which luminances. Empty if the scenes differ."""
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 
     @property
     def doubt(self) -> str | None:
-        """A warning if the cameras may not be comparable, otherwise None."""
+        """Warning that the cameras cannot, or may not, be compared. None if they can."""
         return {False: OTHER_SCENES, None: UNKNOWN_SCENES}.get(self.alike) if len(self.cameras) > 1 else None
 
     @property
     def clipping(self) -> list[str]:
-        """For each camera that clips, a sentence that states the luminance at which clipping begins."""
+        """One sentence for each camera that clips, with the luminance at which clipping begins."""
         return list(filter(None, map(clipping, self.cameras)))
 
     def document(self) -> dict[str, Any]:
-        """Return the comparison, ready for JSON."""
+        """Return the comparison as a dictionary that can be written as JSON."""
         cameras = [
             {"camera": camera.name, "luminance": list(camera.luminance)}
             | {figure: list(curves[index].value) for figure, curves in self.curves.items()}
@@ -78,23 +82,23 @@ class Comparison:
 
 
 def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
-    """Return the mean of a metric at each luminance.
+    """Average a metric of an evaluation over the frames of each luminance.
 
     Parameters
     ----------
     document : mapping
         Contents of a file from `l3 evaluate --json`.
     figure : str
-        Key of the metric.
+        Key of the metric in the document.
     file : Path
-        The file, for messages.
+        File that contained the document, named in error messages.
 
     Raises
     ------
     InputFileError
-        If the document contains no metrics by luminance.
+        If the document is not an evaluation of single frames.
     RecipeError
-        If the document has no metric with this name.
+        If the evaluation does not contain the metric.
     """
     try:
         known = {name for frame in document["frames"] for name in frame[OURS]}
@@ -109,12 +113,12 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
             abs(value) <= MAX_METRIC and 0 <= clipped <= 1 and 0 < time <= MAX_METRIC for value, clipped, time in rows
         )
         if not sound or not all(0 < at <= MAX_METRIC for at in by_luminance):
-            raise ValueError("no number that a figure can be")
+            raise ValueError("implausible number")
         rising = sorted(by_luminance)
         name = str(document["camera"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputFileError(
-            f'{file} does not contain {figure} by luminance; give a file that "l3 evaluate --json" printed'
+            f'{file} does not contain the metric "{figure}" for each frame; use the output of "l3 evaluate --json"'
         ) from error
     value, clipped = (tuple(float(np.mean([row[part] for row in by_luminance[each]])) for each in rising) for part in (0, 1))
     exposure = tuple(max(time for _, _, time in by_luminance[each]) for each in rising)
@@ -122,7 +126,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Add the file name to the name of each camera that occurs more than once."""
+    """Append the file name to each camera name that several curves share."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -131,9 +135,9 @@ def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
 
 
 def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
-    """Whether the frames of all documents show the same scenes and illuminants. None if a frame has no fingerprint.
+    """Whether all evaluations have frames of the same scenes and illuminants. None if a frame does not record them.
 
-    Raises InputFileError if a document is not from `l3 evaluate`.
+    Raises InputFileError if a document is not from `l3 evaluate --json`.
     """
     try:
         first, *others = map(_shown, documents)
@@ -144,11 +148,13 @@ def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
             for other in others
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputFileError('frames do not name their scenes; give files that "l3 evaluate --json" printed') from error
+        raise InputFileError(
+            'an evaluation does not describe the scene and luminance of each frame; use the output of "l3 evaluate --json"'
+        ) from error
 
 
 def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
-    """Return the fingerprint of each frame by scene, illuminant and luminance."""
+    """Return the fingerprints of scene and illuminant of each frame, by scene name, illuminant name and luminance."""
     return {
         (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
         for frame in document["frames"]
@@ -160,12 +166,13 @@ def require_comparable(curves: list[Curve]) -> None:
     for other in curves[1:]:
         if other.luminance != curves[0].luminance:
             raise InputFileError(
-                f"{curves[0].name} and {other.name} were evaluated at different luminances; simulate both with one recipe"
+                f"{curves[0].name} and {other.name} were evaluated at different luminances; "
+                "simulate both training sets with the same scene recipe"
             )
 
 
 def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
-    """Return the luminances (cd/m²) at which the better of two curves changes, interpolated on a logarithmic scale."""
+    """Return the luminances in cd/m² at which two curves cross, interpolated on a logarithmic scale of luminance."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     luminances = []
     for at, to in pairwise(np.flatnonzero(lead)):
@@ -178,7 +185,7 @@ def crossings(one: Curve, other: Curve, figure: str) -> list[float]:
 
 
 def verdict(one: Curve, other: Curve, figure: str) -> str:
-    """Say which of two cameras is better in each range of luminance, and by how much at most."""
+    """Describe in which luminance ranges each of two cameras is better, with the largest difference in each range."""
     lead = sign(figure) * (np.array(one.value) - np.array(other.value))
     if not lead.any():
         return f"{figure}: {one.name} and {other.name} are equal at every luminance."
@@ -200,7 +207,7 @@ def _range(low: float, high: float) -> str:
 
 
 def clipping(curve: Curve) -> str | None:
-    """State the luminance at which a camera begins to clip, or return None if it does not clip."""
+    """Describe above which luminance a camera clips. None if the camera does not clip at the highest luminance."""
     some = [share >= CLIPPING for share in curve.clipped]
     if not some[-1]:
         return None
@@ -212,6 +219,6 @@ def clipping(curve: Curve) -> str | None:
 
 
 def _time(seconds: float) -> str:
-    """Format an exposure time as photographers write it, such as 1/60 s."""
+    """Format an exposure time as a fraction of a second if possible, for example 1/60 s."""
     parts = round(1.0 / seconds)
     return f"1/{parts} s" if parts > 1 and abs(parts * seconds - 1.0) < 0.01 else f"{seconds:.3g} s"

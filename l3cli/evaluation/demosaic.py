@@ -1,8 +1,8 @@
-"""Untrained demosaicking methods, with which a table is compared.
+"""Untrained demosaicking methods, the baselines for tables.
 
-A method takes a mosaic (row, col) that begins at CFA phase (0, 0), and returns channels (channel, row, col) at full
-resolution. Methods for bands expect a mosaic in which a perfect white is 1 in every band
-(docs/method.md#baselines-for-bands). Borders are mirrored without a break in the CFA pattern.
+A method is a function of a mosaic (row, col) and a CFA. The mosaic begins at CFA phase (0, 0). The result is an image of
+each channel (channel, row, col) at the size of the mosaic. Methods for bands expect a mosaic in which a perfect white is 1
+in every band (docs/method.md#baselines-for-bands). Borders are mirrored so that the CFA pattern continues.
 """
 
 import functools
@@ -26,27 +26,28 @@ from l3cli.system.plugins import BASELINES, blamed, described, plugins
 Array = NDArray[np.floating]
 CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
-Direction = tuple[int, int]  # signs of a row offset and a column offset
+Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-BAND_MARGIN_PERIODS = 4  # periods; width of the margin for methods for bands, which wrap around. Wider than their support.
-CODES = 255.0  # code of a perfect white, the scale of the constant 1 in PPID's weights
-# Sigma of the Gaussian in distances between samples of a channel; the best value for dead leaves (five-band)
+# CFA periods; width of the mirrored margin for band methods. They wrap around at the border, and their support is narrower.
+BAND_MARGIN_PERIODS = 4
+CODES = 255.0  # value of a perfect white in PPID, whose weights contain the constant 1 for 8-bit values
+# σ of the Gaussian, in mean distances between samples of a channel. This value is best for dead leaves with a five-band CFA.
 SIGMA_SAMPLES = 0.55
-BAYER_MARGIN_PIXELS = 8  # pixels; width of the margin for Bayer methods. Even, and wider than their support.
+BAYER_MARGIN_PIXELS = 8  # pixels; width of the mirrored margin for Bayer methods, even and wider than their support
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate each channel independently, for any CFA.
+    """Interpolate each channel independently by normalised convolution, for any CFA.
 
-    The result (channel, row, col) is a Gaussian-weighted mean of the channel's samples around each pixel (normalised
-    convolution, Knutsson and Westin 1993). It is exact in uniform areas. Borders are mirrored.
+    Each value of the result (channel, row, col) is the Gaussian-weighted mean of the samples of the channel around the pixel
+    (Knutsson and Westin 1993). Uniform areas are reproduced exactly. Borders are mirrored.
     """
     channel = tiled(cfa, mosaic.shape)
     planes = []
     for index in range(int(cfa.max()) + 1):
         sampled = (channel == index).astype(np.float64)
         sigma = SIGMA_SAMPLES * np.sqrt(cfa.size / (cfa == index).sum())
-        reach = max(cfa.shape)  # every pixel has a sample of the channel within this distance
+        reach = max(cfa.shape)  # within this distance, every pixel has a sample of every channel
         planes.append(
             gaussian_filter(mosaic * sampled, sigma, mode="mirror", radius=reach)
             / gaussian_filter(sampled, sigma, mode="mirror", radius=reach)
@@ -55,25 +56,25 @@ def interpolate(mosaic: Array, cfa: CFA) -> Array:
 
 
 def malvar(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate a Bayer CFA with the method of Malvar, He and Cutler 2004, from colour-demosaicing."""
+    """Demosaick a Bayer mosaic with the method of Malvar, He and Cutler (2004), implemented in colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Malvar2004", mosaic, cfa)
 
 
 def menon(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate a Bayer CFA with the method of Menon, Andriani and Calvagno 2007, from colour-demosaicing."""
+    """Demosaick a Bayer mosaic with the method of Menon, Andriani and Calvagno (2007), implemented in colour-demosaicing."""
     return _by_colour_demosaicing("demosaicing_CFA_Bayer_Menon2007", mosaic, cfa)
 
 
 def baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return all installed methods for pictures that are suitable for a CFA, by name. "basic" is always included."""
+    """Return all installed demosaicking methods for XYZ pictures that support a CFA, by name. "basic" is always included."""
     return _with_plugins({"basic": interpolate} | _bayer_baselines(cfa), cfa)
 
 
 def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
-    """Return all installed methods for a camera's own bands, by name.
+    """Return the demosaicking methods for a camera's own bands, by name. Methods of installed plugins are added.
 
-    If every band occurs once per period, these are "bilinear", "sd" and "ppid". For a Bayer CFA, they are "bilinear" and the
-    Bayer methods. For other CFAs, the only method is "basic".
+    If every band occurs once per CFA period, the methods are "bilinear", "sd" and "ppid". For a Bayer CFA, the methods are
+    "bilinear", and "malvar" and "menon" if colour-demosaicing is installed. For other CFAs, the only method is "basic".
     """
     if occurs_once(cfa):
         return _with_plugins({"bilinear": bilinear, "sd": spectral_difference, "ppid": ppi_difference}, cfa)
@@ -83,10 +84,10 @@ def band_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def best_of_bands(cfa: CFA) -> Demosaic:
-    """Return the best of l3's own methods for bands.
+    """Return the best demosaicking method for the bands of a CFA, plugins excluded.
 
-    This is PPID if every band occurs once per period, Menon for a Bayer CFA if installed, and otherwise normalised
-    convolution.
+    The method is PPID if every band occurs once per CFA period. For a Bayer CFA it is Menon's method if colour-demosaicing
+    is installed. Otherwise it is normalised convolution.
     """
     if occurs_once(cfa):
         return ppi_difference
@@ -94,9 +95,9 @@ def best_of_bands(cfa: CFA) -> Demosaic:
 
 
 def bayer_roles(cfa: CFA) -> tuple[int, int, int] | None:
-    """Return the channels that act as red, green and blue in a Bayer CFA, or None for other CFAs.
+    """Return which channels of a Bayer CFA a Bayer method treats as red, green and blue. None for other CFAs.
 
-    Green is the channel on a diagonal.
+    The green channel is the channel that occurs twice, on a diagonal.
     """
     if cfa.shape != (2, 2) or sorted(np.bincount(cfa.ravel()).tolist()) != [1, 1, 2]:
         return None
@@ -114,14 +115,14 @@ def _bayer_baselines(cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
-    """Add the methods of installed packages to `known` (docs/python.md#a-baseline).
+    """Add the demosaicking methods of installed plugins to `known` (docs/python.md#a-baseline).
 
-    Raises L3Error if a package fails, or if its method has the same name as another method.
+    Raises L3Error if a plugin fails, or if its method has the name of a method in `known`.
     """
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
-            raise L3Error(f"{described(entry)} has the same name as one of l3's baselines; rename it")
+            raise L3Error(f"{described(entry)} has the name of a baseline of l3; rename the plugin")
         with blamed(entry):
             method = entry.load()(cfa)
         if method is not None:
@@ -130,12 +131,12 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
 
 
 def _interpolated_by(entry: EntryPoint, method: Callable[[Array], Array], mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate a mosaic (row, col) with a method from a package. Raises L3Error if the result is invalid."""
+    """Demosaick a mosaic (row, col) with the method of a plugin. Raises L3Error if the result is invalid."""
     with blamed(entry):
         planes = np.asarray(method(mosaic), np.float64)
         shape = (int(cfa.max()) + 1, *mosaic.shape)
         if planes.shape != shape or not np.isfinite(planes).all():
-            raise ValueError(f"channels must be finite and of shape {shape}; their shape is {planes.shape}")
+            raise ValueError(f"the result must be finite and have the shape {shape}; its shape is {planes.shape}")
     return planes
 
 
@@ -148,23 +149,24 @@ def _by_colour_demosaicing(name: str, mosaic: Array, cfa: CFA) -> Array:
         assert roles is not None
         letter = dict(zip(roles, "RGB", strict=True))
         pattern = "".join(letter[int(channel)] for channel in cfa.ravel())
-        padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)  # the package's own padding would break the CFA pattern
+        padded = pad_mosaic(mosaic, BAYER_MARGIN_PIXELS, cfa.shape)  # padding in colour-demosaicing breaks the CFA pattern
         planes = cropped(np.moveaxis(getattr(colour_demosaicing, name)(padded, pattern), -1, 0), BAYER_MARGIN_PIXELS)
     return planes[[roles.index(channel) for channel in range(3)]]
 
 
-# ----------------------------------------------------------------------------------- methods of the field for many bands
+# ------------------------------------------------------------------------------- published methods for multispectral CFAs
 
 
 def occurs_once(cfa: CFA) -> bool:
-    """Whether every band of a CFA of at least 2×2 occurs once per period."""
+    """Whether a CFA has at least 2×2 sites and every band occurs exactly once per period."""
     return min(cfa.shape) > 1 and int(cfa.max()) + 1 == cfa.size == np.unique(cfa).size
 
 
 def bilinear(mosaic: Array, cfa: CFA) -> Array:
-    """Interpolate every band independently, with triangular weights for samples less than a period away.
+    """Interpolate every band independently by weighted bilinear interpolation (Brauers and Aach 2006).
 
-    The method is "weighted bilinear" (Brauers and Aach 2006). For a Bayer CFA it is bilinear interpolation.
+    The weights are triangular and reach zero at a distance of one period. For a Bayer CFA the method is ordinary bilinear
+    interpolation.
     """
     return _by_site(mosaic, cfa, lambda padded: lambda site: _interpolated(padded, cfa, site))
 
@@ -172,8 +174,8 @@ def bilinear(mosaic: Array, cfa: CFA) -> Array:
 def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
     """Interpolate differences between bands (Brauers and Aach, "A color filter array based multispectral camera", 2006).
 
-    At a pixel of band l, the bilinear plane of l is subtracted from all samples. The differences are interpolated, and the
-    sample of band l is added.
+    For the pixels of band l, the bilinear interpolation of band l is subtracted from all samples. The differences are
+    interpolated at these pixels, and the sample of band l is added.
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -190,9 +192,9 @@ def spectral_difference(mosaic: Array, cfa: CFA) -> Array:
 def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
     """Demosaick with PPID for a CFA that `occurs_once`.
 
-    The pseudo-panchromatic image is the mean of all bands. It is subtracted from all samples, and the differences are
-    interpolated along edges (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using pseudo-panchromatic
-    image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
+    The pseudo-panchromatic image is the mean of all bands. The method subtracts it from all samples, interpolates the
+    differences along edges, and adds it again (Mihoubi, Losson, Mathon and Macaire, "Multispectral demosaicing using
+    pseudo-panchromatic image", IEEE Trans. Computational Imaging 3, 2017, equations 21 to 34).
     """
 
     def method(padded: Array) -> Callable[[Direction], Array]:
@@ -212,8 +214,8 @@ def ppi_difference(mosaic: Array, cfa: CFA) -> Array:
 def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direction, Array]) -> Array:
     """Return the pseudo-panchromatic image (row, col) of a mosaic (equations 23 to 28).
 
-    It is the mean over a period. It is sharpened with the differences between samples and mean, taken from pixels of the
-    same band one period away.
+    The mosaic is averaged over one period. Each pixel is then its own sample plus a weighted mean of the differences between
+    average and sample at the neighbours of the same band, which are one period away.
     """
     smooth = values
     for axis, length in enumerate(period):
@@ -230,7 +232,7 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
     """Return the weight (row, col) of the neighbour in each direction (equations 25 to 27).
 
-    A weight is small if samples of the same band that are one period apart differ. The pixel itself has weight 1.
+    The weight is small if samples of the same band change over one period in this direction. The pixel itself has weight 1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:
@@ -252,8 +254,8 @@ def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Arr
 def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Direction, Array] | None = None) -> Array:
     """Interpolate all bands (band, row, col) at the pixels of a CFA site, from samples of `plane` less than a period away.
 
-    Samples have triangular weights in both directions. If `weights` are given, they are multiplied by the weight of their
-    direction. In the site's own band, the result is the sample itself.
+    The weight of a sample falls linearly with its row distance and with its column distance. `weights` contains an
+    additional factor for each direction. In the band of the site itself, the result is the sample.
     """
     total = np.zeros((int(cfa.max()) + 1, *_samples(plane, cfa, site).shape))
     norm = np.zeros_like(total)
@@ -270,7 +272,7 @@ def _interpolated(plane: Array, cfa: CFA, site: Direction, weights: Mapping[Dire
 
 
 def _by_site(mosaic: Array, cfa: CFA, method: Callable[[Array], Callable[[Direction], Array]]) -> Array:
-    """Pad the mosaic, apply a method at the pixels of every CFA site, and remove the margin."""
+    """Pad a mosaic, apply a method to the pixels of each CFA site, and remove the margin."""
     margin = BAND_MARGIN_PERIODS * math.lcm(*cfa.shape)
     return cropped(_all_sites(padded := pad_mosaic(mosaic, margin, cfa.shape), cfa, method(padded)), margin)
 
@@ -283,7 +285,7 @@ def _all_sites(padded: Array, cfa: CFA, at: Callable[[Direction], Array]) -> Arr
 
 
 def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)) -> Array:
-    """Return the samples of a plane at `offset` from the pixels of a CFA site. The plane wraps around at its borders."""
+    """Return the values of a plane at `offset` from the pixels of a CFA site. The plane wraps around at its borders."""
     rows, cols = (
         (np.arange(first, length, step) + by) % length
         for first, length, step, by in zip(site, plane.shape, cfa.shape, offset, strict=True)
@@ -292,10 +294,10 @@ def _samples(plane: Array, cfa: CFA, site: Direction, offset: Direction = (0, 0)
 
 
 def _moved(plane: Array, by: tuple[int, ...]) -> Array:
-    """Return the value at an offset from each pixel."""
+    """Shift a plane so that each pixel contains the value at offset `by`. The plane wraps around."""
     return np.roll(plane, tuple(-each for each in by), (0, 1))
 
 
 def _step(direction: Direction, period: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the offset of one period in a direction."""
+    """Return the offset, in pixels, of one CFA period in a direction."""
     return tuple(sign * length for sign, length in zip(direction, period, strict=True))

@@ -1,6 +1,6 @@
-"""Compares a table with untrained pipelines frame by frame, and collects all results in one document.
+"""Compares a table with other pipelines frame by frame, and collects all metrics in one JSON document.
 
-The document includes mean errors by class, which show the worst classes.
+The document includes mean errors by class, so that a user can find the classes with the largest errors.
 """
 
 import dataclasses
@@ -29,14 +29,14 @@ from l3cli.physics.figures import known_mean, sign
 from l3cli.physics.spectra import RADIANCES, REFLECTANCES
 
 Array = NDArray[np.floating]
-LEAST_SHARE = 1e-3  # a class with a smaller fraction of all pixels is not listed among the worst classes
+MIN_PIXEL_FRACTION = 1e-3  # classes with a smaller fraction of all pixels are not listed among the worst classes
 LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
-    """Sums of pixel errors by class feature: level, contrast, other features and kind (chroma or saturation case).
+    """Sums of the pixel errors of each pipeline, for each combination of class features. All CFA sites are summed.
 
-    All CFA sites are added up.
+    The features are level, contrast, kind (chroma or saturation case) and optional features such as direction.
     """
 
     def __init__(self, table: TransformTable, pipelines: tuple[str, ...]) -> None:
@@ -52,7 +52,7 @@ class ClassErrors:
         labels : ndarray, (…)
             Class of each pixel.
         errors : dict of str to ndarray, (…)
-            Pipeline → error of each pixel.
+            Error of each pixel, for each pipeline.
         """
         rule = self._rule
         within, classes = rule.within_site(labels.ravel()), rule.classes_per_site
@@ -61,7 +61,7 @@ class ClassErrors:
             self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error for each value of each class feature. Its key in the result is `figure`."""
+        """Return the mean error for each value of each class feature. The key of the mean error is `figure`."""
         table, rule = self._table, self._rule
         entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
@@ -80,9 +80,9 @@ class ClassErrors:
         return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the classes with the largest mean error of a pipeline. Classes with few pixels are left out."""
+        """Return the classes in which a pipeline has the largest mean error. Classes with few pixels are omitted."""
         pixels = np.maximum(self._pixels, 1)
-        seen = self._pixels >= max(LEAST_SHARE * self._pixels.sum(), 1)
+        seen = self._pixels >= max(MIN_PIXEL_FRACTION * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
         entries = []
         for flat in np.argsort(mean, axis=None, kind="stable")[::-1][: min(LISTED_CLASSES, int(seen.sum()))]:
@@ -103,38 +103,42 @@ class ClassErrors:
 
 
 FORMAT = 3  # version of the document, increased when its keys change
-OURS = "ours"  # pipeline name of the table in the document
-TAKEN = {
+OURS = "ours"  # name of the table in lists of pipelines
+RESERVED_NAMES = {
     "scene", "illuminant", "luminance", "frames", "pixels", "from", "to", "band", "case", "varies", "ideal", "error",
     *EVERY_FEATURE,
-}  # fmt: skip # names with another meaning in documents and pictures, which no pipeline may have
-MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest permitted output of a table, so that sums of squares stay finite
+}  # fmt: skip # keys of the document and names of picture files, which must not be names of pipelines
+MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest accepted output of a table, so that sums of squares stay finite
 
 
 class Evaluation:
-    """Metrics of a table on the frames of a training set, collected frame by frame without keeping pictures in memory.
+    """Metrics of a table and of other pipelines on the frames of a training set.
+
+    Frames are added one by one, and no pictures stay in memory.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
+        Table to evaluate.
     head : TrainingSet
-        Description of the frames.
+        Camera, outputs and target illuminant of the frames.
     viewing : float
-        Samples per degree for S-CIELAB.
+        Picture samples per degree of visual angle, for S-CIELAB.
     border : int, optional
-        Number of pixels left out at each edge of a frame. [default: all pixels whose patch extends beyond the frame]
+        Width in pixels of the margin of each frame that is not evaluated. [default: radius of a patch, so that every
+        evaluated pixel has its whole patch inside the frame]
     rivals : sequence of str
-        Names of other pipelines. Their pictures are passed to `planes`.
+        Names of pipelines whose pictures the user supplies. The pictures are passed to `planes`.
     drawn : callable, optional
-        Provides training frames for the spectral estimators. Without it there are no estimates.
+        Simulates training frames for the spectral estimators. If it is None, no spectra are estimated.
 
     Raises
     ------
     InputFileError
-        If table and frames have different CFAs or outputs.
+        If table and frames have different CFAs or different outputs.
     RecipeError
-        If there are rivals but the outputs are not XYZ, or if a name is already in use.
+        If `rivals` is not empty but the outputs are not XYZ, or if a rival has a reserved name or the name of another
+        pipeline.
     """
 
     def __init__(
@@ -148,10 +152,14 @@ class Evaluation:
     ) -> None:
         camera = head.camera
         if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
-            raise InputFileError("the frames and the table are for cameras with different CFAs; evaluate a matching pair")
+            raise InputFileError(
+                "the training set and the table have different CFAs; use a training set of the table's camera"
+            )
         if head.outputs != table.outputs:
-            names = f"{', '.join(table.outputs)} of the table, {', '.join(head.outputs)} of the frames"
-            raise InputFileError(f"outputs differ ({names}); evaluate a matching pair")
+            names = f"table: {', '.join(table.outputs)}; training set: {', '.join(head.outputs)}"
+            raise InputFileError(
+                f"table and training set have different outputs ({names}); use a training set with the table's outputs"
+            )
         self._table, self._camera, self._wanted, self._viewing = table, camera, head.target_light, viewing
         self._pictures = table.outputs == XYZ
         self._border = table.first.rule.radius if border is None else border
@@ -165,64 +173,70 @@ class Evaluation:
             self._estimates = Estimates(camera, drawn)
         if rivals and not self._pictures:
             raise RecipeError(
-                f"rivals need a table with outputs X, Y, Z, and this one has {', '.join(table.outputs)}; leave ‹rival› out"
+                f"‹rival› needs a table with outputs X, Y, Z, but this table has {', '.join(table.outputs)}; omit ‹rival›"
             )
         self._rivals = tuple(rivals)
         for name in self.pipelines:
-            if self.pipelines.count(name) > 1 or name in TAKEN:
-                raise RecipeError(f'the name "{name}" is already in use; rename the pipeline')
+            if self.pipelines.count(name) > 1 or name in RESERVED_NAMES:
+                raise RecipeError(f'the pipeline name "{name}" is already in use; choose another name')
         single = "mean_error" if len(table.outputs) == 1 else "mean_angle"
         self._figure = "mean_delta_e" if self._pictures else single
-        self._colours: dict[bytes, Colour] = {}  # colour correction for each illuminant
+        self._colours: dict[bytes, Colour] = {}  # white balance and colour matrix for each illuminant
         self._frames: list[dict[str, Any]] = []
-        self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []  # level, kinds, variances
-        self._bands: list[dict[str, list[dict[str, float]]]] = []  # metrics per frame, pipeline and output
+        # for each frame: range of its level, kind of each uniform patch, colour variance of each patch by pipeline
+        self._patches: list[tuple[tuple[float, float], list[str], dict[str, Array]]] = []
+        self._bands: list[dict[str, list[dict[str, float]]]] = []  # for each frame and pipeline, the metrics of each output
         self._classes = ClassErrors(table, self.pipelines)
 
     @property
     def pipelines(self) -> tuple[str, ...]:
-        """Names of the pipelines: "ours" (the table), baselines, estimates and rivals.
+        """Names of the pipelines: "ours" (the table), then the baselines, the spectral estimators and the rivals.
 
-        There are no baselines if the outputs are neither XYZ nor the camera's bands.
+        Baselines exist only if the outputs are XYZ or the camera's bands.
         """
         return (OURS, *self._baselines, *(ESTIMATES if self._estimates else ()), *self._rivals)
 
     def planes(self, frame: TrainingPair, outputs: Array, rivals: Mapping[str, Array] | None = None) -> dict[str, Array]:
-        """Return the planes (output, row, col) of every pipeline in the target's unit.
+        """Return the result of every pipeline for a frame.
 
         Parameters
         ----------
         frame : TrainingPair
             Raw frame with its target.
         outputs : ndarray, (output, row, col)
-            The frame rendered by the table.
-        rivals : mapping, optional
-            Rival → XYZ planes (3, row, col) in the target's unit.
+            The frame rendered with the table.
+        rivals : mapping of str to ndarray, (3, row, col), optional
+            XYZ planes of each rival, in the unit of the target.
+
+        Returns
+        -------
+        dict of str to ndarray, (output, row, col)
+            Planes of each pipeline, in the unit of the target.
 
         Raises
         ------
         InputFileError
-            If no pixel has its whole patch inside the frame, if the illuminant has no luminance, or if `outputs` are not
+            If the frame is too small for the border, if the white of the frame has no luminance, or if `outputs` are not
             finite.
         """
         border = self._border
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} of {size} pixels is too small for a border of {border}; give larger frames"
+                f"frame {frame.scene} has {size} pixels, too few for a border of {border} pixels; use larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return the planes of the table and of the baselines only, for a frame of any size."""
+        """Return the planes of the table and of the baselines, without estimators and rivals, for a frame of any size."""
         if self._pictures and not frame.white[1] > 0:
-            raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the frame again")
+            raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the training set again")
         with np.errstate(over="ignore"):
             ours = outputs * (self._table.output_unit / frame.exposure)
         if not np.abs(ours).max() <= MAX_OUTPUT_CD_PER_M2:
-            raise InputFileError(f"the table gives impossibly large values in frame {frame.scene}; train the table again")
+            raise InputFileError(f"the table computes impossibly large values in frame {frame.scene}; train the table again")
         planes: dict[str, Array] = {OURS: ours}
         for name, demosaic in self._baselines.items():
             if self._pictures:
@@ -232,29 +246,29 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return a frame with the target with which pictures are compared.
+        """Return the frame, with a grey target if the pictures of the table are grey.
 
-        A camera with one channel cannot distinguish colours. Its target is the grey with the luminance of the original.
+        A camera with one channel cannot distinguish colours. Its pictures are compared with a grey of the same luminance.
         """
         return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
 
     def _as_shown(self, planes: Array, frame: TrainingPair) -> Array:
-        """Replace XYZ planes (3, row, col) by a grey of the same luminance if the table's pictures are grey."""
+        """Replace XYZ planes (3, row, col) with a grey of the same luminance if the pictures of the table are grey."""
         if not (self._pictures and self._table.shows_grey and frame.white[1] > 0):
             return planes
         return np.asarray(planes[1] * (frame.white / frame.white[1])[:, None, None], planes.dtype)
 
     def add(self, frame: TrainingPair, planes: dict[str, Array], labels: NDArray[np.integer]) -> None:
-        """Add the metrics of a frame.
+        """Compute and add the metrics of a frame.
 
         Parameters
         ----------
         frame : TrainingPair
-            Result of `wanted`.
+            Frame that `wanted` returned.
         planes : dict of str to ndarray, (output, row, col)
-            Pipeline → result of `planes`.
+            Planes of each pipeline, as returned by the method `planes`.
         labels : ndarray of int, (row, col)
-            Class of each pixel in the table.
+            Class of each pixel in the first layer of the table.
         """
         border = self._border
         black_level = self._camera.black_level + self._camera.dark_signal(frame.dark_time)
@@ -280,44 +294,47 @@ class Evaluation:
         self._frames.append({**about, **{name: dataclasses.asdict(figures) for name, (figures, _) in judged.items()}})
         if not self._pictures:
             self._bands.append({name: band_figures(of, **wanted) for name, of in planes.items()})
-        known = np.isfinite(judged[OURS][1])  # the same for all pipelines, since only the target matters
+        known = np.isfinite(judged[OURS][1])  # the target alone decides which errors are finite, so one mask is enough
         self._classes.add(cropped(labels, border)[known], {name: errors[known] for name, (_, errors) in judged.items()})
 
     def document(self, by_gain: Sequence[dict[str, Any]] = ()) -> dict[str, Any]:
-        """Return all metrics, ready for JSON, with the keys of `l3 evaluate --json`.
+        """Return all metrics as a dictionary with the keys of `l3 evaluate --json`.
 
         Returns
         -------
         dict
-            With these entries:
+            Dictionary with these keys:
 
-            * format: 3, increased when keys change
-            * camera, outputs, viewing (samples per degree of S-CIELAB), border (pixels left out at each edge)
-            * pipelines: "ours" first, rivals last
-            * frames: scene, illuminant, luminance (cd/m²), level (mean signal above dark, relative to full scale),
-              exposure (s), clipped (fraction of pixels at full scale), shown (fingerprints of scene and illuminant; null
-              if unknown), then per pipeline the fields of Quality (XYZ), ReflectanceQuality (reflectances), SingleQuality
-              (one output) or BandQuality (other outputs)
-            * mean: per pipeline, the mean of every metric over the frames
-            * better: per other pipeline and metric, the number of frames in which the table is better
-            * by_level: from, to (a range of frame levels that spans a factor of two), frames, then per pipeline the mean
-              metrics
-            * by_illuminant: illuminant, frames, then as in by_level
-            * by_gain: for tables with several analog gains, the gain relative to the camera's, then as in by_illuminant,
-              for a few frames that were simulated at each gain
-            * by_patch: for uniform patches of one kind in frames of similar level: from, to, kind, patches, and per
-              pipeline the mottle
-            * by_band: for outputs other than XYZ: band, then per pipeline the mean psnr, output_psnr and ssim over the
-              frames
-            * by_class: lists for level, contrast, chroma and saturation, each with the value of the feature, pixels, and
-              per pipeline the mean error; pixels without a spectral angle are left out
-            * standards: edge (by direction: frequency in cycles/pixel, mtf and mtf50 of lens and pixel and of each
-              pipeline), grey (the SNR of a grey at each lux, in closed form, from raw frames and for each pipeline, and the
-              lux at which it is 10; null without absolute curves), chart (per pipeline, the mean ΔE00 over random
-              cameras; null if the curves have no uncertainty band), figures (per pipeline: mtf50_rows, mtf50_columns,
-              snr10, camera_delta_e)
-            * worst_classes: level, from, to, contrast, chroma (null if saturated), case, pixels, and per pipeline the mean
-              error
+            * format: version of the document, 3. It increases when keys change.
+            * camera, outputs; viewing: samples per degree for S-CIELAB; border: pixels at each edge that are not evaluated.
+            * pipelines: names, with "ours" first and rivals last.
+            * frames: for each frame its scene, illuminant, luminance (cd/m²), level (mean signal above dark as a fraction
+              of full scale), exposure (s), clipped (fraction of pixels at full scale) and shown (fingerprints of scene and
+              illuminant, or null). Each pipeline has a key with the fields of Quality for XYZ, ReflectanceQuality for
+              reflectances, SingleQuality for a single output, and BandQuality for other outputs.
+            * mean: the mean of every metric over the frames, by pipeline.
+            * better: number of frames in which the table is better, by other pipeline and metric.
+            * by_level: mean metrics by pipeline for each range (from, to) of frame levels, with the number of frames.
+              A range spans a factor of two.
+            * by_illuminant: mean metrics by pipeline for each illuminant, with the number of frames.
+            * by_gain: mean metrics by pipeline for each analog gain, relative to the gain of the camera model. Only tables
+              for several gains have this list. A few frames are simulated at each gain.
+            * by_patch: mottle by pipeline in uniform patches, for each kind of patch and each range (from, to) of frame
+              levels, with the number of patches.
+            * by_band: mean psnr, output_psnr and ssim by pipeline for each output, unless the outputs are XYZ.
+            * by_class: mean error by pipeline for each value of each class feature, with the number of pixels. Pixels
+              without a spectral angle are not counted.
+            * worst_classes: mean error by pipeline in the classes in which the table has the largest errors, with level,
+              from, to, contrast, chroma (null if saturated), case and the number of pixels.
+
+            The caller adds the key standards (see `standards.edge_document` and `standards.grey_document`):
+
+            * edge: for edges across rows and across columns, the frequencies in cycles/pixel, and mtf and mtf50 of the
+              ideal lens and pixel and of each pipeline.
+            * grey: SNR of a grey at each illuminance, in closed form, in raw frames and by pipeline, and the illuminance at
+              which the SNR is 10. Null if the curves are not absolute.
+            * chart: mean ΔE00 over random cameras, by pipeline. Null if the curves have no uncertainty band.
+            * figures: mtf50_rows, mtf50_columns, snr10 and camera_delta_e, by pipeline.
         """
         first = self._frames[0]
         return {
@@ -354,7 +371,7 @@ class Evaluation:
         }
 
     def _by_patch(self) -> list[dict[str, Any]]:
-        """Return the mottle of uniform patches for each kind of patch and each range of frame levels."""
+        """Return the mottle by pipeline, for each kind of uniform patch and each range of frame levels."""
         entries = []
         for bounds, kind in itertools.product(sorted({each for each, _, _ in self._patches}), PATCH_KINDS):
             members = [
@@ -378,7 +395,7 @@ class Evaluation:
         return bands
 
     def _better(self, baseline: str, figures: tuple[str, ...]) -> dict[str, int]:
-        """Count the frames in which the table is better than `baseline`, for each metric that exists in all frames."""
+        """Count the frames in which the table is better than `baseline`, for each metric that no frame lacks."""
         values = {of: [(frame[OURS][of], frame[baseline][of]) for frame in self._frames] for of in figures}
         whole = {figure: pairs for figure, pairs in values.items() if (None, None) not in pairs}
         return {figure: sum(sign(figure) * (a - b) > 0 for a, b in pairs) for figure, pairs in whole.items()}
@@ -392,28 +409,33 @@ class Evaluation:
 
 
 def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
-    """Return the mask (row, col) of the pixels for which the scene has data, or None if it has data everywhere.
+    """Return the mask (row, col) of pixels at which the scene has data. None if the scene has data everywhere.
 
-    Raises InputFileError if there are no such pixels within the border.
+    Raises InputFileError if the scene has no data inside the border.
     """
     if not isinstance(frame, TrainingFrame) or frame.ignored is None:
         return None
     counted = frame.ignored.mask == 0
     if not cropped(counted, border).any():
-        raise InputFileError(f"frame {frame.scene} has no pixels with data inside a border of {border}; leave the scene out")
+        raise InputFileError(
+            f"scene {frame.scene} has no data inside the border of {border} pixels; remove the scene from the recipe"
+        )
     return np.asarray(counted)
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the range of a factor of two that contains a level. All levels below 2^-12 share one range."""
+    """Return the range, from one half octave below a power of two to one half octave above, that contains a level.
+
+    All levels below 2^-12 are in the same range.
+    """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Convert frame number `index` of a training set to a raw frame of the camera.
+    """Convert the frame with the number `index` of a training set to a raw frame of the camera.
 
-    Raises InputFileError if no camera can have produced it.
+    Raises InputFileError if the raw values or levels are invalid.
     """
     try:
         return RawFrame(
@@ -424,7 +446,7 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the illuminant of a frame, or of the white of its target if the illuminant is unknown."""
+    """Return XYZ (3) of the frame's illuminant. If the spectrum is unknown, return XYZ of the target's white."""
     if frame.light is None:
         return frame.white[:3]
     return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

@@ -1,10 +1,12 @@
-"""Checks whether frames come from the camera of a table, by comparing signals rather than names or digests.
+"""Checks whether frames come from the camera of a table. The cameras' signals are compared, not their names or digests.
 
-A table maps fractions of full scale to colours. Two cameras are therefore compared by the ratios of their channels for
-measured surfaces (colour), the exposure that saturates a pixel (sensitivity), and their noise. The limits are wide enough
-for two calibrations of the same camera. Among 28 published cameras, pairs with the same sensor (Nikon D3 and D700, D40 and
-D50, Canon 600D and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00, and nearly all other pairs by 2.2 to 40. An error of 1 nm
-causes 0.5 ΔE00, and an error of 3 % in the gain of a channel 1.2 ΔE00.
+A table converts fractions of full scale to colours. Two cameras are therefore compared by three properties: the colours of
+measured surfaces, the exposure that saturates a pixel (sensitivity), and the noise. The limits are wide enough for two
+calibrations of the same camera.
+
+The limit for colours comes from 28 published cameras. Pairs with the same sensor (Nikon D3 and D700, D40 and D50, Canon 600D
+and 60D, 500D and 50D) differ by 0.9 to 1.5 ΔE00, and nearly all other pairs by 2.2 to 40. A wavelength error of 1 nm causes
+0.5 ΔE00, and an error of 3 % in the gain of one channel causes 1.2 ΔE00.
 """
 
 from dataclasses import replace
@@ -22,48 +24,49 @@ from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
 LIGHTS = ("D65", "A")
-MOST_COLOUR = 2.0  # largest mean ΔE00 over measured surfaces
-MOST_SENSITIVITY = 1.1  # largest ratio of sensitivities; lamps and photodiodes of two laboratories agree within 5 %
-MOST_NOISE = 1.25  # largest ratio of noise standard deviations
-NOISE_SHARES = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
+MAX_DELTA_E = 2.0  # largest mean ΔE00 over measured surfaces
+MAX_SENSITIVITY_RATIO = 1.1  # lamps and photodiodes of two laboratories agree within 5 %
+MAX_NOISE_RATIO = 1.25  # largest ratio of noise standard deviations
+NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise is compared
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """Describe how a camera differs from the camera of a table or from another camera with the same channels.
+    """List the differences between two cameras that are too large for frames of one and the same camera.
 
     Parameters
     ----------
     known : TransformTable or CameraModel
-        The reference. If it is a table without a camera model, only the sensitivity is compared.
+        Reference camera, or a table that was trained for it. If a table contains no camera model, only the sensitivity is
+        compared.
     camera : CameraModel
-        The camera that took the frames.
+        Camera that took the frames. It must have the same channels as the reference camera.
 
     Returns
     -------
     str
-        The differences that exceed the limits, or "".
+        Differences that exceed the limits, separated by commas. Empty if there are none.
     """
     learned = known.camera if isinstance(known, TransformTable) else known
-    # Without a camera model, all channels are assumed to have the same exposure and gain.
+    # If the table contains no camera model, all channels are assumed to have the same exposure and gain.
     exposure = known.output_unit if learned is None else learned.saturation_exposure
     if learned is not None and equal(replace(learned, fit=None), replace(camera, fit=None)):
         return ""
     differences = []
-    if learned is not None and not (colour := colour_difference(learned, camera)) <= MOST_COLOUR:
+    if learned is not None and not (colour := colour_difference(learned, camera)) <= MAX_DELTA_E:
         differences.append(f"colours by {colour:.1f} ΔE00")
     sensitivity = exposure / camera.saturation_exposure
-    if _factor(sensitivity) > MOST_SENSITIVITY:
+    if _factor(sensitivity) > MAX_SENSITIVITY_RATIO:
         differences.append(f"sensitivity by a factor of {sensitivity:.3g}")
-    if learned is not None and _factor(noise := noise_ratio(learned, camera)) > MOST_NOISE:
+    if learned is not None and _factor(noise := noise_ratio(learned, camera)) > MAX_NOISE_RATIO:
         differences.append(f"noise by a factor of {noise:.3g}")
     return ", ".join(differences)
 
 
 def colour_difference(one: CameraModel, other: CameraModel) -> float:
-    """Return the mean CIEDE2000 between the colours that two cameras with the same channels give to measured reflectances.
+    """Return the mean CIEDE2000 between the colours of measured surfaces in pictures of two cameras with the same channels.
 
-    Both cameras use the white balance and colour matrix of `one`. A common factor in sensitivity is ignored. The result is
-    the larger of the values under D65 and A.
+    The white balance and colour matrix of `one` are applied to the signals of both cameras. A difference in overall
+    sensitivity is ignored. The result is the larger of the values under D65 and A.
     """
     return max(_colour_difference(one, other, named_light(name, one, other)) for name in LIGHTS)
 
@@ -83,18 +86,18 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the ratio of the noise of `other` to the noise of `one`, at the signal where they differ most.
+    """Return the noise of `other` divided by the noise of `one`, at the signal at which the ratio differs most from 1.
 
     Noise and signal are fractions of full scale.
     """
     spreads = []
     for camera in (one, other):
         full = camera.white_level - camera.black_level
-        spreads.append(np.sqrt(camera.noise_variance(np.array(NOISE_SHARES) * full)) / full)
+        spreads.append(np.sqrt(camera.noise_variance(np.array(NOISE_SIGNALS) * full)) / full)
     ratios = spreads[1] / spreads[0]
     return float(ratios[np.abs(np.log(ratios)).argmax()])
 
 
 def _factor(ratio: float) -> float:
-    """Return a ratio or its inverse, whichever is larger than 1."""
+    """Return the larger of a ratio and its inverse."""
     return max(ratio, 1.0 / ratio)

@@ -1,4 +1,4 @@
-"""Pictures of an evaluated frame: the result of every pipeline, the ideal, an error map, and the colours of a chart."""
+"""Pictures of an evaluated frame (every pipeline, the ideal and an error map), and colours of chart patches."""
 
 from dataclasses import dataclass
 
@@ -12,27 +12,27 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # fraction of a patch's side that is evaluated; pixels near the edges mix with the surroundings
-EVEN = 0.01  # largest standard deviation of the target within a patch, relative to white
-ALIKE = 0.02  # largest difference between the mean of a patch and its value on the chart, relative to white
-ERROR_WHITE = 10.0  # ΔE00 shown as white in an error map; 0 is black
-RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB, in steps of 2.5 ΔE00
+INNER = 0.5  # fraction of a patch's side that is evaluated; the lens blurs the edges of a patch into the surroundings
+MAX_PATCH_SIGMA = 0.01  # largest standard deviation of the target within a chart patch, as a fraction of white
+MAX_PATCH_ERROR = 0.02  # largest difference between the mean and the nominal value of a chart patch, as a fraction of white
+ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
+RAMP = np.array([[0, 0, 0], [70, 10, 110], [190, 40, 90], [245, 140, 30], [255, 255, 255]])  # sRGB in steps of 2.5 ΔE00
 
 
 def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, Picture]:
-    """Return pictures of a frame, all at the target's exposure.
+    """Convert the results of all pipelines to sRGB pictures with the display exposure of the target.
 
     Parameters
     ----------
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        Pipeline → XYZ in the target's unit. The first pipeline is the table.
+        XYZ of each pipeline, in the unit of the target. The first pipeline is the table.
 
     Returns
     -------
     dict of str to ndarray, (row, col, 3)
-        8-bit sRGB picture of each pipeline, and of the target ("ideal"), and the `error_map` of the table ("error").
+        8-bit sRGB picture of each pipeline. "ideal" is the picture of the target, and "error" the `error_map` of the table.
     """
     scale = white_luminance(frame.target[1])
     ideal = displayed(frame.target, frame.white, scale)
@@ -43,10 +43,10 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 
 
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
-    """Convert another pipeline's picture of a frame to XYZ planes (3, row, col) in the target's unit.
+    """Convert a rival's picture of a frame to XYZ planes (3, row, col) in the unit of the target.
 
-    The picture (row, col, 3) is linear sRGB of any brightness. Its luminance is scaled to that of the target by least
-    squares over the pixels that do not clip.
+    The picture (row, col, 3) is linear sRGB of any brightness. It is scaled so that its luminance fits the luminance of the
+    target in the least-squares sense, over all pixels that do not clip.
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))
@@ -55,9 +55,9 @@ def planes_of(picture: Array, frame: TrainingPair) -> Array:
 
 
 def error_map(difference: Array) -> Picture:
-    """Convert ΔE00 (row, col) to colours (row, col, 3).
+    """Convert ΔE00 (row, col) to false colours (row, col, 3).
 
-    0 is black, 2.5 purple, 5 red, 7.5 orange, and 10 or more is white.
+    A difference of 0 is black, 2.5 is purple, 5 is red, 7.5 is orange, and 10 or more is white.
     """
     place = np.clip(difference / ERROR_WHITE, 0.0, 1.0) * (len(RAMP) - 1)
     stops = np.arange(len(RAMP))
@@ -69,24 +69,24 @@ def error_map(difference: Array) -> Picture:
 
 @dataclass(frozen=True)
 class PatchColours:
-    """Displayed colours of chart patches in the ideal and in each pipeline, as linear sRGB (patch, 3), and ΔE00 (patch)."""
+    """Displayed colours of chart patches in the ideal picture and in the picture of each pipeline."""
 
-    ideal: Array
-    shown: dict[str, Array]
-    delta_e: dict[str, Array]
+    ideal: Array  # (patch, 3) linear sRGB
+    shown: dict[str, Array]  # for each pipeline, (patch, 3) linear sRGB
+    delta_e: dict[str, Array]  # for each pipeline, (patch) ΔE00 from the ideal
 
 
 def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[Region]) -> bool:
-    """Whether the target (XYZ) shows the patches of a ColorChecker.
+    """Whether the target of a frame shows a ColorChecker in the given regions.
 
     Parameters
     ----------
     frame : TrainingPair
-        Frame with its target.
+        Frame with its XYZ target.
     light : LightSpectrum or None
         Illuminant of the target.
     regions : list of (slice, slice)
-        Rows and columns of the patches.
+        Rows and columns of each patch.
     """
     if light is None or any(min(rows.stop - rows.start, cols.stop - cols.start) < 4 for rows, cols in regions):
         return False
@@ -95,22 +95,24 @@ def holds_chart(frame: TrainingPair, light: LightSpectrum | None, regions: list[
     weights = spectra.xyz_weights(wavelength) * light.radiance
     expected = reflectance @ weights.T / weights[1].sum()
     patches = [frame.target[:, rows, cols].astype(np.float64) / frame.white[1] for rows, cols in map(inner, regions)]
-    even = max(float(patch.std(axis=(1, 2)).max()) for patch in patches) < EVEN
+    even = max(float(patch.std(axis=(1, 2)).max()) for patch in patches) < MAX_PATCH_SIGMA
     means = np.array([patch.mean(axis=(1, 2)) for patch in patches])
-    return even and bool(np.abs(means - expected).max() < ALIKE)
+    return even and bool(np.abs(means - expected).max() < MAX_PATCH_ERROR)
 
 
 def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[Region]) -> PatchColours:
-    """Return the mean displayed colour of each patch in the target and in every pipeline, at the target's exposure.
+    """Return the mean displayed colour of each patch, in the target and in the picture of every pipeline.
+
+    All pictures have the display exposure of the target.
 
     Parameters
     ----------
     frame : TrainingPair
         Frame with its target.
     planes : dict of str to ndarray, (3, row, col)
-        Pipeline → XYZ in the target's unit.
+        XYZ of each pipeline, in the unit of the target.
     regions : list of (slice, slice)
-        Rows and columns of the patches.
+        Rows and columns of each patch.
     """
     scale = white_luminance(frame.target[1])
     ideal = displayed(_means(frame.target, regions), frame.white, scale)
@@ -120,7 +122,7 @@ def patch_colours(frame: TrainingPair, planes: dict[str, Array], regions: list[R
 
 
 def inner(region: Region) -> Region:
-    """Return the central region of a patch."""
+    """Return the central region of a patch, with the fraction INNER of the height and width."""
     rows, cols = (
         slice(each.start + round(cut), each.stop - round(cut))
         for each in region
@@ -130,6 +132,6 @@ def inner(region: Region) -> Region:
 
 
 def _means(planes: Array, regions: list[Region]) -> Array:
-    """Return the means (3, 1, patch) of the patches."""
+    """Return the mean of each patch, as an image with one row (3, 1, patch)."""
     means = [planes[:, rows, cols].mean(axis=(1, 2), dtype=np.float64) for rows, cols in map(inner, regions)]
     return np.array(means).T[:, None]

@@ -1,7 +1,7 @@
 """Metrics for the difference between a rendered frame and its target (docs/method.md#quality-figures).
 
-Outputs in CIE XYZ have metrics of pictures, and other outputs metrics of spectra. Noise is measured separately in uniform
-patches, because averages over all pixels would hide it.
+XYZ outputs are compared as displayed pictures, and other outputs as spectra. The noise of pictures is measured separately,
+in uniform patches, because averages over all pixels would hide it.
 """
 
 from dataclasses import dataclass
@@ -15,36 +15,37 @@ from l3cli.errors import RecipeError
 from l3cli.physics.display import LUMA, daylight, delta_e_2000, displayed, displayed_xyz, lab, srgb_curve, white_luminance
 
 Array = NDArray[np.floating]
-BLUR = 4.0  # pixels; σ of the Gaussian that removes grain and keeps blotches
-CUT = 6  # pixels; margin of a patch that is left out because edges affect it
-EVEN = 1.0  # largest range of L*, a* and b* of the target within a uniform window
+BLUR = 4.0  # pixels; σ of the Gaussian that removes grain but keeps blotches
+PATCH_MARGIN_PIXELS = 6  # pixels; a patch excludes this margin, because nearby edges affect the pictures there
+MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by no more than this
 MIN_PATCH_AREA_PIXELS = 24 * 24  # pixels; area of the smallest patch
-MAX_PATCHES = 64  # largest number of evaluated patches per frame; the largest patches are taken first
-# L* below or above which a patch is dark or white; C*ab below which it is grey
+MAX_PATCHES = 64  # if a frame has more patches, only the largest are evaluated
+# A patch is dark below the first L*, and white above the second L* unless it is coloured. It is coloured from this C*ab.
 DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
-HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which a hue begins
-VISUAL = np.array([1.0, 0.852, 0.323])  # weights of the σ of L*, a* and b*; ISO 15739:2013 defines them for L*u*v*
+HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which each hue begins
+# Weights of the standard deviations of L*, a* and b*. ISO 15739:2013 defines the weights for L*, u* and v*.
+VISUAL = np.array([1.0, 0.852, 0.323])
 PATCH_KINDS = ("white", "grey", "dark", *(name for _, name in HUES))
 
 
 class PlainPatches:
-    """The uniform patches of a target.
+    """Uniform patches of a target, in which the noise of pictures is measured.
 
     Parameters
     ----------
     target : ndarray, (row, col, 3)
-        CIELAB as displayed.
+        CIELAB of the displayed target.
     counted : ndarray of bool, (row, col), optional
-        Pixels to evaluate. [default: all]
+        Mask of pixels to evaluate. [default: all pixels]
     """
 
     def __init__(self, target: Array, counted: NDArray[np.bool_] | None = None) -> None:
         def extreme(of: Any) -> Array:
-            window = 2 * CUT + 1
+            window = 2 * PATCH_MARGIN_PIXELS + 1
             return np.asarray(of(of(target, window, axis=0, mode="nearest"), window, axis=1, mode="nearest"))
 
         self._target = target
-        plain = (extreme(maximum_filter1d) - extreme(minimum_filter1d)).max(axis=2) <= EVEN
+        plain = (extreme(maximum_filter1d) - extreme(minimum_filter1d)).max(axis=2) <= MAX_UNIFORM_RANGE
         numbers, _ = label(plain if counted is None else plain & counted)
         sizes = np.bincount(numbers.ravel())
         sizes[0] = 0
@@ -58,14 +59,14 @@ class PlainPatches:
 
     @property
     def kinds(self) -> list[str]:
-        """The kind of each patch."""
+        """Kind of each patch: dark, white, grey or a hue."""
         return [kind_of(self._target[place][inside].mean(axis=0)) for place, inside in self._patches]
 
     def variances(self, shown: Array) -> Array:
-        """Return the sum of the variances of a* and b* in each patch (patch), after a blur.
+        """Return the colour variance of each patch after a blur: the variance of a* plus the variance of b*.
 
-        The picture `shown` is displayed CIELAB (row, col, 3). The target is subtracted before the blur, so that its own
-        variation does not count. Variances are about the mean of each patch.
+        `shown` (row, col, 3) is the CIELAB of a displayed picture. The target is subtracted before the blur, so that
+        variation in the target does not count.
         """
         found = []
         for place, inside in self._patches:
@@ -78,20 +79,20 @@ class PlainPatches:
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
         """Return the visual noise: a weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted` are CIELAB of picture and target (row, col, 3) after the eye's blur. The result is None if there
-        are no patches.
+        `seen` and `wanted` (row, col, 3) are the CIELAB of picture and target, blurred like the image in the eye. The result
+        is None if there are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
         return float(np.mean([VISUAL @ each.std(axis=0) for each in errors])) if errors else None
 
 
 def mottle(variances: Array) -> float | None:
-    """Return the RMS deviation of colour (a*, b*) from the mean of its patch, over all patches. None without patches."""
+    """Return the mottle: the RMS deviation of colour (a*, b*) from the patch mean. None if there are no patches."""
     return float(np.sqrt(variances.mean())) if len(variances) else None
 
 
 def kind_of(lab: Array) -> str:
-    """Return the kind of a patch (dark, white, grey or a hue) from its mean CIELAB (3)."""
+    """Classify a patch as dark, white, grey or a hue by its mean CIELAB (3)."""
     chroma, hue = float(np.hypot(lab[1], lab[2])), float(np.degrees(np.arctan2(lab[2], lab[1])))
     if lab[0] < DARK_LIGHTNESS:
         return "dark"
@@ -100,13 +101,13 @@ def kind_of(lab: Array) -> str:
     return [name for start, name in HUES if start <= (hue - HUES[0][0]) % 360 + HUES[0][0]][-1]
 
 
-CODES = 255  # code of white for the PSNR of 8-bit codes
-LEAST_ERROR = 1e-12  # smallest mean square error, so that equal pictures have 120 dB
+CODES = 255  # white, for the PSNR of 8-bit values
+MIN_SQUARE_ERROR = 1e-12  # lower limit of the mean square error, so that the PSNR of equal pictures is 120 dB
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
-FAINTEST = float(np.finfo(np.float32).eps)  # spectra with a smaller norm, relative to the largest, are rounding errors
-STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values in 0…1
-VIEWING = 50.0  # samples per degree, for a monitor of 110 dots per inch at 66 cm
-VIEWED = 2, 1000  # samples per degree; valid range of the filters
+MIN_NORM = float(np.finfo(np.float32).eps)  # spectra with a smaller norm, as a fraction of the largest, are rounding errors
+STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values from 0 to 1
+VIEWING = 50.0  # samples per degree of visual angle; corresponds to a monitor of 110 dots per inch at 66 cm
+VIEWED = 2, 1000  # samples per degree; range in which the S-CIELAB filters are valid
 OPPONENT_FROM_XYZ = np.array(
     [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
 )
@@ -121,60 +122,63 @@ FILTERS = (  # Gaussians (half width at half maximum in degrees, weight) for the
 class Quality:
     """Metrics of one XYZ frame.
 
-    Picture and target are displayed at the exposure of the whole target and clipped to the sRGB gamut.
+    Picture and target are displayed with an exposure that is computed from the whole target. They are clipped to the sRGB
+    gamut.
     """
 
     mean_delta_e: float  # CIEDE2000
     median_delta_e: float
     p95_delta_e: float
-    scielab: float  # mean CIEDE2000 after the eye's blur
+    scielab: float  # mean CIEDE2000 after the blur of the eye
     mottle: float | None  # RMS C*ab of blotches in uniform patches; None if the target has no uniform patches
-    visual_noise: float | None  # weighted σ of L*, a* and b* in uniform patches after the eye's blur; None as for mottle
-    psnr: float  # dB, of non-linear sRGB in 0…1
-    output_psnr: float  # dB, of XYZ before clipping; the peak of each output is its value for display white
-    ssim: float  # of the luma of non-linear sRGB
+    # Weighted sum of the σ of L*, a* and b* in uniform patches after the blur of the eye. None without uniform patches.
+    visual_noise: float | None
+    psnr: float  # dB; computed from non-linear sRGB in 0…1
+    output_psnr: float  # dB; computed from XYZ before clipping, where the peak of each output is its value for display white
+    ssim: float  # computed from the luma of non-linear sRGB
 
 
 @dataclass(frozen=True)
 class BandQuality:
-    """Metrics of one frame of bands, or of several outputs other than XYZ."""
+    """Metrics of one frame with the bands of a camera, or with several outputs other than XYZ."""
 
-    mean_angle: float  # degrees, mean spectral angle of all pixels whose target has a spectrum
+    mean_angle: float  # degrees; mean spectral angle of all pixels whose target is not zero
     median_angle: float
     p95_angle: float
-    gfc: float  # goodness-of-fit coefficient: mean absolute cosine of these angles
-    rmse: float  # root mean square error over all outputs, relative to a perfect white
-    psnr: float  # dB over all outputs, of linear 8-bit codes that are clipped at 255, the white of the frame
-    output_psnr: float  # dB; the peak of each output is proportional to white and the 99th percentile of the target's mean
-    ssim: float  # mean over the outputs, scaled as for psnr but not rounded
+    gfc: float  # goodness-of-fit coefficient: mean absolute cosine of the spectral angles
+    rmse: float  # root mean square error over all outputs, as a fraction of a perfect white
+    psnr: float  # dB over all outputs; computed from linear 8-bit values, where 255 is a perfect white
+    # dB over all outputs before clipping. The peak of each output is proportional to white and to the target's brightness.
+    output_psnr: float
+    ssim: float  # mean SSIM over the outputs, as fractions of a perfect white clipped to 0…1
 
 
 @dataclass(frozen=True)
 class SingleQuality:
     """Metrics of one frame of a single output, such as luminance, which has no spectral angle."""
 
-    mean_error: float  # mean absolute error, relative to a perfect white
-    rmse: float  # this and the following metrics are defined as in BandQuality
+    mean_error: float  # mean absolute error, as a fraction of a perfect white
+    rmse: float  # rmse, psnr, output_psnr and ssim are defined as in BandQuality
     psnr: float
     output_psnr: float
     ssim: float
 
 
 class Target:
-    """The target of a frame as displayed, prepared for comparisons with pictures.
+    """Target of an XYZ frame, with everything that comparisons with several pictures share.
 
     Parameters
     ----------
     target : ndarray, (3, row, col)
         XYZ planes.
     white : ndarray, (3)
-        XYZ of the illuminant.
+        XYZ of a perfect white.
     border : int
-        Width of the margin that is left out, in pixels.
+        Width in pixels of the margin that is not evaluated.
     viewing : float
-        Samples per degree for S-CIELAB.
+        Picture samples per degree of visual angle, for S-CIELAB.
     counted : ndarray of bool, (row, col), optional
-        Pixels to evaluate. [default: all]
+        Mask of pixels to evaluate. [default: all pixels]
     """
 
     def __init__(
@@ -188,7 +192,7 @@ class Target:
         self._white, self._border, self._viewing = white, border, viewing
         self._scale = white_luminance(of_counted(target[1], counted))
         self._counted = None if counted is None else cropped(counted, border)
-        # Z is zero under deep red light.
+        # Under deep red light, Z of white is 0. The white's Y then replaces it.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
@@ -196,7 +200,7 @@ class Target:
         self.patches = PlainPatches(self._labs[0], self._counted)
 
     def _labs_of(self, linear: Array) -> tuple[Array, Array]:
-        """Return L*a*b* (row, col, 3) as displayed, and after the eye's blur."""
+        """Return the CIELAB (row, col, 3) of a displayed picture, without and with the blur of the eye."""
         xyz = displayed_xyz(linear)
         return lab(xyz, daylight()), _blurred_lab(xyz, daylight(), self._viewing)
 
@@ -206,14 +210,14 @@ class Target:
         Parameters
         ----------
         rendered : ndarray, (3, row, col)
-            XYZ planes.
+            XYZ planes of the picture, in the unit of the target.
 
         Returns
         -------
-        Quality
-            Metrics.
+        quality : Quality
+            Metrics of the frame.
         difference : ndarray, (row, col)
-            ΔE00 as displayed, inside the border. NaN for pixels that are not evaluated.
+            ΔE00 between displayed picture and displayed target, inside the border. NaN for pixels that are not evaluated.
         variances : ndarray, (patch)
             Colour variance in each uniform patch.
         """
@@ -243,30 +247,30 @@ class Target:
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Compare XYZ planes (3, row, col) with a target. The other parameters are the same as for `Target`."""
+    """Return the metrics of XYZ planes (3, row, col). The parameters after `rendered` are the parameters of `Target`."""
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
 def judge_bands(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[BandQuality, Array]:
-    """Compare planes of any outputs with a target.
+    """Compare rendered planes with a target, for outputs other than XYZ.
 
     Parameters
     ----------
     rendered, target : ndarray, (output, row, col)
-        Outputs in a common unit.
+        Rendered planes and target, both in the same unit.
     white : ndarray, (output)
-        Values of a perfect white.
+        Outputs of a perfect white.
     border : int
-        Width of the margin that is left out, in pixels.
+        Width in pixels of the margin that is not evaluated.
     counted : ndarray of bool, (row, col), optional
-        Pixels to evaluate. [default: all]
+        Mask of pixels to evaluate. [default: all pixels]
 
     Returns
     -------
-    BandQuality
-        Metrics.
+    quality : BandQuality
+        Metrics of the frame.
     angles : ndarray, (row, col)
         Spectral angle in degrees, inside the border. NaN where the target is black, and for pixels that are not evaluated.
     """
@@ -291,14 +295,14 @@ def judge_bands(
 def judge_single(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[SingleQuality, Array]:
-    """Compare planes of one output (1, row, col) with a target. The parameters are the same as for `judge_bands`.
+    """Compare a single rendered output (1, row, col) with a target. The parameters are the same as for `judge_bands`.
 
     Returns
     -------
-    SingleQuality
-        Metrics.
+    quality : SingleQuality
+        Metrics of the frame.
     errors : ndarray, (row, col)
-        Absolute error inside the border, relative to a perfect white. NaN for pixels that are not evaluated.
+        Absolute error as a fraction of a perfect white, inside the border. NaN for pixels that are not evaluated.
     """
     whole, counted = counted, None if counted is None else cropped(counted, border)
     linear, shares = _linear_and_shares(rendered, target, white, border, whole)
@@ -314,14 +318,14 @@ def judge_single(
 
 
 def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) -> BandQuality:
-    """Compare planes of any outputs (output, row, col) with a target. The parameters are the same as for `judge_bands`."""
+    """Return the metrics of rendered planes other than XYZ. The parameters are the same as for `judge_bands`."""
     return judge_bands(rendered, target, white, border)[0]
 
 
 def band_figures(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim of each output, as defined in BandQuality.
+    """Return psnr, output_psnr and ssim of each single output. BandQuality defines these metrics.
 
     The parameters are the same as for `judge_bands`.
     """
@@ -340,10 +344,10 @@ def band_figures(
 def _linear_and_shares(
     rendered: Array, target: Array, white: Array, border: int, counted: NDArray[np.bool_] | None
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Scale picture and target for the linear metrics.
+    """Scale rendered planes and target for the linear metrics.
 
-    Both are returned twice: divided by the peak value of the PSNR without clipping, and as fractions of white clipped to
-    0…1.
+    The first pair (rendered, target) is divided by the peak values of `output_psnr` and not clipped. The second pair
+    contains fractions of a perfect white, clipped to 0…1.
     """
     positive = _positive(white)
     peaks = white_luminance(of_counted(target.mean(axis=0), counted)) * (positive / white.mean())
@@ -366,23 +370,23 @@ def cropped(planes: NDArray[Any], border: int) -> NDArray[Any]:
 
 
 def of_counted(planes: NDArray[Any], counted: NDArray[np.bool_] | None) -> NDArray[Any]:
-    """Select the pixels to evaluate (…, pixel) from planes (…, row, col). If `counted` is None, return the planes as is."""
+    """Select the pixels to evaluate (…, pixel) from planes (…, row, col). If `counted` is None, return `planes`."""
     return planes if counted is None else planes[..., counted]
 
 
-# ----------------------------------------------------------------------------------------------------- figures of arrays
+# -------------------------------------------------------------------------------------------------- metrics of two arrays
 
 
 def psnr(one: Array, other: Array) -> float:
-    """Return the peak signal-to-noise ratio in dB of two arrays, with peak 1. Equal arrays give 120 dB."""
-    return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), LEAST_ERROR)))
+    """Return the peak signal-to-noise ratio of two arrays in dB. The peak is 1. Equal arrays have 120 dB."""
+    return float(-10.0 * np.log10(max(float(np.mean((one - other) ** 2)), MIN_SQUARE_ERROR)))
 
 
 def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) -> float:
-    """Return the mean structural similarity of two pictures (row, col) in 0…1.
+    """Return the mean structural similarity of two pictures (row, col) whose values are in 0…1 (Wang et al. 2004).
 
-    The window is a Gaussian of 11 × 11 pixels with σ = 1.5 (Wang et al. 2004). Only complete windows are used, unless the
-    picture is smaller than a window. `counted` (row, col) is the mask of pixels to evaluate.
+    The window is a Gaussian of 11 × 11 pixels with σ = 1.5. Only windows inside the picture are used, unless that leaves no
+    pixel to evaluate. `counted` (row, col) is the mask of pixels to evaluate.
     """
 
     def mean(values: Array) -> Array:
@@ -403,15 +407,16 @@ def ssim(one: Array, other: Array, *, counted: NDArray[np.bool_] | None = None) 
 def spectral_angle(rendered: Array, target: Array) -> Array:
     """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
 
-    It is NaN where the target is zero, or so small that it is below the float32 resolution of the largest spectrum. It is 90
-    where only the rendered spectrum is zero (docs/method.md#quality-figures).
+    The angle is NaN where the target is zero, or smaller than the float32 rounding error of the largest target spectrum. The
+    angle is 90° where only the rendered spectrum is zero (docs/method.md#quality-figures).
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]
     units = [cube / np.where(length > 0, length, 1.0) for cube, length in zip(cubes, lengths, strict=True)]
-    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))  # 2 sin(angle / 2), more precise at small angles than arccos
+    # The chord is 2 sin(angle / 2). At small angles, arcsin of the chord is more precise than arccos of the cosine.
+    chord = np.sqrt(((units[0] - units[1]) ** 2).sum(axis=0))
     angle = np.where(lengths[0] > 0, np.degrees(2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))), 90.0)
-    return np.where(lengths[1] > FAINTEST * lengths[1].max(), angle, np.nan)
+    return np.where(lengths[1] > MIN_NORM * lengths[1].max(), angle, np.nan)
 
 
 # -------------------------------------------------------------------------------------------------------------- S-CIELAB
@@ -420,17 +425,17 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
 def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) -> Array:
     """Return the S-CIELAB colour difference (row, col) between two pictures (Zhang and Wandell 1996).
 
-    Each picture is converted to opponent colours (Poirson and Wandell). Each opponent plane is blurred with a sum of
-    Gaussians. CIEDE2000 is computed from the result.
+    Each picture is converted to opponent colours (Poirson and Wandell), and each opponent plane is blurred with a sum of
+    Gaussians. CIEDE2000 is computed from the blurred pictures.
 
     Parameters
     ----------
     one, other : ndarray, (row, col, 3)
-        XYZ.
+        XYZ of the two pictures.
     white : ndarray, (3)
         XYZ of white.
     viewing : float
-        Samples per degree, within VIEWED.
+        Picture samples per degree of visual angle, in the range VIEWED.
 
     Raises
     ------
@@ -439,9 +444,10 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
 
     Notes
     -----
-    The constants are the defaults of ISETCam: the transform of the 10° observer and the "distribution" widths of Johnson and
-    Fairchild. In ISETCam, pictures wrap around, a row and a column are dropped if a filter would have an even size, and
-    the maps are displaced by a pixel. Here, pictures are mirrored at their edges, and maps are not displaced.
+    The constants are the defaults of ISETCam: the opponent transform for the 10° observer and the "distribution" widths of
+    Johnson and Fairchild. In two respects the function differs from ISETCam, where pictures wrap around at their edges and
+    the colour difference map is displaced by one pixel. Here, pictures are mirrored at their edges and the map is not
+    displaced.
     """
     return delta_e_2000(*(_blurred_lab(picture, white, viewing) for picture in (one, other)))
 
@@ -453,7 +459,7 @@ def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
 
 
 def blurred(xyz: Array, viewing: float) -> Array:
-    """Blur XYZ (row, col, 3) with the eye's three opponent filters. Each filter is one degree wide."""
+    """Blur XYZ (row, col, 3) like the eye, with one filter per opponent plane. The filters are about one degree wide."""
     opponent = np.einsum("oc,rkc->ork", OPPONENT_FROM_XYZ, xyz)
     reach = np.arange(-half_size(viewing), half_size(viewing) + 1)
     total = np.zeros_like(opponent)
@@ -467,8 +473,8 @@ def blurred(xyz: Array, viewing: float) -> Array:
 
 
 def half_size(viewing: float) -> int:
-    """Return the half width of a filter in samples.
+    """Return the half width of the S-CIELAB filters in samples.
 
-    The full width is one degree, rounded down to an odd number as in ISETCam.
+    The full width is one degree. As in ISETCam, it is rounded up to an integer and then, if even, reduced by 1.
     """
     return (int(np.ceil(viewing)) - 1) // 2

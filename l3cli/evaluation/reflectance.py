@@ -1,6 +1,6 @@
-"""Quality of estimated reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
+"""Metrics of reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
 
-Two linear estimators, "wiener" and "pinv", are the baselines for tables whose outputs are spectra.
+The module also contains two linear estimators, "wiener" and "pinv", the baselines for tables whose outputs are spectra.
 """
 
 import functools
@@ -19,27 +19,27 @@ from l3cli.physics import spectra
 from l3cli.physics.display import delta_e_2000, lab
 
 Array = NDArray[np.floating]
-# Function that simulates training frames with the illuminant and exposure of a given frame.
+# Function that simulates training frames with the illuminant and the exposure time of a frame.
 Drawn = Callable[[TrainingPair, LightSpectrum], Iterable[TrainingFrame]]
-LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # metric → illuminant
+LIGHTS = {"delta_e_a": "A", "delta_e_d65": "D65", "delta_e_f11": "F11"}  # illuminant of each colour metric
 ESTIMATES = ("wiener", "pinv")  # names of the estimators
 
 
 @dataclass(frozen=True)
 class ReflectanceQuality(BandQuality):
-    """Metrics of one frame of reflectances."""
+    """Metrics of one frame whose outputs are reflectances."""
 
-    delta_e_a: float  # mean CIEDE2000 of the colours under illuminant A, whose white is the reference white
-    delta_e_d65: float
-    delta_e_f11: float
+    delta_e_a: float  # mean CIEDE2000 under illuminant A; the illuminant is the reference white
+    delta_e_d65: float  # mean CIEDE2000 under D65
+    delta_e_f11: float  # mean CIEDE2000 under F11
 
 
 def judge_reflectances(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> tuple[ReflectanceQuality, Array]:
-    """Return the metrics and the spectral angle (row, col) of reflectance planes at the wavelengths of spectra.REFLECTANCES.
+    """Compare rendered reflectances with a target, for the outputs spectra.REFLECTANCES.
 
-    The parameters are the same as for `judge_bands`.
+    The parameters and the second result, the spectral angles, are the same as for `judge_bands`.
     """
     figures, angles = judge_bands(rendered, target, white, border, counted)
     inside = None if counted is None else cropped(counted, border)
@@ -52,17 +52,14 @@ def judge_reflectances(
 
 
 def _lab(reflectance: Array, light: str) -> Array:
-    """Return L*a*b* (row, col, 3) of reflectances (output, row, col) under an illuminant, relative to its white."""
+    """Return the CIELAB (row, col, 3) of reflectances (output, row, col) under an illuminant."""
     weights = _xyz_weights(light)
     return lab(np.maximum(np.einsum("xo,ork->rkx", weights, reflectance), 0.0), weights.sum(axis=1))
 
 
 @functools.cache
 def _xyz_weights(light: str) -> Array:
-    """Return the weights (3, output) that convert reflectances at spectra.SAMPLED to XYZ under an illuminant.
-
-    White has Y = 1.
-    """
+    """Return the weights (3, output) that convert reflectances at spectra.SAMPLED to XYZ. A perfect white has Y = 1."""
     grid = np.arange(380.0, 781.0)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     return np.asarray(weights @ spectra.held_interpolation(spectra.SAMPLED, grid) / weights[1].sum())
@@ -71,10 +68,12 @@ def _xyz_weights(light: str) -> Array:
 class Estimates:
     """Linear estimators of spectra from the demosaicked bands of each pixel.
 
-    Bands are demosaicked with `best_of_bands`. The estimators are fitted to simulated training frames (`drawn`), once for
-    each combination of illuminant and exposure. Let Y be the outputs and P the bands of all pixels, without noise and
-    mosaic. "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹, where E is the error that noise
-    causes in the demosaicked bands.
+    Bands are demosaicked with `best_of_bands`. The estimators are fitted to training frames that `drawn` simulates, once for
+    each combination of illuminant and exposure time.
+
+    Let the columns of Y be the target spectra of all pixels, and the columns of P the bands without noise and without
+    mosaicking. The matrix of "pinv" is Y P⁺, where P⁺ is the pseudo-inverse. The matrix of "wiener" is Y Pᵀ (P Pᵀ + E Eᵀ)⁻¹,
+    where E is the error that noise causes in the demosaicked bands.
     """
 
     def __init__(self, camera: CameraModel, drawn: Drawn) -> None:
@@ -82,9 +81,9 @@ class Estimates:
         self._fitted: dict[tuple[bytes, float], dict[str, Array]] = {}
 
     def planes(self, frame: TrainingPair) -> dict[str, Array]:
-        """Return the estimated planes (output, row, col) of each estimator, in the target's unit.
+        """Return the planes (output, row, col) that each estimator computes for a frame, in the unit of the target.
 
-        Raises InputFileError if the illuminant of the frame is invisible to the camera.
+        Raises InputFileError if the camera does not respond to the illuminant of the frame.
         """
         white = white_electrons(frame, self._camera)
         key = white.tobytes(), frame.exposure
@@ -95,7 +94,7 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Fit the matrix (output, channel) of each estimator. Outputs and bands are relative to white."""
+        """Fit the matrix (output, channel) of each estimator. Outputs and bands are fractions of a perfect white."""
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]
         squares, noises = np.zeros((2, white.size, white.size))

@@ -1,7 +1,7 @@
 """Metrics of rendered sequences: flicker, and differences from the ideal sequence (docs/method.md#quality-of-sequences).
 
-If the motion between two ideal frames is unknown, it is estimated by matching windows from coarse to fine. Pictures are
-linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
+Unknown motion between two ideal frames is estimated by window matching on an image pyramid. Pictures are linear sRGB
+(row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
 """
 
 import itertools
@@ -21,26 +21,34 @@ from l3cli.system.limits import read_bounded
 Array = NDArray[np.floating]
 PYRAMID_LEVELS = 3  # number of pyramid levels; the coarsest has a quarter of the width and height
 SEARCH_PIXELS = 5  # pixels; search range at the coarsest level
-WINDOW = 15  # pixels; side of the windows that are matched
-GRID_PIXELS = 4  # pixels; distance between the positions at which the median of the motion is computed
-PENALTY = 0.1  # L*² per pixel of displacement, so that uniform areas move with their surroundings
-MISMATCH = 3.0  # L*; windows whose mean difference is larger are assumed to show different objects
+WINDOW = 15  # pixels; side of the matched windows
+GRID_PIXELS = 4  # pixels; the median of the motion is computed at every GRID_PIXELS-th pixel
+PENALTY = 0.1  # L*² per pixel of displacement, added to the mismatch so that uniform areas move with their surroundings
+MISMATCH = 3.0  # L*; if the mean difference of two windows is larger, the windows show different objects
 MISMATCH_WINDOW = 5  # pixels; side of the windows for MISMATCH
-SUBPIXEL_ITERATIONS = 4  # number of iterations of the subpixel refinement
-ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding
-FLAT = 0.1  # L*² per pixel²; windows with a smaller mean square gradient are not refined to subpixels
+SUBPIXEL_ITERATIONS = 4  # number of Lucas–Kanade iterations
+ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding errors of positions
+FLAT = 0.1  # L*² per pixel²; added to the mean square gradients, so that the motion of flat windows is hardly refined
 
 
 def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
-    """Estimate the motion between two frames of L* (row, col) to fractions of a pixel.
+    """Estimate the motion between two frames to fractions of a pixel.
 
-    Motion of up to REACH · 2^(LEVELS − 1) pixels is found.
+    The search at the coarsest level of the pyramid covers displacements of up to SEARCH_PIXELS · 2^(PYRAMID_LEVELS − 1)
+    pixels.
+
+    Parameters
+    ----------
+    light : ndarray, (row, col)
+        L* of the current frame.
+    last : ndarray, (row, col)
+        L* of the previous frame.
 
     Returns
     -------
     ndarray, (3, row, col)
-        Downward and rightward motion since the previous frame, in pixels, and validity: 1 where both frames show the same
-        object, otherwise 0.
+        Downward and rightward motion since the previous frame, in pixels, and validity. The validity is 1 where both frames
+        show the same object, otherwise 0.
     """
     pairs: list[tuple[Array, Array]] = [(np.asarray(light, np.float64), np.asarray(last, np.float64))]
     while len(pairs) < PYRAMID_LEVELS and min(pairs[-1][0].shape) >= 2 * WINDOW:
@@ -55,7 +63,7 @@ def estimated_motion(light: Array, last: Array) -> NDArray[np.float32]:
 
 
 def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) -> NDArray[np.intp]:
-    """Find the best displacement of each pixel within `reach` pixels of a displacement field (2, row, col)."""
+    """Improve a displacement field (2, row, col) by a search within `reach` pixels of each displacement."""
     offsets = np.array(list(itertools.product(range(-reach, reach + 1), repeat=2)))
     best, least = vector, np.full(frame.shape, np.inf)
     for offset in offsets[np.argsort(np.hypot(*offsets.T), kind="stable")]:
@@ -68,9 +76,9 @@ def _refined(frame: Array, before: Array, vector: NDArray[np.intp], reach: int) 
 
 
 def _mismatch(frame: Array, before: Array, vector: NDArray[np.intp]) -> Array:
-    """Return the mean square difference (row, col) between a window around each pixel and the matching window in `before`.
+    """Return the mean square difference (row, col) between the window around each pixel and a displaced window in `before`.
 
-    `vector` (2, row, col) is the displacement between the two windows.
+    `vector` (2, row, col) is the displacement of each pixel since the frame `before`.
     """
     place = [
         np.clip(at - by, 0, length - 1) for at, by, length in zip(np.indices(frame.shape), vector, frame.shape, strict=True)
@@ -98,7 +106,7 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Return the median (row, col) of a plane over a window, computed at every BLOCK-th pixel and interpolated between."""
+    """Return the median of a plane over a window, computed at every GRID_PIXELS-th pixel, repeated and smoothed."""
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
         median_filter(plane[::GRID_PIXELS, ::GRID_PIXELS], side, mode="nearest")
@@ -109,7 +117,7 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return a mask (row, col) that is true where the previous frame, displaced by the motion, looks the same."""
+    """Return a mask (row, col) that is true where the frame matches the previous frame, displaced by the motion."""
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
         [
@@ -127,80 +135,86 @@ def _halved(plane: Array) -> Array:
 
 
 def _doubled(vector: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Enlarge a displacement field (2, row, col) by a factor of two. For odd sizes, repeat the last row and column."""
+    """Double the size and values of a displacement field (2, row, col). For odd sizes, repeat the last row and column."""
     whole = 2 * vector.repeat(2, axis=1).repeat(2, axis=2)
     return np.pad(
         whole, [(0, 0), *((0, length - have) for length, have in zip(shape, whole.shape[1:], strict=True))], mode="edge"
     )
 
 
-GIVE = 'give a file that "l3 evaluate --sequence … --json" printed'
+GIVE = 'use the output of "l3 evaluate --sequence … --json"'
 CELL = 8  # pixels; side of a patch
-STILL = 0.5  # L*; largest range of a still pixel over the ideal sequence, about one 8-bit code
-DRIFT = 1.0  # L*; largest change of a still patch between the halves of a sequence, if there is no ideal
-UNCERTAIN = 3.0  # standard deviations; changes within this multiple of the noise are not drift
-# Without an ideal, this fraction of the patches, which change least, is assumed to show only noise. A patch is not still if
-# its change exceeds this multiple of their change.
+STILL = 0.5  # L*; largest range of a still pixel over the ideal sequence, about one 8-bit step
+# These constants find still patches in sequences without an ideal.
+DRIFT = 1.0  # L*; largest change of the mean of a still patch between the two halves of a sequence
+UNCERTAIN = 3.0  # standard deviations; a smaller change between the halves may be noise
+# The fraction QUIETEST of the patches, which change least, is assumed to show only noise. A patch is not still if its change
+# exceeds their change by the factor RESTLESS.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; change of a pixel that rounding can cause
 
 
 class FrameFigures(msgspec.Struct, forbid_unknown_fields=True):
-    """Metrics of one frame. A metric is None if the data it needs are missing."""
+    """Metrics of one frame of a sequence.
+
+    Metrics that compare frames are None in the first frame. Metrics that need an ideal sequence are None without an ideal.
+    """
 
     frame: int
     mean_lightness: float  # L*
-    jump: float | None  # L*; change of the mean lightness since the previous frame, minus the same change in the ideal
-    step_sigma: float | None  # L*; standard deviation of the change of still patches, divided by √2
+    jump: float | None  # L*; change of the mean lightness since the previous frame, minus this change in the ideal sequence
+    step_sigma: float | None  # L*; RMS change of the pixels of still patches since the previous frame, divided by √2
     warped_error: float | None  # L*; RMS change of the error along the motion
-    psnr: float | None  # dB, of non-linear sRGB
+    psnr: float | None  # dB; computed from non-linear sRGB
     mean_delta_e: float | None  # CIEDE2000
 
 
 class SequenceFigures(msgspec.Struct, forbid_unknown_fields=True, tag_field="kind", tag="sequence"):
-    """Metrics of a rendered sequence, as `l3 evaluate` prints them in JSON."""
+    """Metrics of a rendered sequence, with the JSON keys of `l3 evaluate --sequence`."""
 
     rendered: str
     ideal: str | None
-    motion: Literal["known", "estimated"] | None  # whether the motion for `warped_error` was known or estimated
+    motion: Literal["known", "estimated"] | None  # origin of the motion for `warped_error`
     frames: list[FrameFigures]
-    still_share: float  # fraction of patches that do not change
+    still_share: float  # fraction of still patches
     temporal_sigma: float | None  # L*; standard deviation of a pixel over time, RMS over still patches
     patch_sigma: float | None  # L*; standard deviation over time of the mean of a patch, RMS over still patches
-    largest_jump: float | None  # L*
-    largest_jump_frame: int | None
+    largest_jump: float | None  # L*; `jump` with the largest absolute value
+    largest_jump_frame: int | None  # number of the frame with the largest jump
     warped_error: float | None  # L*; RMS over the frames
     psnr: float | None  # mean over the frames
     mean_delta_e: float | None  # mean over the frames
 
     def document(self) -> dict[str, Any]:
-        """Return the metrics, ready for JSON."""
+        """Return the metrics as a dictionary that can be written as JSON."""
         return dict(msgspec.to_builtins(self))
 
 
 class SequenceEvaluation:
-    """Evaluates a sequence frame by frame. Each frame adds only a few values per patch to the memory.
+    """Evaluates a sequence frame by frame. For each frame, only a few values per patch stay in memory.
 
     Parameters
     ----------
-    rendered, ideal : str
-        Names of the sequences. `ideal` may be None.
+    rendered : str
+        Name of the rendered sequence.
+    ideal : str or None
+        Name of the ideal sequence, if there is one.
     border : int
-        Width of the margin that is left out, in pixels.
+        Width in pixels of the margin that is not evaluated.
     """
 
     def __init__(self, rendered: str, ideal: str | None, border: int = 0) -> None:
         self._names, self._border = (rendered, ideal), border
         self._frames: list[FrameFigures] = []
         self._cells: list[Array] = []  # for each frame, the mean L* of every patch
-        self._steps: list[Array] = []  # for each frame except the first, the mean square change of every patch
+        self._steps: list[Array] = []  # for each frame after the first, the mean square change of the pixels of every patch
         self._motion: Literal["known", "estimated"] | None = None
         self._last: Array | None = None  # L* of the previous frame
-        self._ideal: tuple[Array, Array] | None = None  # L* of the previous ideal frame, and error of the previous frame
-        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of its ideal if there is one
+        self._ideal: tuple[Array, Array] | None = None  # previous frame: L* of the ideal, and L* error of the rendering
+        self._offset = 0.0  # mean L* of the previous frame, minus the mean L* of the ideal frame if there is one
         self._sum: Array | float = 0.0
         self._squares: Array | float = 0.0
-        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel of the ideal
+        self._range: tuple[Array, Array] | None = None  # lowest and highest L* of each pixel of the ideal sequence
 
     def add(self, rendered: Array, ideal: Array | None = None, motion: Array | None = None) -> None:
         """Add the next frame.
@@ -208,12 +222,12 @@ class SequenceEvaluation:
         Parameters
         ----------
         rendered : ndarray, (row, col, 3)
-            Linear sRGB.
+            Rendered picture in linear sRGB.
         ideal : ndarray, (row, col, 3), optional
-            The ideal picture.
+            Ideal picture in linear sRGB.
         motion : ndarray, (3, row, col), optional
-            Downward and rightward motion since the previous frame, in pixels, and validity (1 or 0). If None, the motion is
-            estimated from the ideal pictures.
+            Downward and rightward motion since the previous frame, in pixels, and validity (1 or 0). [default: motion
+            estimated from the ideal pictures]
         """
         light = lightness(np.clip(rendered, 0.0, 1.0))
         wanted = None if ideal is None else lightness(np.clip(ideal, 0.0, 1.0))
@@ -241,7 +255,7 @@ class SequenceEvaluation:
     def _figures(
         self, rendered: Array, ideal: Array | None, step: Array | None, wanted: Array | None, warped: float | None
     ) -> FrameFigures:
-        """Return those metrics of the latest frame that can be computed before the end of the sequence."""
+        """Return the metrics of the latest frame. `step_sigma` remains None until the still patches are known."""
         assert self._last is not None
         quality, difference = None, None
         if ideal is not None:
@@ -255,7 +269,7 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Return the metrics of all frames. Raises ValueError if there are fewer than two."""
+        """Return the metrics of the sequence. Raises ValueError if the sequence has fewer than two frames."""
         count = len(self._frames)
         if count < 2:
             raise ValueError("a sequence needs at least two frames")
@@ -286,10 +300,10 @@ class SequenceEvaluation:
         return float(np.sqrt(_cell_means(variance)[still].mean()))
 
     def _still(self) -> NDArray[np.bool_]:
-        """Return the mask (row, col) of patches that do not change.
+        """Return the mask (patch row, patch column) of still patches.
 
-        If there is an ideal sequence, its patches decide. Otherwise a patch is still if noise explains its changes. Then the
-        noise is estimated from the patches that change least.
+        If there is an ideal sequence, a patch is still if its pixels do not change in the ideal sequence. Otherwise a patch
+        is still if noise can explain its changes. The noise is estimated from the patches that change least.
         """
         if self._range is not None:
             low, high = self._range
@@ -306,8 +320,8 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    Warping is linear, so the errors can be warped instead of the pictures. Interpolation artefacts at edges occur in both
-    pictures and cancel.
+    Warping is linear, so the error can be warped instead of the rendered and the ideal picture. Interpolation artefacts at
+    edges, which occur in both pictures, cancel in the error.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0
@@ -318,7 +332,7 @@ def _warped_error(error: Array, last: Array, motion: Array, border: int) -> floa
 
 
 def _cells(plane: Array) -> Array:
-    """Reshape a plane (row, col) to (patch row, row, patch column, column). Incomplete patches are cut off."""
+    """Reshape a plane (row, col) to patches (patch row, row, patch column, column). Incomplete patches are cut off."""
     rows, cols = (length // CELL for length in plane.shape)
     return plane[: rows * CELL, : cols * CELL].reshape(rows, CELL, cols, CELL)
 
@@ -328,7 +342,7 @@ def _cell_means(plane: Array) -> Array:
 
 
 def _deviation(series: Array) -> float:
-    """Return the RMS of the standard deviations over time of many series (time, …)."""
+    """Return the RMS, over all series, of the standard deviation over time of each series (time, …)."""
     return float(np.sqrt(series.var(axis=0, ddof=1, dtype=np.float64).mean()))
 
 
@@ -342,13 +356,13 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def read_sequence_figures(path: Path) -> SequenceFigures:
-    """Read the JSON that `l3 evaluate --sequence` printed. Raises InputFileError if the file contains something else."""
+    """Read the output of `l3 evaluate --sequence --json`. Raises InputFileError if the file contains something else."""
     try:
         printed = msgspec.json.decode(read_bounded(path, GIVE), type=dict[str, Any])
-        printed.pop("run", None)  # information about the run of the command, not about the sequence
+        printed.pop("run", None)  # describes how the command ran, not the sequence
         figures = msgspec.convert(printed, SequenceFigures)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise InputFileError(f"{path} is not an evaluation of a sequence; {GIVE}") from error
     if len(figures.frames) < 2:
-        raise InputFileError(f"{path} has fewer than two frames; {GIVE}")
+        raise InputFileError(f"{path} has metrics of fewer than two frames; {GIVE}")
     return figures

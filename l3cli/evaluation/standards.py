@@ -1,6 +1,7 @@
 """Metrics from standards: sharpness of slanted edges, and SNR of a grey as a function of illuminance (docs/measurement.md).
 
-Each measurement on pictures is compared with the value that follows in closed form from lens, pixel and camera noise.
+Each metric is measured in pictures. The expected value is computed in closed form from the lens, the pixel and the noise of
+the camera.
 """
 
 import dataclasses
@@ -18,32 +19,32 @@ from l3cli.physics.display import delta_e_2000, lab
 from l3cli.physics.lens import diffraction_transfer
 
 Array = NDArray[np.floating]
-BINS_PER_PIXEL = 4  # number of bins per pixel in the edge profile
-HALF_PROFILE_PIXELS = 48.0  # pixels; half length of the edge profile, as far as a lens spreads light
-TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered
-SEARCHED = 6.0  # pixels; in each row, the edge is searched for within this distance of the first estimate
-MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the curves
+BINS_PER_PIXEL = 4  # oversampling of the edge profile
+HALF_PROFILE_PIXELS = 48.0  # pixels; half length of the edge profile, long enough for the light that a lens spreads
+TAPER = 8.0  # pixels; length at each end over which the slope of the profile is tapered to zero
+SEARCHED = 6.0  # pixels; in each row, the edge is searched within this distance of the line from the previous pass
+MAX_FREQUENCY = 1.0  # cycles/pixel; highest frequency of the MTF curves
 HALF = 0.5  # value of the MTF that defines MTF50
-PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins
+PROFILE_BINS = int(2 * HALF_PROFILE_PIXELS * BINS_PER_PIXEL)  # number of bins in the edge profile
 FREQUENCIES = np.fft.rfftfreq(2 * PROFILE_BINS, 1 / BINS_PER_PIXEL)
-FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # (sample) cycles/pixel of every curve
+FREQUENCIES = FREQUENCIES[FREQUENCIES <= MAX_FREQUENCY]  # cycles/pixel; frequencies of all MTF curves
 
 
 class EdgeError(ValueError):
-    """Raised if a plane has no edge that can be measured."""
+    """Raised if a picture contains no edge that can be measured."""
 
 
 @dataclass(frozen=True)
 class Sharpness:
-    """Modulation transfer function across an edge."""
+    """Modulation transfer function (MTF) across an edge."""
 
-    frequency: Array  # (sample) cycles/pixel across the edge, starting at 0
+    frequency: Array  # (sample) cycles/pixel, starting at 0
     transfer: Array  # (sample) MTF, 1 at frequency 0
     angle: float  # degrees between the edge and the columns of the plane
 
     @property
     def mtf50(self) -> float | None:
-        """Lowest frequency, in cycles/pixel, at which the MTF is 0.5. None if it is higher at all frequencies."""
+        """Lowest frequency in cycles/pixel at which the MTF is 0.5. None if the MTF is higher at all frequencies."""
         below = np.flatnonzero(self.transfer < HALF)
         if not below.size:
             return None
@@ -52,23 +53,23 @@ class Sharpness:
 
 
 def edge_sharpness(plane: Array) -> Sharpness:
-    """Measure the sharpness of a straight edge that is 2° to 15° from the vertical.
+    """Measure the MTF across a straight edge that is slanted by 2° to 15° from the vertical.
 
     Parameters
     ----------
     plane : ndarray, (row, col)
-        Linear values.
+        Linear brightness of a picture.
 
     Raises
     ------
     EdgeError
-        If the plane has no such edge.
+        If the picture contains no such edge.
 
     Notes
     -----
-    The edge is the straight line through the centroids of the slopes of all rows. Pixels are averaged in bins of a quarter
-    pixel, according to their distance from this line. The MTF is the spectrum of the slope of the resulting profile,
-    corrected for the width of the bins and the finite differences.
+    The position of the edge in each row is the centroid of the absolute slope. A straight line is fitted to these positions.
+    Pixels are averaged in bins of a quarter pixel by their distance from the line, which gives the edge profile. The MTF is
+    the spectrum of the slope of this profile, corrected for the width of the bins and for the finite differences.
     """
     plane = np.asarray(plane, np.float64)
     slope = np.abs(np.diff(plane, axis=1))
@@ -85,17 +86,17 @@ def edge_sharpness(plane: Array) -> Sharpness:
         line, reach = np.polyfit(rows[crossed], at, 1), SEARCHED
     angle = np.arctan(line[0])
     if not 2.0 <= abs(np.degrees(angle)) <= 15.0:
-        raise EdgeError(f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical, not 2° to 15°")
-    turns = int(len(rows) * abs(line[0]))  # number of whole columns by which the edge moves
-    rows = rows[: round(turns / abs(line[0]))]  # over whole columns, all subpixel phases occur equally often
+        raise EdgeError(f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical instead of 2° to 15°")
+    turns = int(len(rows) * abs(line[0]))  # number of whole columns that the edge crosses
+    rows = rows[: round(turns / abs(line[0]))]  # with whole columns, all subpixel positions of the edge are equally frequent
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)
     inside = np.abs(distance) < HALF_PROFILE_PIXELS
     number = np.floor((distance[inside] + HALF_PROFILE_PIXELS) * BINS_PER_PIXEL).astype(int)
     count = np.bincount(number, minlength=PROFILE_BINS)
     if not count.min():
         raise EdgeError(
-            f"the picture must extend at least {HALF_PROFILE_PIXELS:g} pixels to both sides of the edge at every sub-pixel "
-            "position, and it does not"
+            f"the picture has no pixels at some distances from the edge; it must extend at least {HALF_PROFILE_PIXELS:g} "
+            "pixels to both sides of the edge"
         )
     profile = np.bincount(number, plane[: len(rows)][inside], PROFILE_BINS) / count
     ends = np.minimum(np.arange(1, PROFILE_BINS), np.arange(1, PROFILE_BINS)[::-1]) / (TAPER * BINS_PER_PIXEL)
@@ -108,38 +109,38 @@ def edge_sharpness(plane: Array) -> Sharpness:
 
 DARK_SIDE, BRIGHT_SIDE = 0.1, 0.4  # reflectances on the two sides of an edge, 4:1 as in ISO 12233
 ANGLE, SIDE = 5.0, 192  # slant of the edge in degrees; side of a frame in pixels
-EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in the frames with edges, as a fraction of full scale
-GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey, and its exposure time in s
+EDGE_FRAME_WHITE = 0.8  # signal of a perfect white in frames with an edge, as a fraction of full scale
+GREY, EXPOSURE = 0.18, 1 / 15  # reflectance of the grey, and exposure time of its frames in s
 LIGHT = "D65"
 SNR = 10.0  # signal-to-noise ratio that defines SNR10
-OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey, in octaves relative to the camera's SNR10
-RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of a raw frame of the grey, and side of the rendered part
-KNOWN = "lens and pixel"  # name of the MTF curve of an ideal lens and pixel
-# Number of random cameras, correlation length of their errors in nm, and half width of a 95 % band in standard deviations.
+OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey, in octaves from the illuminance SNR10 of the camera
+RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of a raw frame of the grey, and side of the part that is rendered
+KNOWN = "lens and pixel"  # name of the MTF curve that is computed for a diffraction-limited lens and the pixel aperture
+# Number of random cameras, correlation length in nm of the errors of their curves, and half width in standard deviations of
+# a 95 % band
 DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96
-PATCHES = 4, 6  # rows and columns of the chart for random cameras
-MARGIN_PIXELS = 24  # pixels; width of the margin that is left out at each edge of a frame
+PATCHES = 4, 6  # rows and columns of the chart that the random cameras photograph
+MARGIN_PIXELS = 24  # pixels; width of the margin of a frame that is not evaluated
 
 
 @dataclass(frozen=True)
 class GreyNoise:
     """Signal-to-noise ratio of a grey in each channel of a camera, in closed form.
 
-    `per_lux` (channel) is the signal in DN per lux. At signal S, the noise variance is constant + linear · S + quadratic ·
-    S², with `constant` in DN² and `linear` in DN.
+    At a signal of S DN, the noise variance is constant + linear · S + quadratic · S².
     """
 
-    per_lux: Array
-    constant: Array
-    linear: Array
+    per_lux: Array  # (channel) signal in DN per lux
+    constant: Array  # (channel) DN²
+    linear: Array  # (channel) DN
     quadratic: float
     top: float  # DN, full scale
 
     @classmethod
     def of(cls, camera: CameraModel, frame: TrainingFrame) -> "GreyNoise":
-        """Return the noise for a grey of reflectance GREY, at the illuminant and exposure time of a frame.
+        """Compute the noise of a grey with the reflectance GREY, for the illuminant and exposure time of a frame.
 
-        Raises ValueError if dark current alone saturates a pixel.
+        Raises ValueError if the dark current alone saturates a pixel.
         """
         assert frame.light is not None
         white, falling = lit_library(frame.light)
@@ -152,15 +153,15 @@ class GreyNoise:
         return cls(signal, constant * ones, linear * ones, quadratic, span)
 
     def snr(self, lux: Array) -> Array:
-        """Return the signal-to-noise ratio (lux, channel)."""
+        """Return the signal-to-noise ratio (lux, channel) at each illuminance."""
         signal = np.asarray(lux)[:, None] * self.per_lux
         return np.asarray(signal / np.sqrt(self.constant + (self.linear + self.quadratic * signal) * signal))
 
     def lux(self) -> list[float | None]:
-        """Return the illuminance in lux (channel) at which each channel reaches the signal-to-noise ratio SNR.
+        """Return the illuminance in lux at which each channel reaches the signal-to-noise ratio SNR.
 
-        With s = SNR and the constant, linear and quadratic terms c, l and q, it follows from S² = s² (c + l S + q S²). It is
-        None if PRNU makes this ratio impossible or if pixels saturate first.
+        The signal S is the solution of S² = SNR² (constant + linear · S + quadratic · S²). The illuminance is None if PRNU
+        makes the ratio unreachable, or if the channel saturates first.
         """
         found: list[float | None] = []
         for per_lux, constant, linear in zip(self.per_lux, self.constant, self.linear, strict=True):
@@ -172,14 +173,14 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the mean divided by the standard deviation of a plane that shows a uniform grey. It is at least 0."""
+    """Return the signal-to-noise ratio of a picture of a uniform grey, at least 0: mean divided by standard deviation."""
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 
 def crossing(lux: Array, snr: Array) -> float | None:
     """Return the illuminance in lux above which a measured signal-to-noise ratio stays at SNR or higher.
 
-    It is interpolated logarithmically. The result is None if it lies outside the measured range.
+    The illuminance is interpolated logarithmically. The result is None if the illuminance is outside the measured range.
     """
     below = np.flatnonzero(snr < SNR)
     if not below.size or below[-1] == len(lux) - 1 or not snr[below[-1]] > 0:
@@ -189,9 +190,9 @@ def crossing(lux: Array, snr: Array) -> float | None:
 
 
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
-    """Return the MTF of diffraction and pixel aperture across an edge with the slant ANGLE.
+    """Compute the MTF of diffraction and pixel aperture across an edge with the slant ANGLE.
 
-    `weights` are the weights of the wavelengths, which are in nm.
+    The MTF is a weighted mean over wavelengths in nm. `weights` contains one weight per wavelength.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -199,27 +200,28 @@ def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> S
 
 
 def brightness(planes: Array, outputs: tuple[str, ...]) -> Array:
-    """Return the luminance (row, col) of a picture without its margin, or the mean of its outputs if Y is not an output."""
+    """Return the luminance Y of a picture without its margin (row, col). If Y is not an output, return the mean output."""
     plane = planes[outputs.index("Y")] if "Y" in outputs else planes.mean(axis=0)
     return np.asarray(plane[MARGIN_PIXELS:-MARGIN_PIXELS, MARGIN_PIXELS:-MARGIN_PIXELS], np.float64)
 
 
 def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Array], across: str) -> dict[str, Any]:
-    """Return the MTF curves and MTF50 (cycles/pixel) of each pipeline, and of lens and pixel.
+    """Measure the MTF of each pipeline, and compute the MTF of lens and pixel.
 
     Parameters
     ----------
     planes : dict of str to ndarray, (row, col)
-        Pipeline → brightness of a picture of an edge.
+        Brightness of a picture of an edge, for each pipeline.
     known : tuple
         Arguments of `known_sharpness`.
     across : str
-        "rows" for a nearly vertical edge, otherwise "columns".
+        "rows" if the edge is nearly vertical, "columns" if it is nearly horizontal.
 
     Returns
     -------
     dict
-        Frequencies, and MTF and MTF50 of each pipeline. MTF and MTF50 are None if the picture of the pipeline has no edge.
+        Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). The latter two have an entry for each pipeline and
+        for "lens and pixel", which is None if no edge can be measured.
     """
     curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
     for name, plane in planes.items():
@@ -235,20 +237,20 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
 
 
 def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array, snr: dict[str, Array]) -> dict[str, Any]:
-    """Return the signal-to-noise ratio of a grey at each illuminance, and the illuminance at which it reaches SNR.
+    """Collect the signal-to-noise ratios of a grey and, for each of them, the illuminance at which the ratio reaches SNR.
 
     Parameters
     ----------
     camera : CameraModel
-        The camera.
+        Camera that photographs the grey.
     noise : GreyNoise
-        Its noise in closed form.
+        Noise of the camera in closed form.
     lux : ndarray, (lux)
         Illuminances in lux.
     raw : ndarray, (lux, channel)
         Signal-to-noise ratios measured in raw frames.
     snr : dict of str to ndarray, (lux)
-        Pipeline → signal-to-noise ratio of the brightness.
+        Signal-to-noise ratios of the brightness of rendered pictures, for each pipeline.
     """
     closed, names = noise.snr(lux), camera.channels
     return {
@@ -266,10 +268,10 @@ def grey_document(camera: CameraModel, noise: GreyNoise, lux: Array, raw: Array,
 
 
 def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraModel]:
-    """Draw DRAWN random cameras whose curves vary around the curves of `camera` within their uncertainty (95 % band).
+    """Draw random cameras whose responsivity curves vary within the 95 % band of the curves of `camera`.
 
-    Errors of different channels are independent. Errors at wavelengths that are CORRELATED nm apart have a correlation of
-    exp(-1/2).
+    The errors of different channels are independent. The errors at two wavelengths with a distance of CORRELATED nm have a
+    correlation of exp(−1/2).
     """
     distance = np.subtract.outer(camera.wavelength, camera.wavelength) / CORRELATED
     values, vectors = np.linalg.eigh(np.exp(-0.5 * distance**2))
@@ -280,7 +282,7 @@ def drawn_cameras(camera: CameraModel, rng: np.random.Generator) -> list[CameraM
 
 
 def patch_means(planes: Array) -> Array:
-    """Return the mean (output, patch) over the centre of each patch of a chart that fills a frame (output, row, col)."""
+    """Return the mean (output, patch) of the centre of each chart patch. The chart fills the planes (output, row, col)."""
     rows, cols = PATCHES
     tall, wide = planes.shape[1] // rows, planes.shape[2] // cols
     cells = planes.reshape(len(planes), rows, tall, cols, wide)[:, :, tall // 4 : -(tall // 4), :, wide // 4 : -(wide // 4)]
@@ -288,15 +290,16 @@ def patch_means(planes: Array) -> Array:
 
 
 def colour_differences(xyz: Array, of_camera: Array, white: Array) -> Array:
-    """Return ΔE00 (patch) between XYZ (3, patch) from two cameras, after scaling to the same mean luminance."""
+    """Return ΔE00 (patch) between XYZ (3, patch) from two cameras, after scaling to equal mean luminance."""
     same = xyz * (of_camera[1].sum() / xyz[1].sum())
     return delta_e_2000(*(lab(each.T / white[1], white / white[1]) for each in (same, of_camera)))
 
 
 def figures_of(document: dict[str, Any]) -> dict[str, dict[str, float | None]]:
-    """Return the metrics of each pipeline: MTF50 along rows and columns, SNR10, and ΔE00 from the uncertainty of the curves.
+    """Return MTF50 along rows, MTF50 along columns, SNR10 and the camera ΔE00 of each pipeline.
 
-    SNR10 is None without absolute curves. ΔE00 is None if the curves have no uncertainty band.
+    The camera ΔE00 is the colour error that the uncertainty of the responsivity curves causes. It is None if the curves have
+    no uncertainty band. SNR10 is None if the curves are not absolute.
     """
     edge, grey, chart = document["edge"], document["grey"], document["chart"]
     return {

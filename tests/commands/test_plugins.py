@@ -70,8 +70,8 @@ def test_the_noise_model_of_the_page_is_simulated(installed: Path, pipeline: Pat
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("return np.array(planes)", "return np.array(planes[:2])", "their shape is (2, "),
-        ("return np.array(planes)", "return np.array(planes) * np.nan", "must be finite and of shape (3, "),
+        ("return np.array(planes)", "return np.array(planes[:2])", "its shape is (2, "),
+        ("return np.array(planes)", "return np.array(planes) * np.nan", "must be finite and have the shape (3, "),
         (
             "size = 2",
             "raise RuntimeError('no array')\n    size = 2",
@@ -104,7 +104,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
     for name, words in {
-        "basic": "the same name as one of l3's baselines",
+        "basic": "has the name of a baseline of l3",
         "ideal": '"ideal" is already in use',
         "a/b": "may have only letters",
     }.items():

@@ -298,11 +298,11 @@ def test_what_was_shown_is_compared_before_anything_is_claimed(evaluations: Path
     code, out, err = l3("compare", evaluations / "bayer.json", tmp_path / "other.json", "--json")
     assert code == 0
     assert (json.loads(out)["same_scenes"], json.loads(out)["verdicts"]) == (False, [])
-    assert "have different scenes or lights" in err
+    assert "show different scenes or illuminants" in err
     code, _, err = l3("compare", evaluations / "bayer.json", tmp_path / "odd.json")
-    assert (code, "frames do not name their scenes" in err) == (3, True)
+    assert (code, "does not describe the scene and luminance of each frame" in err) == (3, True)
     code, out, err = l3("compare", evaluations / "bayer.json", tmp_path / "silent.json")
-    assert "have no fingerprints" in err
+    assert "do not record which scene and illuminant they show" in err
     assert "Bayer (bayer) and Bayer (silent) are equal" in out  # told apart by their files
 
 
