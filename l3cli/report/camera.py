@@ -1,8 +1,8 @@
 """The section of a camera model in a report.
 
-It shows the colour filter array, the responsivities, the noise, and how well the model predicts the charts it was fitted to.
-If the noise was measured, a data sheet follows EMVA 1288 release 4.0: operation point, values per channel, and the plots of
-the standard (docs/measurement.md#data-sheet).
+The section shows the colour filter array, the responsivities and the noise. If the camera was fitted to charts, the section
+also shows how well the model predicts these charts. If the noise was measured, it includes a data sheet with the operation
+point, the values of each channel and the plots of EMVA 1288, release 4.0 (docs/measurement.md#data-sheet).
 """
 
 from typing import Any
@@ -19,21 +19,20 @@ from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, S
 from l3cli.report.validation import BANDS, photo_lead, photo_subsections, table_of, validation_blocks
 from l3cli.system.text import counted, tidy, unit
 
-CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # px, height and maximum width of a filter in the drawing of the array
-HEADROOM = 1.06  # top of the axis relative to the highest curve, so that there is space for labels
-MAX_LABEL_CHARACTERS = 24  # characters; if all channel names together are longer, the curves get no labels
-SATURATED_VARIANCE = (
-    0.9  # a point with less than this fraction of the variance on the photon transfer line counts as saturated
-)
+CELL_HEIGHT, MAX_CELL_WIDTH = 44, 104  # px; height and maximum width of a filter in the drawing of the array
+HEADROOM = 1.06  # upper end of the axis divided by the maximum of the curves; leaves space for labels
+MAX_LABEL_CHARACTERS = 24  # if the channel names together have more characters, the curves are not labelled
+# A point of the photon transfer counts as saturated if its variance is below this fraction of the variance on the line.
+SATURATED_VARIANCE = 0.9
 Array = NDArray[np.floating]
 LINEAR_RANGE = (0.05, 0.95)  # range of the linear fit, as a fraction of the saturation capacity
 SNR_CURVE_START = 1e-3  # lower end of the SNR curve, as a fraction of the saturation capacity
 MEANINGS = (
-    "η: quantum efficiency including lens and filters, at the channel's peak. SNR max: square root of the saturation "
-    "capacity. Threshold: the signal with a signal-to-noise ratio of 1. DR: saturation capacity divided by the threshold. "
-    "DSNU and PRNU: standard deviations over pixels. LE: mean relative deviation from a line over 5–95 % of saturation. "
-    "Photons are counted at the peak wavelength before the lens, per pixel and exposure. They are not listed if the "
-    "responsivities are relative."
+    "η is the quantum efficiency at the peak wavelength of the channel, including lens and filters. SNR max is the square "
+    "root of the saturation capacity. The threshold is the signal with a signal-to-noise ratio of 1. DR is the saturation "
+    "capacity divided by the threshold. DSNU and PRNU are standard deviations over the pixels. LE is the mean relative "
+    "deviation from a line that is fitted between 5 % and 95 % of saturation. Photons are counted per pixel and exposure, "
+    "at the peak wavelength, before the lens. Photons are not listed if the responsivities are relative."
 )
 
 
@@ -45,16 +44,16 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     camera : CameraModel
         The camera.
     figures : dict
-        The document that `l3 calibrate --json` prints for this camera. Its entry "shortfall" says why the model should not
-        be trusted, and is empty or None otherwise.
+        Output of `l3 calibrate --json` for this camera, with the additional key "shortfall": the reason why the model should
+        not be trusted, or an empty string.
     name : str
         Name of the file that contains the camera.
 
     Returns
     -------
     Section
-        Sensor and array, responsivities, noise, data sheet if the noise was measured, and validation if the camera was
-        fitted to charts.
+        Subsections for the sensor, the responsivities and the noise, and, if the measurements exist, the data sheet, the
+        photos and the validation.
     """
     parts = [
         Subsection("Sensor and colour filter array", (Figures((array_figure(camera),)), _facts(camera))),
@@ -67,19 +66,19 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
         parts[2:2] = photo_subsections(camera, camera.fit.photo, figures)
     if camera.fit is not None and (blocks := validation_blocks(camera, camera.fit, figures)):
         parts.append(Subsection("Validation", blocks))
-    doubt = f" It falls short: {figures['shortfall']}." if figures["shortfall"] else ""
+    doubt = f" The model is not reliable: {figures['shortfall']}." if figures["shortfall"] else ""
     return Section(f"Camera: {camera.name}", f"{_lead(camera, figures)}{doubt} From {name}.", tuple(parts))
 
 
 def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
-    """Summarize the camera in a few sentences."""
+    """Summarize the sensor and the quality of the calibration in a few sentences."""
     rows, cols = camera.cfa.shape
     text = (
         f"{len(camera.channels)} channels in a {rows} × {cols} colour filter array on {camera.cols} × {camera.rows} pixels, "
         f"{camera.bits} bits."
     )
     if camera.fit is None:
-        return text + " Described by a recipe, not measured."
+        return text + " The camera was not measured. A recipe describes it."
     if camera.fit.photo is not None:
         return f"{text} {photo_lead(camera.fit.photo, figures)}"
     validation = camera.fit.validation
@@ -87,18 +86,19 @@ def _lead(camera: CameraModel, figures: dict[str, Any]) -> str:
         return text
     worst = int(np.argmax(validation.relative_rmse))
     return (
-        f"{text} Its values are predicted with a relative RMSE of {tidy(100 * float(validation.relative_rmse[worst]))} % "
-        f"(R² {float(validation.r_squared[worst]):.5f}) in its worst channel, {camera.channels[worst]}.{drift_note(camera)}"
+        f"{text} The model predicts the measured values with a relative RMSE of "
+        f"{tidy(100 * float(validation.relative_rmse[worst]))} % (R² {float(validation.r_squared[worst]):.5f}) in its worst "
+        f"channel, {camera.channels[worst]}.{drift_note(camera)}"
     )
 
 
 def drift_note(camera: CameraModel) -> str:
-    """Return a sentence about lamps that drifted more than declared, with a leading space, or an empty string."""
+    """Return a sentence, with a leading space, if the lamps drifted more than declared. Otherwise return an empty string."""
     if camera.fit is None or camera.fit.drift is None:
         return ""
     return (
-        f" The charts disagree as if the lamps had drifted by {tidy(100 * camera.fit.drift.deviation, 2)} %. The confidence "
-        "bands include this drift."
+        f" The measurements of the charts contradict each other by as much as a lamp drift of "
+        f"{tidy(100 * camera.fit.drift.deviation, 2)} % would explain. The confidence bands include this drift."
     )
 
 
@@ -108,7 +108,7 @@ def drift_note(camera: CameraModel) -> str:
 def array_figure(camera: CameraModel) -> Figure:
     """Draw one period of the colour filter array.
 
-    Each site shows the colour of daylight through its channel, and the channel's name.
+    Each site shows the name of its channel on the colour that daylight has behind the filter.
     """
     rows, cols = camera.cfa.shape
     light = colours.channel_light(camera)
@@ -127,8 +127,10 @@ def array_figure(camera: CameraModel) -> Figure:
             f"{escape(shown)}</text>"
         )
     counts = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
-    shares = ", ".join(f"{name} on {count}" for name, count in zip(camera.channels, counts, strict=True))
-    finding = f"Super-pixel of {rows} × {cols} sites: {shares}. Colours show daylight through each channel."
+    sites_of = ", ".join(f"{name} {count}" for name, count in zip(camera.channels, counts, strict=True))
+    finding = (
+        f"Super-pixel of {rows} × {cols} sites. Sites per channel: {sites_of}. The colours are daylight through filters."
+    )
     svg = sheet(cols * wide + 2, rows * CELL_HEIGHT + 2, "".join(items), finding, fixed_size=True)
     sites = tuple((str(row), str(col), camera.channels[channel]) for (row, col), channel in np.ndenumerate(camera.cfa))
     return Figure("Colour filter array", svg, finding, narrow=True, data=Data(("row", "column", "channel"), sites))
@@ -140,7 +142,7 @@ def _facts(camera: CameraModel) -> Table:
     rows = [
         ("Pixels", f"{camera.cols} × {camera.rows}"),
         ("Pixel pitch", f"{tidy(1e6 * camera.pixel_pitch)} µm"),
-        ("Converter", f"{camera.bits} bit"),
+        ("Bit depth of raw values", f"{camera.bits} bit"),
         ("Black level, white level", f"{tidy(camera.black_level, 5)} DN, {tidy(camera.white_level, 5)} DN"),
         ("Lens", f"{tidy(1e3 * optics.focal_length)} mm f/{tidy(optics.f_number)}, focused at {distance}"),
         ("Responsivity", "absolute, e⁻/photon" if camera.absolute else "relative, largest value 1"),
@@ -151,17 +153,17 @@ def _facts(camera: CameraModel) -> Table:
 
 
 def _declared_from(camera: CameraModel) -> str:
-    """State the origin of values that were not measured. In a model from photos, dark-frame values are 0."""
-    return "not measured, taken as 0" if "dark current" in camera.declared else "taken from the data sheet"
+    """State the origin of values that were not measured. In a model from photos, values that need dark frames are 0."""
+    return "not measured, assumed to be 0" if "dark current" in camera.declared else "from the data sheet"
 
 
 # -------------------------------------------------------------------------------------------------- responsivities
 
 
 def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
-    """Plot the responsivity curves.
+    """Plot the responsivity curves, with their confidence bands if the camera has bands.
 
-    If the curves have confidence bands, these are drawn around the curves, and a second figure shows their half widths.
+    The second figure, which exists only for cameras with bands, shows the half widths of the bands.
     """
     label = "quantum efficiency (e⁻/photon)" if camera.absolute else "relative responsivity (1)"
     upper, measured = camera.responsivity + camera.responsivity_band, bool(camera.responsivity_band.any())
@@ -182,7 +184,7 @@ def responsivity_figures(camera: CameraModel) -> tuple[Figure, ...]:
 
 
 def _band_figure(camera: CameraModel) -> Figure:
-    """Plot the half widths of the bands. In a good calibration, the bands are too narrow to see beside the curves."""
+    """Plot the half widths of the confidence bands, because the bands of a good calibration are too narrow to see."""
     shares = 100 * camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     plot = Plot(spanning("wavelength (nm)", camera.wavelength), spanning("half width (% of peak)", shares, zero=True))
     keys = colours.channel_keys(camera)
@@ -190,7 +192,7 @@ def _band_figure(camera: CameraModel) -> Figure:
         plot.line(camera.wavelength, share, key.colour, key.mark, series=key.label)
     medians = ", ".join(f"{name} {tidy(float(np.median(s)), 2)} %" for name, s in zip(camera.channels, shares, strict=True))
     finding = (
-        f"Half width of the 95 % band relative to the channel's peak, median over wavelengths: {medians}. "
+        f"Half width of the 95 % band as a percentage of the channel's peak, median over wavelengths: {medians}. "
         f"The maximum is {tidy(shares.max(), 2)} %."
     )
     return plot.figure("Confidence bands", finding, keys)
@@ -204,29 +206,30 @@ def _noise_blocks(camera: CameraModel, figures: dict[str, Any]) -> tuple[Block, 
         (name, f"{tidy(entry['value'], 5)} {unit(entry['unit'])}".strip()) for name, entry in figures["camera"].items()
     )
     declared = f"; {_declared_from(camera)}: {', '.join(camera.declared)}" if camera.declared else ""
-    blocks: list[Block] = [Table(f"The camera in EMVA 1288 terms{declared}", ("quantity", "value"), rows)]
+    blocks: list[Block] = [Table(f"Camera parameters as defined in EMVA 1288{declared}", ("quantity", "value"), rows)]
     rows_of_channels = figures["channels"].items()
     others = {name: {title: value for title, value in row.items() if title not in BANDS} for name, row in rows_of_channels}
     if any(others.values()):
-        blocks.append(table_of("Figures of each channel", "channel", others))
+        blocks.append(table_of("Values per channel", "channel", others))
     if figures["saturation reached"] is False:
-        blocks.append(Text("No white frame saturates: the white level is assumed to be the largest value of the converter."))
+        blocks.append(Text("No white frame saturates. The white level is assumed to be the largest possible raw value."))
     if figures["defects"]:
         shown = " ".join(f"({row}, {col})" for row, col in figures["defects"][:24])
         more = " …" if len(figures["defects"]) > 24 else ""
-        blocks.append(Text(f"{len(figures['defects'])} hot and dead pixels (row, col) are left out: {shown}{more}"))
+        blocks.append(Text(f"Hot and dead pixels (row, col) that were ignored: {len(figures['defects'])}. {shown}{more}"))
     if found := figures.get("defect map"):
-        blocks.append(Text("Defect map: " + ", ".join(f"{what} {count}" for what, count in found.items())))
+        blocks.append(Text("Pixels in the defect map: " + ", ".join(f"{what} {count}" for what, count in found.items())))
     if lost := figures.get("corner fall-off %"):
         shares = ", ".join(f"{name} {share:.3g} %" for name, share in lost.items())
-        blocks.append(Text(f"Flat field, loss of light in the darkest corner: {shares}"))
+        blocks.append(Text(f"Loss of light in the darkest corner of the flat field: {shares}"))
     if figures["left out"] and not figures["photos"]:
-        blocks.append(Details(f"{counted(len(figures['left out']), 'capture')} left out", "\n".join(figures["left out"])))
+        unused = counted(len(figures["left out"]), "capture")
+        blocks.append(Details(f"{unused} not used for the calibration", "\n".join(figures["left out"])))
     return tuple(blocks)
 
 
 def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the photon transfer: temporal variance against mean signal, with lines whose slope is the system gain K."""
+    """Plot the photon transfer: temporal variance against mean signal, with one line per channel whose slope is its gain."""
     mean, variance = noise.photon_transfer_mean, noise.photon_transfer_variance
     plot = Plot(
         spanning("mean signal above black (DN)", mean, zero=True), spanning("temporal variance (DN²)", variance, zero=True)
@@ -235,7 +238,7 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     for channel, key in enumerate(keys):
         gain = float(noise.conversion_gain[channel])
         dark = (gain * float(noise.read_noise[channel])) ** 2 + QUANTISATION
-        end = float(mean[int(variance[:, channel].argmax()), channel])  # above this signal the channel saturates
+        end = float(mean[int(variance[:, channel].argmax()), channel])  # the channel saturates above this signal
         plot.line(np.array([0.0, end]), np.array([dark, dark + gain * end]), key.colour, key.mark, 1.2)
         plot.dots(mean[:, channel], variance[:, channel], key.colour, colours.MARKS[key.mark], series=key.label)
     gains = ", ".join(
@@ -244,13 +247,13 @@ def transfer_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     )
     line = noise.conversion_gain * mean + (noise.conversion_gain * noise.read_noise) ** 2
     full = int((variance < SATURATED_VARIANCE * line).sum())
-    finding = f"The slope is the system gain K in DN/e⁻: {gains}. Each line is K times the signal plus the dark variance."
-    points = f"{counted(full, 'saturated point')} with less variance {'lies' if full == 1 else 'lie'} below the lines."
+    finding = f"System gain K in DN/e⁻: {gains}. Each line is K times the signal plus the dark variance."
+    points = f"Below the lines: {counted(full, 'saturated point')}."
     return plot.figure("Photon transfer", f"{finding} {points}" if full else finding, keys)
 
 
 def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
-    """Build the EMVA 1288 data sheet of a camera whose noise was measured: operation point, values per channel and plots."""
+    """Build the EMVA 1288 data sheet of a camera: operation point, values per channel and plots."""
     plots = (transfer_figure, linearity_figure, deviation_figure, snr_figure)
     figures = Figures(tuple(plot(camera, noise) for plot in plots))
     blocks = (operation_point(camera, noise), figures_table(camera, noise), Text(MEANINGS), figures)
@@ -258,19 +261,19 @@ def data_sheet(camera: CameraModel, noise: NoiseFit) -> Subsection:
 
 
 def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
-    """List the settings of the camera and the exposures at which it was measured."""
+    """List the settings of the camera and the exposure times of the white frames."""
     first, last = float(noise.exposure.min()), float(noise.exposure.max())
     array = " / ".join(array_rows(camera.channels, camera.cfa))
     rows = (
         ("Camera", camera.name),
         ("Pixels", f"{camera.cols} × {camera.rows}, {tidy(1e6 * camera.pixel_pitch)} µm"),
         ("Colour filter array", array),
-        ("Resolution of values", f"{camera.bits} bits"),
+        ("Bit depth of raw values", f"{camera.bits} bits"),
         ("Black and white level", f"{tidy(camera.black_level, 5)} and {tidy(camera.white_level, 5)} DN"),
-        ("Exposures of white frames", f"{noise.exposure.size}, {tidy(1e3 * first)} to {tidy(1e3 * last)} ms"),
+        ("Exposure times of white frames", f"{noise.exposure.size}, from {tidy(1e3 * first)} to {tidy(1e3 * last)} ms"),
         (
             "Saturation",
-            "reached" if noise.white_level_reached else "not reached; the converter's largest value is used",
+            "reached" if noise.white_level_reached else "not reached; the largest possible raw value is assumed",
         ),
         ("Lens", f"{tidy(1e3 * camera.optics.focal_length)} mm, f/{camera.optics.f_number:g}"),
     )
@@ -278,7 +281,7 @@ def operation_point(camera: CameraModel, noise: NoiseFit) -> Table:
 
 
 def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
-    """List the quantities of EMVA 1288 in a table with one column per channel."""
+    """Make a table of the EMVA 1288 quantities with one column per channel."""
     gain, capacity = noise.conversion_gain, noise.saturation_capacity
     least = sensitivity_threshold(noise.read_noise, gain)
     peak = camera.responsivity.argmax(axis=1)
@@ -288,7 +291,7 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
         lines += [("quantum efficiency η (%)", 100 * efficiency)]
     lines += [
         ("overall system gain K (DN/e⁻)", gain),
-        ("± of K (DN/e⁻)", noise.conversion_gain_error),
+        ("standard error of K (DN/e⁻)", noise.conversion_gain_error),
         ("inverse gain 1/K (e⁻/DN)", 1 / gain),
         ("temporal dark noise (e⁻)", noise.read_noise),
         ("temporal dark noise (DN)", np.hypot(gain * noise.read_noise, np.sqrt(QUANTISATION))),
@@ -309,11 +312,11 @@ def figures_table(camera: CameraModel, noise: NoiseFit) -> Table:
         ("dark current (e⁻/s)", noise.dark_current),
     ]
     rows = tuple((name, *(tidy(float(value), 4) for value in values)) for name, values in lines)
-    return Table("EMVA 1288 figures of each channel", ("quantity", *camera.channels), rows)
+    return Table("EMVA 1288 values per channel", ("quantity", *camera.channels), rows)
 
 
 def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Array, Array]:
-    """Fit the linear range of a channel.
+    """Fit a line to the signal of a channel as a function of the exposure time.
 
     Returns
     -------
@@ -322,7 +325,8 @@ def _lit(camera: CameraModel, noise: NoiseFit, channel: int) -> tuple[Array, Arr
     signal : ndarray, (exposure,)
         Mean signal above the dark signal, in DN.
     line : ndarray, (exposure,)
-        Line fitted over LINEAR_RANGE with relative weights, in DN; NaN if fewer than two exposures are in that range.
+        Values of the line in DN. The fit minimizes relative deviations over LINEAR_RANGE. NaN if fewer than two exposures
+        are in that range.
     """
     gain = noise.conversion_gain[channel]
     order = np.argsort(noise.exposure, kind="stable")
@@ -340,14 +344,15 @@ def linearity_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     every = [_lit(camera, noise, channel) for channel in range(len(camera.channels))]
     plot = Plot(
         spanning("exposure time (s)", noise.exposure, zero=True),
-        spanning("mean signal above the dark (DN)", np.array([signal for _, signal, _ in every]), zero=True),
+        spanning("mean signal above dark signal (DN)", np.array([signal for _, signal, _ in every]), zero=True),
     )
     keys = colours.channel_keys(camera)
     for key, (exposure, signal, line) in zip(keys, every, strict=True):
         inside = np.isfinite(line) & (line <= 1.1 * signal.max())
         plot.line(exposure[inside], line[inside], key.colour, key.mark, 1.2)
         plot.dots(exposure, signal, key.colour, colours.MARKS[key.mark], series=key.label)
-    return plot.figure("Linearity", "The lines minimize relative deviations over 5–95 % of saturation.", keys)
+    finding = "The lines minimize the relative deviations between 5 % and 95 % of saturation."
+    return plot.figure("Linearity", finding, keys)
 
 
 def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
@@ -371,22 +376,22 @@ def deviation_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
     )
     return plot.figure(
         "Deviation from linearity",
-        f"LE: {errors}. LE is corrected for lamp drift if a monitor recorded it; the plot is not.",
+        f"LE: {errors}. If a monitor recorded the lamp, LE is corrected for its drift. The plot is not corrected.",
         keys,
     )
 
 
 def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
-    """Plot the signal-to-noise ratio against the signal in electrons.
+    """Plot the temporal signal-to-noise ratio against the signal in electrons.
 
-    Points are measured. Lines are computed from the read noise and gain of each channel. The dotted line is an ideal sensor
-    with photon noise only.
+    The points are measured. The lines are computed from the read noise and the gain of each channel. The dotted line is an
+    ideal sensor, which has photon noise only.
     """
     most = float(noise.saturation_capacity.max())
     electrons = np.geomspace(most * SNR_CURVE_START, most, 60)
     plot = Plot(
         spanning("signal (e⁻)", electrons, log=True),
-        spanning("signal over noise (1)", np.sqrt(electrons[[0, -1]]) * (0.3, 1.0), log=True),
+        spanning("signal-to-noise ratio (1)", np.sqrt(electrons[[0, -1]]) * (0.3, 1.0), log=True),
     )
     plot.line(electrons, np.sqrt(electrons), "currentColor", "dotted", 1.2)
     keys = colours.channel_keys(camera)
@@ -402,5 +407,5 @@ def snr_figure(camera: CameraModel, noise: NoiseFit) -> Figure:
         f"{name} {tidy(10 * np.log10(float(capacity)), 3)} dB"
         for name, capacity in zip(camera.channels, noise.saturation_capacity, strict=True)
     )
-    finding = f"SNR max: {best}. Temporal noise only. Dotted: an ideal sensor with photon noise only."
-    return plot.figure("Signal over noise", finding, keys)
+    finding = f"SNR max: {best}. The plot shows temporal noise. The dotted line is an ideal sensor with photon noise only."
+    return plot.figure("Signal-to-noise ratio", finding, keys)

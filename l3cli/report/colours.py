@@ -1,6 +1,6 @@
 """Colours and marks of channels in drawings, and chromaticities.
 
-All colours are computed from spectra, never from channel names.
+Channel colours are computed from the responsivities and not from channel names.
 """
 
 from dataclasses import replace
@@ -16,24 +16,19 @@ from l3cli.report.parts import Key
 Array = NDArray[np.floating]
 
 
-LINE_LUMINANCE = 0.18  # luminance of lines relative to white; the contrast to a white and to a dark page is above 4
-MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # line style of a channel → mark of its points
-CONFUSABLE_DIFFERENCE = 170  # sRGB codes, summed over r, g and b; two colours that differ by less are easily confused
+# Luminance of all lines as a fraction of white. The contrast ratio to a white page and to a dark page is above 4.
+LINE_LUMINANCE = 0.18
+MARKS = {"line": "dot", "dashed": "plus", "dotted": "cross"}  # mark for the points of a channel, by its line style
+CONFUSABLE_DIFFERENCE = 170  # 8-bit sRGB, absolute differences summed over r, g and b; closer colours are easily confused
 
 
 def channel_light(camera: CameraModel) -> NDArray[np.float64]:
-    """Compute the display colour of each channel: daylight (D65) seen through its responsivity.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        Supplies the responsivities.
+    """Compute a display colour for each channel: the colour of daylight (D65) multiplied by the responsivity.
 
     Returns
     -------
     ndarray, (channel, 3)
-        Linear sRGB, scaled so that the largest of the three values is 1. A channel without response to visible light is grey
-        (0.5).
+        Linear sRGB. The largest of the three values is 1. A channel that does not respond to visible light is grey (0.5).
     """
     seen = camera.responsivity * spectra.illuminant("D65", camera.wavelength)
     linear = np.maximum(seen @ spectra.xyz_weights(camera.wavelength).T @ SRGB_FROM_XYZ.T, 0.0)
@@ -42,20 +37,10 @@ def channel_light(camera: CameraModel) -> NDArray[np.float64]:
 
 
 def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Choose the colour and the mark of each channel's line.
+    """Return one legend entry per channel, with the colour and the style of its line.
 
-    All colours get the same luminance, so that they are visible on a white and on a dark page. If the colours of several
-    channels are easily confused, the channels get different marks.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        Supplies channel names and responsivities.
-
-    Returns
-    -------
-    tuple of Key
-        One legend entry per channel.
+    All colours have the same luminance, so that lines are visible on a white page and on a dark page. Channels whose colours
+    are easily confused have different line styles.
     """
     keys: list[Key] = []
     for name, linear in zip(camera.channels, channel_light(camera), strict=True):
@@ -66,17 +51,17 @@ def channel_keys(camera: CameraModel) -> tuple[Key, ...]:
 
 
 def point_keys(camera: CameraModel) -> tuple[Key, ...]:
-    """Return one legend entry per channel, for points instead of lines."""
+    """Return one legend entry per channel, with the colour and the mark of its points."""
     return tuple(replace(key, mark=MARKS[key.mark]) for key in channel_keys(camera))
 
 
 def _codes(colour: str) -> NDArray[np.int64]:
-    """Parse #rrggbb into its three sRGB codes."""
+    """Parse #rrggbb into three 8-bit values."""
     return np.array([int(colour[start : start + 2], 16) for start in (1, 3, 5)])
 
 
 def _at_luminance(linear: Array) -> Array:
-    """Bring a linear sRGB colour to LINE_LUMINANCE: scale it down, or mix white into it."""
+    """Change the luminance of a linear sRGB colour to LINE_LUMINANCE, by scaling it down or by mixing it with white."""
     luminance = float(linear @ LUMA)
     if luminance >= LINE_LUMINANCE:
         return linear * (LINE_LUMINANCE / luminance)
@@ -90,19 +75,19 @@ def hex_colour(linear: Array) -> str:
 
 
 def ink_on(linear: Array) -> str:
-    """Return black or white as text colour, whichever is easier to read on a linear sRGB background (3)."""
+    """Choose black or white text, whichever is easier to read on a linear sRGB background (3)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 
 def spectral_locus() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the chromaticities of monochromatic light (CIE 1931).
+    """Return the CIE 1931 chromaticities of monochromatic light.
 
     Returns
     -------
     wavelength : ndarray, (wavelength,)
-        400 to 700 nm in steps of 5 nm.
+        Wavelengths from 400 to 700 nm in steps of 5 nm.
     chromaticity : ndarray, (wavelength, 2)
-        x and y.
+        Chromaticities x and y.
     """
     wavelength = np.arange(400.0, 701.0, 5.0)
     functions = spectra.colour_matching_functions(wavelength).T

@@ -1,7 +1,7 @@
-"""The section of a design in a report: the verdict, the best arrays and their filters, and the predicted errors.
+"""The section of a design in a report: the conclusion, the best arrays, their filters and the predicted errors.
 
-The errors are shown against the exposure and by group of patches. If some arrays were trained, their measured errors and
-crops of their pictures follow.
+The errors are shown as a function of the exposure, and for each group of patches. If arrays were trained, the section also
+contains their measured errors and crops of their pictures.
 """
 
 import base64
@@ -15,8 +15,8 @@ from l3cli.report.drawing import Plot, spanning
 from l3cli.report.parts import Figure, Figures, Gallery, Jpeg, Picture, Section, Subsection, Table, Text
 
 TABLE_ROWS, DRAWN_ARRAYS = 20, 5  # number of arrays in the table and in drawings
-ENLARGEMENT = 4  # factor by which crops of rendered pictures are enlarged
-MARKS = ("line", "dashed", "dotted", "line")
+ENLARGEMENT = 4  # magnification of the crops
+MARKS = ("line", "dashed", "dotted", "line")  # line styles of the arrays in plots
 
 
 def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
@@ -27,34 +27,34 @@ def design_section(design: Design, name: str, jpeg: Jpeg) -> Section:
     design : Design
         The ranked arrays.
     name : str
-        Name of the file.
+        Name of the file that contains the design.
     jpeg : callable
-        JPEG encoder.
+        JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        Its lead is the verdict.
+        The lead of the section states which array is best.
     """
     drawn = tuple(_figure(design, place) for place in design.best(DRAWN_ARRAYS))
     library = design.camera(" ".join(design.filters), design.efficiency)
     parts = [
         Subsection("Arrays", (Table(design.caption, *design.table(TABLE_ROWS)), Figures(drawn))),
         Subsection("Filters", (Figures(responsivity_figures(library)), _sensitivity(design))),
-        Subsection("Error over light", (Figures((_over_light(design),)),)),
-        Subsection("Error by group", (_groups(design),)),
+        Subsection("Error by exposure", (Figures((_over_light(design),)),)),
+        Subsection("Error by group of patches", (_groups(design),)),
     ]
     if tuned := design.tuned:
-        parts.append(Subsection("Tuned filters", (Text(" ".join(tuned.words(design.levels))),)))
+        parts.append(Subsection("Optimized filters", (Text(" ".join(tuned.words(design.levels))),)))
     if truth := design.truth:
         table = Table(" ".join(truth.agreement(design.levels)), *truth.table(design.levels))
         shown = (_pictures(design, truth, level, jpeg) for level in _two_levels(truth))
-        parts.append(Subsection("Trained and evaluated on the same unseen scenes", (table, *shown)))
+        parts.append(Subsection("Arrays that were trained and evaluated", (table, *shown)))
     return Section(f"Design: {design.name}", f"{' '.join(design.verdict)} From {name}.", tuple(parts))
 
 
 def _figure(design: Design, place: int) -> Figure:
-    """Draw an array with its rank and its predicted errors."""
+    """Draw an array. The caption states its rank and its predicted errors."""
     drawn = array_figure(design.camera(design.patterns[place], design.efficiency))
     errors = ", ".join(f"{level} {error:.2f}" for level, error in zip(design.levels, design.predicted[place], strict=True))
     title = f"{place + 1}{' (Bayer)' if place == design.bayer else ''}"
@@ -62,26 +62,26 @@ def _figure(design: Design, place: int) -> Figure:
 
 
 def _sensitivity(design: Design) -> Table:
-    """Make a table of the change in the best array's error if one filter is shifted by 5 nm."""
+    """Make a table that shows how the error of the best array changes if one filter is shifted by 5 nm."""
     used = design.patterns[0].split()
     changes = zip(design.filters, design.sensitivity, strict=True)
     rows = tuple((name, f"{100 * change:+.2f}") for name, change in changes if name in used)
-    return Table("Change of the best array's error if a filter is shifted by 5 nm", ("filter", "%"), rows)
+    return Table("Change in the error of the best array if a filter is shifted by 5 nm", ("filter", "change (%)"), rows)
 
 
 def _over_light(design: Design) -> Figure:
-    """Plot the predicted error of arrays against the product of luminance and exposure time."""
+    """Plot the predicted error of arrays against the exposure, the luminance of white times the exposure time."""
     plot = Plot(
-        spanning("luminance of white × time (cd s/m²)", design.dose, log=True),
+        spanning("luminance of white × exposure time (cd s/m²)", design.dose, log=True),
         spanning(f"predicted error ({design.unit})", design.map_error, log=True),
     )
     series = {name: (design.dose, errors) for name, errors in zip(design.mapped, design.map_error, strict=True)}
     keys = plot.curves(series, MARKS, size=0)
-    return plot.figure("Error over light", " ".join(design.crossings) or "One array is the best at every light level.", keys)
+    return plot.figure("Error by exposure", " ".join(design.crossings) or "One array is the best at every exposure.", keys)
 
 
 def _groups(design: Design) -> Table:
-    """Make a table of the errors of the best array and of the Bayer array for each kind of patch."""
+    """Make a table of the predicted errors of the best array and of the Bayer array, for each kind of patch."""
     places, rows = design.best(1), []
     for kind in itertools.chain(*KINDS):
         shares = design.share * [kind in group.split() for group in design.groups]
@@ -99,7 +99,7 @@ def _two_levels(truth: Truth) -> list[int]:
 
 
 def _pictures(design: Design, truth: Truth, level: int, jpeg: Jpeg) -> Gallery:
-    """Show enlarged crops at one light level: the ideal, the arrays with the lowest measured error, and the Bayer array."""
+    """Show crops at one light level: the ideal, the arrays with the lowest measured errors, and the Bayer array."""
     errors = truth.measured[:, level, 0]
     bayer = [truth.trained.index(design.patterns[design.bayer])] if design.bayer >= 0 else []
     crops = {"ideal": truth.ideals[level]}

@@ -1,8 +1,7 @@
-"""Plots as inline SVG.
+"""Plots as inline SVG. Coordinates are in pixels, and a drawing is 440 px wide.
 
-There are two reasons not to use a plotting library. The drawings take the colours and the font of the page, so the same
-drawing suits a light page, a dark page and print. And the same numbers always give the same bytes. Coordinates are in
-pixels. A drawing is 440 px wide.
+There are two reasons not to use a plotting library. First, the drawings use the colours and the font of the page, so that
+the same drawing suits a light page, a dark page and print. Second, the same numbers always result in the same bytes.
 """
 
 import itertools
@@ -19,20 +18,20 @@ from l3cli.system.text import superscript
 Array = NDArray[np.floating]
 WIDTH, HEIGHT = 440, 300  # px; size of a plot
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 10, 44  # px; margins around the axes
-# SVG path of each mark, relative to its point
+# SVG path of each mark, relative to the position of the point
 MARKS = {"dot": "h0", "plus": "m-3,0h6m-3,-3v6", "cross": "m-2.3,-2.3l4.6,4.6m0,-4.6l-4.6,4.6"}
 DASHES = {"line": "", "dashed": ' stroke-dasharray="6 4"', "dotted": ' stroke-dasharray="2 3"'}
-SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours for series without a colour of their own
+SERIES = ("var(--one)", "var(--two)", "var(--three)", "var(--four)")  # CSS colours of the series in `Plot.curves`
 CHARACTER_WIDTH = 6.8  # px; mean width of a character at a font size of 12 px
 WIDE_CHARACTER_WIDTH = 7.7  # px; mean width of a digit or unit in a wide font
 ASCENT, DESCENT = 10.0, 3.5  # px; height of a text line above and below its baseline
-LABEL_CLEARANCE = 2.5  # px; minimum distance between a label and anything drawn
-SAMPLE_SPACING = 1.5  # px; curves are sampled at this spacing to find labels that overlap them
-LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px; distances of a label from its point, tried in this order
-# Directions (right, down) of a label from its point, tried in this order.
+LABEL_CLEARANCE = 2.5  # px; minimum distance between a label and lines, marks or other labels
+SAMPLE_SPACING = 1.5  # px; spacing of the points on a curve that are tested for overlap with labels
+LABEL_DISTANCES = (5.0, 7.0, 10.0, 16.0, 24.0)  # px; distances of a label from its point, in the order of preference
+# Directions (right, down) of a label from its point, in the order of preference
 LABEL_DIRECTIONS = ((0, -1), (1, 0), (-1, 0), (0, 1), (1, -1), (-1, -1), (1, 1), (-1, 1))
-ANCHORS = {0: "middle", 1: "start", -1: "end"}  # horizontal direction → text-anchor in SVG
-Place = tuple[float, float, str]  # x, y of the baseline, text-anchor
+ANCHORS = {0: "middle", 1: "start", -1: "end"}  # SVG text-anchor for each horizontal direction
+Place = tuple[float, float, str]  # x and y of the text's baseline, and the text-anchor
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Axis:
     log: bool = False
 
     def place(self, values: Array | float) -> Array:
-        """Convert values to positions along the axis, where 0 is the lower end and 1 the upper end."""
+        """Convert values to positions along the axis. 0 is the lower end of the axis and 1 the upper end."""
         values = np.asarray(values, dtype=np.float64)
         if not self.log:
             return (values - self.low) / (self.high - self.low)
@@ -53,7 +52,7 @@ class Axis:
         return np.log(least / self.low) / np.log(self.high / self.low)
 
     def ticks(self) -> list[float]:
-        """Choose round numbers within the range for the ticks."""
+        """Choose round numbers for the ticks."""
         if not self.log:
             return _round_steps(self.low, self.high)
         decades = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
@@ -65,23 +64,19 @@ class Axis:
 
 
 def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, log: bool = False) -> Axis:
-    """Make an axis that contains all finite values and a small margin.
+    """Make an axis whose range contains all finite values, with a small margin.
 
     Parameters
     ----------
     label : str
         Label of the axis with its unit.
     values : iterable of float
-        Values to be drawn. A logarithmic axis ignores values that are not positive.
+        Values that will be drawn. A logarithmic axis ignores values that are not positive. If no values remain, the range is
+        0 to 1, or 0.1 to 1 on a logarithmic axis.
     zero : bool
-        Include zero in the range. If no value is negative, the axis begins at zero without a margin.
+        Include zero in the range. If no value is negative, the axis begins exactly at zero.
     log : bool
         Use a logarithmic scale.
-
-    Returns
-    -------
-    Axis
-        The axis. Without values, its range is 0 to 1, or 0.1 to 1 if logarithmic.
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=np.float64).ravel()
     array = array[np.isfinite(array) & ((array > 0) | (not log))]
@@ -95,7 +90,7 @@ def spanning(label: str, values: Iterable[float] | Array, zero: bool = False, lo
 
 
 def _round_steps(low: float, high: float) -> list[float]:
-    """Return about five round numbers between two bounds, spaced by 1, 2 or 5 times a power of ten."""
+    """Return about five numbers between two bounds, with a spacing of 1, 2 or 5 times a power of ten."""
     raw = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((1, 2, 5, 10), key=lambda factor: abs(np.log(factor * power / raw)))
@@ -104,7 +99,7 @@ def _round_steps(low: float, high: float) -> list[float]:
 
 
 def tick_text(value: float) -> str:
-    """Format the number at a tick. Numbers below 0.001 and from 100 000 upwards are written as powers of ten."""
+    """Format the number at a tick. Numbers below 0.001 and from 100 000 upwards use powers of ten."""
     if value and not 1e-3 <= abs(value) < 1e5:
         power = int(np.floor(np.log10(abs(value)) + 1e-9))
         factor = value / 10.0**power
@@ -113,10 +108,10 @@ def tick_text(value: float) -> str:
 
 
 class Plot:
-    """A pair of axes and the drawing between them, as SVG.
+    """An SVG plot with an x axis and a y axis.
 
-    Anything outside the axes is cut off. If a method is called with the name of a `series`, its values become part of the
-    figure's data, which the reader can save as CSV.
+    Lines and marks outside the range of the axes are cut off. If a drawing method is called with the name of a `series`, the
+    numbers are added to the data of the figure, which the reader can save as CSV.
     """
 
     def __init__(self, x: Axis, y: Axis, height: int = HEIGHT, square: bool = False) -> None:
@@ -130,7 +125,7 @@ class Plot:
     def line(
         self, x: Array, y: Array, colour: str, mark: str = "line", width: float = 2, series: str | None = None
     ) -> "Plot":
-        """Draw a line through points. `mark` is a key of DASHES, `width` is in pixels."""
+        """Draw a line through points. `mark` is a key of DASHES. `width` is in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take(points, joined=True)
@@ -142,7 +137,7 @@ class Plot:
         return self
 
     def steps(self, edges: Array, heights: Array, colour: str, mark: str = "line", series: str | None = None) -> "Plot":
-        """Draw the outline of a histogram with `heights` (bin) between `edges` (bin + 1). Its data list the lower edges."""
+        """Draw the outline of a histogram. `edges` has one value more than `heights`. The data list the lower edges."""
         self._add_series(series, edges[:-1], heights)
         return self.line(np.repeat(edges, 2)[1:-1], np.repeat(heights, 2), colour, mark, 1.8)
 
@@ -158,7 +153,7 @@ class Plot:
         self, x: Array, y: Array, colour: str, mark: str = "dot", size: float = 5, opacity: float = 0.75,
         series: str | None = None,
     ) -> "Plot":  # fmt: skip
-        """Draw points. `mark` is a key of MARKS, and `size` is the diameter of dots in pixels."""
+        """Draw points. `mark` is a key of MARKS. `size` is the diameter of dots in pixels."""
         self._add_series(series, x, y)
         points = self._points(x, y)
         self._places.take([(a + c * size / 2, b) for a, b in points for c in (-1, 1)], joined=False)
@@ -171,10 +166,7 @@ class Plot:
         return self
 
     def cells(self, x: Array, y: Array, width: float, height: float, colour: str, opacity: float) -> "Plot":
-        """Draw boxes of the same size.
-
-        `x` and `y` are the lower left corners. `width` and `height` are in units of the axes.
-        """
+        """Draw boxes of equal size at the lower left corners `x` and `y`. `width` and `height` are in units of the axes."""
         corners = list(zip(self._points(x, y), self._points(x + width, y + height), strict=True))
         self._places.take([corner for pair in corners for corner in pair], joined=False)
         path = "".join(f"M{a:.1f},{b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}z" for (a, b), (c, d) in corners)
@@ -182,10 +174,7 @@ class Plot:
         return self
 
     def label(self, x: float, y: float, text: str) -> "Plot":
-        """Add text near a point, in the page's text colour.
-
-        The text is placed where it covers nothing. If there is no such place near the point, the text is omitted.
-        """
+        """Add a label near a point. If every position near the point would cover something, the label is omitted."""
         ((a, b),) = self._points(np.array([x]), np.array([y]))
         self._labels.append((a, b, text))
         return self
@@ -197,23 +186,23 @@ class Plot:
         size: float = 6,
         width: float = 2,
     ) -> tuple[Key, ...]:
-        """Draw named series in the page's colours.
+        """Draw several named series as lines, with dots at the points.
 
         Parameters
         ----------
         series : mapping of str to (ndarray, ndarray)
-            x and y of each series. Empty series are skipped.
+            Coordinates x and y of each series. Empty series are skipped.
         marks : sequence of str
-            Line styles, used in turn.
+            Line styles, which the series use in turn.
         size : float
-            Diameter of the dots at the points in pixels. 0 means no dots.
+            Diameter of the dots in pixels. 0 means no dots.
         width : float
             Width of the lines in pixels.
 
         Returns
         -------
         tuple of Key
-            Legend entries of the series that were drawn.
+            One legend entry for each series that was drawn.
         """
         keys = []
         styles = zip(itertools.cycle(SERIES), itertools.cycle(marks), series.items(), strict=False)
@@ -226,25 +215,25 @@ class Plot:
         return tuple(keys)
 
     def points(self, keys: Sequence[Key], x: Array, y: Array, used: NDArray[np.bool_]) -> None:
-        """Draw the points (…, channel) of each channel where `used` is true."""
+        """Draw the points (…, channel) of all channels for which `used` is true."""
         for channel, key in enumerate(keys):
             of_channel = used[..., channel]
             self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
-        """Return the plot as a figure whose data contain the numbers of all named series."""
+        """Return the plot as a figure. The data of the figure contain the numbers of all named series."""
         data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
         return Figure(title, self._svg(finding), finding, keys, data=data)
 
     def _svg(self, finding: str) -> Markup:
-        """Return the drawing as SVG, with `finding` as its text for screen readers."""
+        """Return the drawing as SVG. `finding` is the text for screen readers."""
         width, height = self._inner
         drawn = "".join([*self._items, *self._placed_labels()])
         inner = f'<svg x="{LEFT}" y="{TOP}" width="{width}" height="{height}">{drawn}</svg>'
         return sheet(WIDTH, height + TOP + BOTTOM, self._frame() + inner, finding)
 
     def _placed_labels(self) -> list[str]:
-        """Place the labels. This runs last because labels must not cover anything drawn."""
+        """Draw the labels. They come last, because their positions depend on everything else in the drawing."""
         placed = ((self._places.place(x, y, text), text) for x, y, text in self._labels)
         return [
             f'<text class="mark" x="{place[0]:.1f}" y="{place[1]:.1f}" text-anchor="{place[2]}">{escape(text)}</text>'
@@ -257,7 +246,7 @@ class Plot:
             self._rows += zip(itertools.repeat(series), x.ravel().tolist(), y.ravel().tolist(), strict=False)
 
     def _points(self, x: Array, y: Array) -> list[tuple[float, float]]:
-        """Convert values to pixel coordinates inside the axes. Values far outside are clipped."""
+        """Convert values to pixel coordinates. Coordinates far outside the axes are clipped."""
         width, height = self._inner
         across = np.clip(self._x.place(x), -2, 3) * width
         down = (1 - np.clip(self._y.place(y), -2, 3)) * height
@@ -282,7 +271,7 @@ class Plot:
 
 
 def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: float) -> str:
-    """Draw the labels of both axes. `centre` and `middle` are the midpoints of the x and y axis in pixels."""
+    """Draw the labels of both axes. `centre` is the middle of the x axis, and `middle` the middle of the y axis."""
     turned = f'transform="rotate(-90 13 {middle:.0f})"'
     return (
         f'<text x="{centre:.0f}" y="{below}" text-anchor="middle">{escape(x_label)}</text>'
@@ -291,23 +280,18 @@ def _axis_labels(x_label: str, y_label: str, centre: float, below: str, middle: 
 
 
 def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bool = False) -> Markup:
-    """Wrap drawn items in an SVG element.
+    """Wrap SVG markup in an svg element.
 
     Parameters
     ----------
     width, height : float
         Size in pixels.
     inside : str
-        SVG markup. Text in it must already be escaped.
+        SVG markup, with escaped text.
     finding : str
         Text for screen readers.
     fixed_size : bool
-        Show the drawing at its size in pixels instead of scaling it to the width of its column on the page.
-
-    Returns
-    -------
-    Markup
-        The SVG element.
+        Show the drawing at its size in pixels. Otherwise the page scales the drawing to the width of a column.
     """
     label = escape(finding)
     size = f' width="{width:g}" height="{height:g}"' if fixed_size else ""
@@ -315,7 +299,7 @@ def sheet(width: float, height: float, inside: str, finding: str, fixed_size: bo
 
 
 def box(x: float, y: float, width: float, height: float, colour: str, opacity: float = 1.0, extra: str = "") -> str:
-    """Draw a filled rectangle. `extra` is added to its attributes."""
+    """Draw a filled rectangle. `extra` contains additional SVG attributes."""
     return (
         f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" fill="{escape(colour)}"'
         f' fill-opacity="{opacity:g}"{extra}/>'
@@ -323,23 +307,18 @@ def box(x: float, y: float, width: float, height: float, colour: str, opacity: f
 
 
 def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: str, y_label: str, finding: str) -> Markup:
-    """Draw a matrix as cells whose opacity shows the value.
+    """Draw a matrix as a grid of cells with different opacities.
 
     Parameters
     ----------
     shares : ndarray, (row, column)
         Opacity of each cell, from 0 (empty) to 1.
     rows, columns : sequence of str
-        Names of the rows and columns. Column names are thinned out if they do not fit.
+        Names of the rows and columns. If the column names do not fit, only every second or every n-th name is shown.
     x_label, y_label : str
         Labels of the axes.
     finding : str
         Text for screen readers.
-
-    Returns
-    -------
-    Markup
-        The drawing as SVG.
     """
     side = max(30.0, 8 + CHARACTER_WIDTH * max(map(len, rows)))
     left = 18 + side
@@ -371,7 +350,7 @@ def heat(shares: Array, rows: Sequence[str], columns: Sequence[str], x_label: st
 
 
 class Places:
-    """The parts of a plot that are already covered, used to find free places for labels. Sizes are in pixels."""
+    """Positions that lines, marks and labels of a plot already cover. Used to find free positions for labels, in pixels."""
 
     def __init__(self, width: float, height: float) -> None:
         self._width, self._height = width, height
@@ -385,19 +364,19 @@ class Places:
         self._taken.append(array)
 
     def place(self, x: float, y: float, text: str) -> Place | None:
-        """Find a free place for a label near a point and mark it as covered.
+        """Find a free position for a label near a point, and mark it as covered.
 
         Parameters
         ----------
         x, y : float
-            The point in pixels.
+            Coordinates of the point in pixels.
         text : str
             Text of the label.
 
         Returns
         -------
         tuple or None
-            x and y of the text's baseline, and its text-anchor. None if there is no free place near the point.
+            x and y of the text's baseline, and the text-anchor. None if every position near the point is covered.
         """
         for reach in LABEL_DISTANCES:
             for across, down in LABEL_DIRECTIONS:
@@ -410,14 +389,14 @@ class Places:
         return None
 
     def _corner(self, x: float, y: float, text: str, across: float, down: float) -> tuple[float, float]:
-        """Return the upper left corner of a label at a given offset from its point."""
+        """Return the upper left corner of a label whose nearest edge is at the offset (across, down) from its point."""
         width, height = WIDE_CHARACTER_WIDTH * len(text), ASCENT + DESCENT
         left = x - width / 2 if across == 0 else x + across - (width if across < 0 else 0)
         top = y - height / 2 if down == 0 else y + down - (height if down < 0 else 0)
         return left, top
 
     def _free(self, box: tuple[float, float, float, float]) -> bool:
-        """Whether a box lies inside the plot and nothing is drawn in it."""
+        """Whether a box is inside the plot and covers nothing."""
         left, top, right, bottom = box
         if min(left, top) < 0 or right > self._width or bottom > self._height - 1:
             return False
@@ -442,6 +421,6 @@ class Places:
 
 
 def _between(start: Array, end: Array) -> Array:
-    """Return points on the line from start to end, at most SAMPLE_SPACING apart."""
+    """Return points on the line from start to end with a distance of at most SAMPLE_SPACING."""
     count = int(np.ceil(np.hypot(*(end - start)) / SAMPLE_SPACING)) + 1
     return start + np.linspace(0.0, 1.0, count)[:, None] * (end - start)

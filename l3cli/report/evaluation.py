@@ -1,7 +1,7 @@
-"""The sections of an evaluation in a report: one at the top of the page, and one with all metrics.
+"""The two sections of an evaluation in a report: the top of the page, and a later section with all metrics.
 
-The top section shows pictures of a few frames, the verdict and the main metrics. The other section lists the metrics for
-each illuminant, level, gain and class. In both, "ours" is the table that is evaluated.
+The top section shows pictures of a few frames, a summary and the main metrics. The later section lists the metrics for each
+illuminant, level, gain and class. In both sections, "ours" is the table.
 """
 
 from typing import Any
@@ -35,19 +35,14 @@ NYQUIST = 0.5  # cycles/pixel
 
 
 def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]:
-    """Build the plots and the table of the metrics defined by standards (sharpness, signal-to-noise ratio).
+    """Show the metrics that follow standards: plots of MTF and SNR, a table, and a paragraph that explains the metrics.
 
     Parameters
     ----------
     standards : dict
-        The entry "standards" of the document that `l3 evaluate --json` prints.
+        Value of the key "standards" in the output of `l3 evaluate --json`.
     height : int
-        Number of rows of the camera's pictures, for conversion to line widths per picture height.
-
-    Returns
-    -------
-    tuple of Block
-        MTF and SNR plots, a table, and a paragraph that explains the metrics.
+        Number of rows of the camera's pictures. MTF50 is also shown in line widths per picture height.
     """
     edges, grey = standards["edge"], standards["grey"]
     figures = [_edge_figure(edges[across], DIRECTIONS[across]) for across in edges]
@@ -57,7 +52,7 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
     names = list(next(iter(standards["figures"].values())))
     for name in names:
         heads.append(FIGURES[name].heading)
-        heads += ["… line widths a picture height"] if name.startswith("mtf50") else []
+        heads += ["in line widths per picture height"] if name.startswith("mtf50") else []
     for owner, values in standards["figures"].items():
         row = [owner]
         for name in names:
@@ -65,18 +60,22 @@ def standard_blocks(standards: dict[str, Any], height: int) -> tuple[Block, ...]
             value = values[name]
             row += [("–" if value is None else f"{2 * height * value:.0f}")] if name.startswith("mtf50") else []
         rows.append(tuple(row))
-    return (Figures(tuple(figures)), Table("By standards", tuple(heads), tuple(rows)), Text(_meaning(standards, height)))
+    table = Table("Metrics from standards", tuple(heads), tuple(rows))
+    return (Figures(tuple(figures)), table, Text(_meaning(standards, height)))
 
 
 def _meaning(standards: dict[str, Any], height: int) -> str:
-    """Explain the metrics of the standards and their conditions."""
+    """Explain the metrics that follow standards, with the conditions of the measurements."""
     grey, chart = standards["grey"], standards["chart"]
     text = (
-        "MTF50: the frequency at which the contrast of a noise-free slanted edge of 4:1 is halved (ISO 12233). A picture "
-        f"height is {height} rows."
+        "MTF50 is the lowest frequency at which the MTF of a noise-free slanted edge with a contrast of 4:1 is 0.5 (ISO "
+        f"12233). The picture height is {height} rows."
     )
     if chart:
-        text += f" ΔE00 by the camera's uncertainty: mean over a chart for {chart['cameras']} cameras within its bands."
+        text += (
+            f" ΔE00 by the camera's uncertainty is the mean colour error on a chart for {chart['cameras']} random cameras "
+            "whose curves vary within the confidence bands."
+        )
     if grey is None:
         return f"{text} The camera's responsivities are relative, so its noise at a given illuminance is unknown."
     raw = "; ".join(
@@ -85,78 +84,87 @@ def _meaning(standards: dict[str, Any], height: int) -> str:
         for name in grey["closed_form"]
     )
     return (
-        f"{text} SNR10: the lowest illuminance at which the luminance of a {100 * grey['reflectance']:.0f} % grey under "
-        f"{grey['light']} has a signal-to-noise ratio of 10 at f/{grey['f_number']:g}, {1000 * grey['exposure']:.0f} ms, "
-        f"pixels of {tidy(1e6 * grey['pixel_pitch'])} µm. SNR10 of raw values, in lux: {raw}."
+        f"{text} SNR10 is the lowest illuminance at which the luminance of a {100 * grey['reflectance']:.0f} % grey under "
+        f"{grey['light']} has a signal-to-noise ratio of 10, at f/{grey['f_number']:g}, an exposure time of "
+        f"{1000 * grey['exposure']:.0f} ms and a pixel pitch of {tidy(1e6 * grey['pixel_pitch'])} µm. SNR10 of raw values, "
+        f"in lux: {raw}."
     )
 
 
 def _edge_figure(edge: dict[str, Any], direction: str) -> Figure:
-    """Plot the MTF of each pipeline in one direction."""
+    """Plot the MTF of each pipeline along rows or along columns."""
     frequency = np.array(edge["frequency"])
     curves = {name: np.array(values) for name, values in edge["mtf"].items() if values}
     most = max(1.0, *(float(values.max()) for values in curves.values()))
-    plot = Plot(Axis("frequency (cycles/pixel)", 0.0, float(frequency[-1])), Axis("contrast left (1)", 0.0, 1.04 * most))
+    plot = Plot(Axis("frequency (cycles/pixel)", 0.0, float(frequency[-1])), Axis("MTF (1)", 0.0, 1.04 * most))
     plot.line(np.array([NYQUIST, NYQUIST]), np.array([0.0, most]), "currentColor", "dotted", 1.0)
     keys = plot.curves(
         {name: (frequency, values) for name, values in curves.items()}, ("dashed", "line", "dotted", "line"), size=0
     )
     halves = ", ".join(f"{name} {figure_text('mtf50_rows', value)}" for name, value in edge["mtf50"].items())
-    return plot.figure(f"Sharpness {direction}", f"MTF50 in cycles/pixel: {halves}. Dotted: Nyquist.", keys)
+    finding = f"MTF50 in cycles/pixel: {halves}. The dotted line is the Nyquist frequency."
+    return plot.figure(f"Sharpness {direction}", finding, keys)
 
 
 def _grey_figure(grey: dict[str, Any]) -> Figure:
-    """Plot the signal-to-noise ratio of a grey patch over illuminance, for each pipeline and for raw values."""
+    """Plot the signal-to-noise ratio of a grey against illuminance, for each pipeline and for raw values."""
     lux = np.array(grey["lux"])
     best = max(grey["closed_form"], key=lambda name: grey["closed_form"][name][-1])
     curves = {name: np.array(values) for name, values in grey["pipelines"].items()}
     raw, closed = np.array(grey["raw"][best]), np.array(grey["closed_form"][best])
     everything = np.concatenate([raw, closed, *curves.values()])
-    plot = Plot(spanning("illuminance (lux)", lux, log=True), spanning("signal over noise (1)", everything, log=True))
+    plot = Plot(spanning("illuminance (lux)", lux, log=True), spanning("signal-to-noise ratio (1)", everything, log=True))
     plot.line(lux[[0, -1]], np.array([10.0, 10.0]), "currentColor", "dotted", 1.0)
     keys = plot.curves({name: (lux, values) for name, values in curves.items()}, ("line", "dashed", "dotted"))
     keys += plot.curves({f"raw {best}, closed form": (lux, closed)}, ("dashed",), size=0, width=1.2)
     plot.dots(lux, raw, "currentColor", "plus", series=f"raw {best}, measured")
     least = ", ".join(f"{name} {figure_text('snr10', grey['snr10'][name])}" for name in curves)
-    return plot.figure("Signal over noise of a grey", f"SNR10 in lux: {least}. Plus signs: raw {best}, measured.", keys)
+    finding = f"SNR10 in lux: {least}. Plus signs are measured raw values of channel {best}."
+    return plot.figure("Signal-to-noise ratio of a grey", finding, keys)
 
 
 OURS = "ours"
 MEANINGS = (
-    "ours is the table. basic is a conventional pipeline without training (interpolation, white balance, colour matrix). "
-    "Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown as white. "
-    "ΔE00 is CIEDE2000. S-CIELAB is ΔE00 after the blur of the eye. Mottle is the C*ab of blotches in uniform patches, "
-    "after a Gaussian blur of 4 pixels. Visual noise is the sum of the standard deviations of L*, a* and b* in these "
-    "patches after the blur of the eye, with weights 1, 0.852 and 0.323. PSNR is computed from sRGB, linear PSNR from XYZ."
+    "“ours” is the table. “basic” is a conventional pipeline without training: interpolation, white balance and a colour "
+    "matrix. Pictures are compared as displayed. They are adapted to D65, and the 99th percentile of the target's luminance "
+    "is displayed as white. ΔE00 is CIEDE2000. S-CIELAB is ΔE00 after the blur of the eye. Mottle is the C*ab of blotches "
+    "in uniform patches after a Gaussian blur of 4 pixels. Visual noise is the sum of the standard deviations of L*, a* and "
+    "b* in uniform patches after the blur of the eye, with weights 1, 0.852 and 0.323. PSNR is computed from sRGB, and "
+    "linear PSNR from XYZ."
 )
 BAND_MEANINGS = (
-    "ours is the table. The other pipelines are not trained, except that reflectances and radiances are estimated linearly "
-    "from demosaicked bands: wiener (Wiener estimate) and pinv (pseudo-inverse). The spectral angle is the angle between "
-    "the outputs of a pixel and its target; GFC is the mean of its cosine. RMSE is over all outputs, where 1 is a perfect "
-    "white. PSNR is computed from 8-bit codes in which the frame's white is 255. Linear PSNR is computed from the outputs "
-    "themselves, where 1 is the 99th percentile of the target's mean output. SSIM is the mean over the outputs."
+    "“ours” is the table. The other pipelines are not trained, with two exceptions: “wiener” (Wiener estimate) and “pinv” "
+    "(pseudo-inverse) are linear estimates of reflectances or radiances from demosaicked bands. The spectral angle of a "
+    "pixel is the angle between its outputs and the target. GFC is the mean cosine of the spectral angle. RMSE is computed "
+    "over all outputs, as a fraction of a perfect white. PSNR is computed from 8-bit values in which a perfect white is "
+    "255. Linear PSNR is computed from the outputs themselves, and its peak is the 99th percentile of the target's mean "
+    "output. SSIM is the mean over the outputs."
 )
 SINGLE_MEANINGS = (
-    "ours is the table. The mean error is the mean absolute difference from the target. It and RMSE are relative to a "
-    "perfect white. PSNR is computed from 8-bit codes in which the frame's white is 255. Linear PSNR is computed from the "
-    "output itself, where 1 is the 99th percentile of the target. SSIM is computed from values that are clipped at white."
+    "“ours” is the table. The mean error is the mean absolute difference from the target. Mean error and RMSE are fractions "
+    "of a perfect white. PSNR is computed from 8-bit values in which a perfect white is 255. Linear PSNR is computed from "
+    "the output itself, and its peak is the 99th percentile of the target. SSIM is computed from values clipped at white."
 )
-MEANINGS_OF = {"mean_delta_e": MEANINGS, "mean_angle": BAND_MEANINGS, "mean_error": SINGLE_MEANINGS}  # main metric → text
+MEANINGS_OF = {  # explanation of the metrics, by main metric
+    "mean_delta_e": MEANINGS,
+    "mean_angle": BAND_MEANINGS,
+    "mean_error": SINGLE_MEANINGS,
+}
 GAIN_MEANING = (
-    "The noise of the table's camera is known at these gains. A few frames under each illuminant are simulated again at "
-    "each gain, with the noise of the camera at this gain. The exposure time is shortened in proportion to the gain."
+    "The camera model contains the noise at these analog gains. For each gain, a few frames under each illuminant are "
+    "simulated again with this noise. The exposure time is shortened in proportion to the gain."
 )
 
-ERROR_KEY = (  # colour scale of the error maps that l3cli.evaluation draws
-    Key("error map: ΔE00 0", "#000000", "box"),
+ERROR_KEY = (  # colour scale of the error maps from l3cli.evaluation.pictures
+    Key("ΔE00 in the error map: 0", "#000000", "box"),
     Key("2.5", "#460a6e", "box"),
     Key("5", "#be285a", "box"),
     Key("7.5", "#f58c1e", "box"),
-    Key("10 and more", "#ffffff", "box"),
+    Key("10 or more", "#ffffff", "box"),
 )
-SAME_LUMINANCE = 0.01  # luminances within this relative difference count as equal, because users round lux
-FRAMES_SHOWN = 3  # number of frames shown per evaluation: the median, the worst and the best
-Pictures = dict[int, dict[str, Pixels]]  # frame index → pipeline name, "ideal" or "error" → picture
+SAME_LUMINANCE = 0.01  # luminances with a smaller relative difference count as equal, because users round values in lux
+FRAMES_SHOWN = 3  # number of frames shown per evaluation: the median, the worst and the best frame
+Pictures = dict[int, dict[str, Pixels]]  # for each frame index, the picture of each pipeline, of the ideal and of the error
 
 
 def evaluation_section(document: dict[str, Any], names: tuple[str, str], height: int) -> Section:
@@ -165,25 +173,26 @@ def evaluation_section(document: dict[str, Any], names: tuple[str, str], height:
     Parameters
     ----------
     document : dict
-        The document that `l3 evaluate --json` prints.
+        Output of `l3 evaluate --json`.
     names : tuple of str
-        File names of the table and of the frames.
+        File names of the table and of the training set.
     height : int
-        Rows of the camera's pictures.
+        Number of rows of the camera's pictures.
 
     Returns
     -------
     Section
-        Metrics over all frames, by level, by class, by standards, and by gain if the noise at other gains is known.
+        Metrics over all frames, by level, by class and from standards. If the camera model contains the noise at other
+        gains, also the metrics by gain.
     """
     parts = [
         Subsection("Quality", _quality_blocks(document)),
-        Subsection("Over light level", _level_blocks(document)),
+        Subsection("By light level", _level_blocks(document)),
         Subsection("By class", _class_blocks(document)),
-        Subsection("By standards", standard_blocks(document["standards"], height)),
+        Subsection("Metrics from standards", standard_blocks(document["standards"], height)),
     ]
     if document["by_gain"]:
-        parts.insert(2, Subsection("Over gain and light", _gain_blocks(document)))
+        parts.insert(2, Subsection("By gain and illuminant", _gain_blocks(document)))
     return Section(f"Evaluation: {names[0]} on {names[1]}", summary(document), tuple(parts))
 
 
@@ -195,14 +204,14 @@ def luminance_section(
     Parameters
     ----------
     curves : dict of str to list of (name, luminances, values)
-        For each metric, the luminances in cd/m² and the values of every camera.
+        For each metric and camera, the luminances in cd/m² and the values of the metric.
     sentences : dict of str to list of str
-        For each metric, sentences that say which camera is better at which luminances.
+        For each metric, sentences that state which camera is better at which luminances.
 
     Returns
     -------
     Section
-        A plot and a table per metric.
+        A plot and a table for each metric.
     """
     parts = []
     for figure, cameras in curves.items():
@@ -219,17 +228,17 @@ def luminance_section(
         table = Table(heading, ("cd/m²", *(name for name, _, _ in cameras)), rows)
         parts.append(Subsection(heading, (Figures((plot.figure(heading, finding, keys),)), table)))
     return Section(
-        "Over the light on the scene", "Each value is the mean over all frames of the same luminance.", tuple(parts)
+        "By luminance of the scene", "Each value is the mean over all frames of the same luminance.", tuple(parts)
     )
 
 
 def main_of(document: dict[str, Any]) -> str:
-    """Return the key of the main metric, which is ΔE00 for pictures and otherwise the first metric."""
+    """Return the key of the main metric, the first metric of a frame: the mean ΔE00, spectral angle or error."""
     return str(next(iter(document["frames"][0][OURS])))
 
 
 def summary(document: dict[str, Any]) -> str:
-    """Summarize an evaluation in a sentence."""
+    """State the mean of the main metric for each pipeline in a sentence."""
     figure = main_of(document)
     means = ", ".join(f"{name} {main_figure(document['mean'][name], figure)}" for name in document["pipelines"])
     name = FIGURES[figure].heading
@@ -237,7 +246,7 @@ def summary(document: dict[str, Any]) -> str:
 
 
 def main_figure(figures: dict[str, float], figure: str) -> str:
-    """Format the main metric and, if it is known, the PSNR."""
+    """Format the main metric, with the PSNR in parentheses if there is one."""
     return figure_text(figure, figures[figure]) + (f" ({number(figures['psnr'], '.1f')} dB)" if "psnr" in figures else "")
 
 
@@ -246,7 +255,7 @@ def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     headings = ("pipeline", *(FIGURES[name].heading for name in figures))
     means = tuple((name, *_texts(document["mean"][name], figures)) for name in document["pipelines"])
     baselines = document["pipelines"][1:]
-    about = ("frame", "scene", "light", "level (share of full scale)")
+    about = ("frame", "scene", "illuminant", "level (fraction of full scale)")
     rows = tuple(
         (str(index + 1), f["scene"], f["illuminant"], f"{f['level']:.3f}", *_texts(f[OURS], figures))
         + tuple(figure_text(figure, f[baseline][figure]) for baseline in baselines)
@@ -268,8 +277,9 @@ def _quality_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
             + tuple(figure_text("mottle", e[owner]["mottle"]) for owner in document["pipelines"])
             for e in document["by_patch"]
         )
-        heads = ("level (share of full scale)", "kind", "patches", *(f"{owner}: mottle" for owner in document["pipelines"]))
-        blocks.append(Table("Mottle of plain patches (C*ab)", heads, patches))
+        owners = (f"{owner}: mottle" for owner in document["pipelines"])
+        heads = ("level (fraction of full scale)", "colour", "patches", *owners)
+        blocks.append(Table("Mottle of uniform patches (C*ab)", heads, patches))
     if document["by_band"]:
         shown = [(owner, name) for name in ("psnr", "output_psnr", "ssim") for owner in document["pipelines"]]
         bands = tuple(
@@ -288,7 +298,7 @@ def _texts(values: dict[str, float], figures: tuple[str, ...]) -> tuple[str, ...
 def _grouped(
     document: dict[str, Any], caption: str, heading: str, counts: str, entries: list[tuple[str, dict[str, Any]]]
 ) -> Table:
-    """Make a table of the main metric per group and pipeline. `counts` is the key of the group size, frames or pixels."""
+    """Make a table of the main metric by group and pipeline. `counts` is the key of the group size: frames or pixels."""
     figure, owners = main_of(document), document["pipelines"]
     rows = tuple(
         (name, str(of[counts]), *(figure_text(figure, of[owner][figure]) for owner in owners)) for name, of in entries
@@ -300,20 +310,20 @@ def _level_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
     figures: list[Figure] = []
     classes, groups = document["by_class"].get("level", []), document["by_level"]
     if len(classes) > 1:
-        title, label = "Error over the class's level", "level of the pixel's neighbourhood"
+        title, label = "Error by level of the class", "level of the pixel's neighbourhood"
         figures.append(_curves(document, classes, level_middles(classes), title, label))
     if len(groups) > 1:
         at = np.array([np.sqrt(group["from"] * group["to"]) for group in groups])
-        figures.append(_curves(document, groups, at, "Error over the frame's level", "mean level of the frame"))
+        figures.append(_curves(document, groups, at, "Error by level of the frame", "mean level of the frame"))
     entries = [(f"{g['from']:.3f}–{g['to']:.3f}", g) for g in groups]
-    table = _grouped(document, "By the frame's level (share of full scale)", "level", "frames", entries)
+    table = _grouped(document, "By level of the frame (fraction of full scale)", "level", "frames", entries)
     return (Figures(tuple(figures)), table) if figures else (table,)
 
 
 def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
-    """Plot the error against analog gain.
+    """Plot the main metric against the analog gain.
 
-    With several illuminants, each curve shows the table under one illuminant. With one illuminant, each curve shows one
+    If there are several illuminants, each curve shows the table under one illuminant. Otherwise each curve shows one
     pipeline.
     """
     groups, figure = document["by_gain"], main_of(document)
@@ -329,30 +339,30 @@ def _gain_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
         curves = {name: errors(lights[0], name) for name in document["pipelines"]}
     heading = FIGURES[figure].heading
     y = spanning(heading, np.concatenate(list(curves.values())), zero=True)
-    plot = Plot(spanning("analog gain over the camera's", gains, log=True), y)
+    plot = Plot(spanning("analog gain, relative to the gain of the camera model", gains, log=True), y)
     keys = plot.curves({name: (gains, curve) for name, curve in curves.items()})
     ends = "; ".join(
         f"{name} {figure_text(figure, curve[0])} at gain {gains[0]:g}, {figure_text(figure, curve[-1])} at {gains[-1]:g}"
         for name, curve in curves.items()
     )
-    title = "Error of ours over analog gain" if len(lights) > 1 else "Error over analog gain"
+    title = "Error of ours by analog gain" if len(lights) > 1 else "Error by analog gain"
     entries = [(f"{group['gain']:g}, {group['illuminant']}", group) for group in groups]
-    table = _grouped(document, "By analog gain and light", "gain, light", "frames", entries)
+    table = _grouped(document, "By analog gain and illuminant", "gain, illuminant", "frames", entries)
     return Figures((plot.figure(title, f"{heading}: {ends}.", keys),)), Text(GAIN_MEANING), table
 
 
 def level_middles(entries: list[dict[str, Any]]) -> np.ndarray:
-    """Return a representative level inside the bounds of each entry. It is positive, for a logarithmic axis."""
+    """Return a level within the bounds of each entry. The level is positive, so that it fits a logarithmic axis."""
     return np.array([np.sqrt(max(entry["from"], entry["to"] / 2) * entry["to"]) for entry in entries])
 
 
 def _curves(document: dict[str, Any], entries: list[dict[str, Any]], at: np.ndarray, title: str, label: str) -> Figure:
-    """Plot the main metric of every pipeline against a level."""
+    """Plot the main metric of every pipeline against the level."""
     figure = main_of(document)
     values = {name: np.array([entry[name][figure] for entry in entries]) for name in document["pipelines"]}
     everything = np.concatenate(list(values.values()))
     plot = Plot(
-        spanning(f"{label} (share of full scale)", at, log=True), spanning(FIGURES[figure].heading, everything, zero=True)
+        spanning(f"{label} (fraction of full scale)", at, log=True), spanning(FIGURES[figure].heading, everything, zero=True)
     )
     keys = plot.curves({name: (at, curve) for name, curve in values.items()}, ("line", "dashed", "dotted", "dashed"))
     values_text = "; ".join(
@@ -381,12 +391,12 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Whether a frame's luminance (cd/m²) equals `at` within SAME_LUMINANCE. Always true if `at` is None."""
+    """Whether the luminance of a frame (cd/m²) is equal to `at` within SAME_LUMINANCE. Always true if `at` is None."""
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 
 def brightness(frame: dict[str, Any]) -> str:
-    """Describe a frame's luminance for a caption, with a leading comma. Empty if the luminance is unknown."""
+    """Format the luminance of a frame for a caption, with a leading comma. Empty for real frames without fingerprints."""
     if frame["shown"] is None:
         return ""
     return f", {tidy(frame['luminance'])} cd/m² ({tidy(np.pi * frame['luminance'])} lux)"
@@ -395,13 +405,13 @@ def brightness(frame: dict[str, Any]) -> str:
 def shown_frames(document: dict[str, Any], at: float | None = None) -> list[int]:
     """Choose the frames of an evaluation that a report shows.
 
-    The first is the frame in which the table has the median of its main metric. If there are at most FRAMES_SHOWN frames,
-    all others follow, otherwise the worst and the best.
+    The first frame is the frame with the median main metric of the table. If there are at most FRAMES_SHOWN frames, all
+    other frames follow. Otherwise the worst and the best frame follow.
 
     Parameters
     ----------
     document : dict
-        The document that `l3 evaluate --json` prints.
+        Output of `l3 evaluate --json`.
     at : float, optional
         Choose only among frames with this luminance, in cd/m².
 
@@ -423,27 +433,26 @@ def front_section(
 ) -> Section:  # fmt: skip
     """Build the section at the top of a page.
 
+    The section shows the median frame with the mean metrics, then the subsections `below`, then the other frames.
+
     Parameters
     ----------
     document : dict
-        The document that `l3 evaluate --json` prints.
+        Output of `l3 evaluate --json`.
     pictures : dict
-        Pictures of the frames chosen by `shown_frames`, in that order.
-    title, anchor : str
-        Title of the section and prefix of the anchors of its comparisons.
+        Pictures of the frames that `shown_frames` chose, in the order of `shown_frames`.
+    title : str
+        Title of the section.
+    anchor : str
+        Prefix of the HTML anchors of the comparisons.
     limit : int
         Maximum size of all pictures together, in bytes.
     jpeg : callable
-        JPEG encoder.
+        JPEG encoder, see `parts.Jpeg`.
     below : tuple of Subsection
-        Subsections that follow the first comparison.
+        Subsections that follow the median frame.
     at : float, optional
-        Luminance, in cd/m², of the frames that were chosen.
-
-    Returns
-    -------
-    Section
-        The median frame with the verdict and the mean metrics, `below`, and the other frames.
+        Luminance of the chosen frames, in cd/m².
     """
     count, figure = len(document["frames"]), main_of(document)
     among = sum(lit_as(frame["luminance"], at) for frame in document["frames"])
@@ -456,47 +465,44 @@ def front_section(
         (FIGURES[name].heading, *(figure_text(name, document["mean"][owner][name]) for owner in pipelines))
         for name in document["frames"][0][OURS]
     )
-    table = Table("Figures" if count == 1 else "Means over the frames", ("figure", *pipelines), rows)
+    table = Table("Metrics" if count == 1 else "Means over the frames", ("metric", *pipelines), rows)
     score = figure_text(figure, document["mean"][OURS][figure])
-    parts = [Subsection("Ours beside the ideal", (Front(comparisons[0], score, meaning, verdict(document), table),)), *below]
+    parts = [Subsection("Ours and the ideal", (Front(comparisons[0], score, meaning, verdict(document), table),)), *below]
     if comparisons[1:]:
         title_of_others = "The worst and the best frame" if among > FRAMES_SHOWN else "Other frames"
         parts.append(Subsection(title_of_others, tuple(comparisons[1:])))
     of = f"{count} frames" if at is None else f"{counted(among, 'frame')} at {tidy(at)} cd/m² ({tidy(np.pi * at)} lux)"
-    which = "" if count == 1 else f"The first is the frame with the median {FIGURES[figure].heading} among {of}."
+    which = "" if count == 1 else f"The first picture is the frame with the median {FIGURES[figure].heading} of {of}."
     return Section(title, which, tuple(parts))
 
 
 def verdict(document: dict[str, Any]) -> str:
-    """Say whether the table is nearer to the ideal than each of the other pipelines.
-
-    The sentences call the table "ours".
-    """
+    """State for each of the other pipelines whether the table is closer to the ideal, in how many frames and metrics."""
     count, figure = len(document["frames"]), main_of(document)
     sentences = []
     for baseline, wins in document["better"].items():
         lost = [FIGURES[name].heading for name, won in wins.items() if 2 * won <= count]
         if all(won == count for won in wins.values()):
             often = ", in every frame" if count > 1 else ""
-            sentences.append(f"Ours is nearer to the ideal than {baseline} in every metric{often}.")
+            sentences.append(f"Ours is closer to the ideal than {baseline} in every metric{often}.")
         elif 2 * wins[figure] > count:
-            but = f", not by {', '.join(lost)}" if lost else ""
+            but = f", but not in {', '.join(lost)}" if lost else ""
             by = _in_frames(figure, wins[figure], count)
-            sentences.append(f"Ours is nearer to the ideal than {baseline} by {by}{but}.")
+            sentences.append(f"Ours is closer to the ideal than {baseline} in {by}{but}.")
         else:
             worse = count - wins[figure]
-            sentences.append(f"Ours is not nearer to the ideal than {baseline} by {_in_frames(figure, worse, count)}.")
+            sentences.append(f"Ours is not closer to the ideal than {baseline} in {_in_frames(figure, worse, count)}.")
     return " ".join(sentences)
 
 
 def _in_frames(figure: str, won: int, count: int) -> str:
-    return FIGURES[figure].heading + (f" in {won} of {count} frames" if count > 1 else "")
+    return FIGURES[figure].heading + (f" ({won} of {count} frames)" if count > 1 else "")
 
 
 def _comparison(
     document: dict[str, Any], index: int, pictures: dict[str, Pixels], anchor: str, limit: int, jpeg: Jpeg
 ) -> Comparison:
-    """Build the comparison of a frame. The order is ours, the ideal, the other pipelines, and the error map."""
+    """Build the comparison of a frame: ours, the ideal, the other pipelines, and the error map, in this order."""
     frame = document["frames"][index]
     light = f"{frame['illuminant']}{brightness(frame)}"
     title = f"Frame {index + 1}: {frame['scene']}, {light}, level {frame['level']:.3f}"

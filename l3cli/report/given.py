@@ -1,4 +1,4 @@
-"""The artifacts in a report, and the choice of frames on which each table is evaluated."""
+"""The artifacts of a report, and the choice of training sets on which each table is evaluated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +17,16 @@ A = TypeVar("A", bound=Artifact)
 
 @dataclass(frozen=True)
 class Entry:
-    """A file in a report, with its name on the page and its contents. For a training set, only its metadata are loaded."""
+    """A file of a report."""
 
-    name: str
+    name: str  # name on the page
     path: Path
     sha256: str
-    artifact: Artifact
+    artifact: Artifact  # contents; for a training set, only the description and not the frames
 
     @property
     def array(self) -> tuple[Any, ...]:
-        """Key that identifies the colour filter array. Empty for a design, which contains many arrays."""
+        """Key that identifies the colour filter array of the file. Empty for a design, which contains many arrays."""
         if isinstance(self.artifact, Design):
             return ()
         of: Any = self.artifact.camera if isinstance(self.artifact, TrainingSet) else self.artifact
@@ -34,29 +34,29 @@ class Entry:
 
 
 class Pair(NamedTuple):
-    """A table and a training set with the same CFA that was not used to train the table. Each pair is evaluated."""
+    """A table and a training set for the same CFA on which the table was not trained. The report evaluates each pair."""
 
     table: Entry
-    transforms: TransformTable
+    transforms: TransformTable  # contents of `table`
     frames: Entry
-    head: TrainingSet
+    head: TrainingSet  # description of `frames`
 
 
 @dataclass(frozen=True)
 class Given:
-    """The artifacts of a report, in the order of the command line, and the evaluations of sequences."""
+    """The files of a report, in the order of the command line."""
 
     entries: list[Entry]
-    sequences: dict[str, dict[str, Any]]  # file name → document printed by `l3 evaluate --sequence --json`
-    sequence_sums: dict[str, str]  # file name → SHA-256
+    sequences: dict[str, dict[str, Any]]  # for each file name, the output of `l3 evaluate --sequence --json`
+    sequence_sums: dict[str, str]  # for each file name in `sequences`, the SHA-256
 
     def of(self, kind: type[A]) -> list[tuple[Entry, A]]:
-        """Return the entries whose artifact is of a given type, each with its artifact."""
+        """Return all entries with an artifact of a type, each with its artifact."""
         return [(entry, entry.artifact) for entry in self.entries if isinstance(entry.artifact, kind)]
 
     @property
     def pairs(self) -> list[Pair]:
-        """Each table with each training set that has the same CFA and was not used to train the table."""
+        """All combinations of a table and a training set for the same CFA on which the table was not trained."""
         return [
             Pair(table, transforms, frames, head)
             for table, transforms in self.of(TransformTable)
@@ -66,27 +66,27 @@ class Given:
 
     @property
     def arrays(self) -> list["Given"]:
-        """The artifacts grouped by colour filter array, without the sequences."""
+        """The artifacts grouped by colour filter array, without designs and sequences."""
         keys = dict.fromkeys(entry.array for entry in self.entries)
         return [Given([entry for entry in self.entries if entry.array == key], {}, {}) for key in keys if key]
 
 
 def trained_on(table: TransformTable, frames: Entry) -> bool:
-    """Whether the table's history lists the file of this training set."""
+    """Whether the history of a table contains the SHA-256 of a training set."""
     return any(frames.sha256 in digests for stage in table.history for digests in stage.inputs.values())
 
 
 def role_of(given: Given, frames: Entry) -> str:
-    """Say in words which tables were trained on a training set and which were evaluated on it."""
+    """State which tables were trained on a training set, and which are evaluated on it."""
     roles = []
-    for text, wanted in (("Trained on it", True), ("Evaluated on it", False)):
+    for text, wanted in (("Tables trained on this set", True), ("Tables evaluated on this set", False)):
         names = [entry.name for entry, table in given.of(TransformTable) if trained_on(table, frames) is wanted]
         roles += [f"{text}: {', '.join(names)}."] if names else []
     return " ".join(roles)
 
 
 def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
-    """Return the distinct cameras stored in the training sets, each with the name of the first file that contains it."""
+    """Return the distinct cameras in the training sets, each with the name of the first file that contains the camera."""
     cameras: list[tuple[str, CameraModel]] = []
     for entry, head in given.of(TrainingSet):
         if not any(equal(head.camera, camera) for _, camera in cameras):
@@ -95,15 +95,16 @@ def cameras_within(given: Given) -> list[tuple[str, CameraModel]]:
 
 
 def lead_without_evaluation(given: Given) -> str:
-    """Return the lead of a report in which no table could be evaluated. It says which file to add."""
+    """Return the first paragraph of a report without an evaluation of a table. It states which file to add."""
     if given.sequences:
         return sequence_summary(given.sequences)
     if not given.of(TransformTable):
-        return f"{counted(len(given.entries), 'artifact')}, without a transform table: nothing is evaluated."
+        return f"{counted(len(given.entries), 'artifact')}. Without a transform table, nothing can be evaluated."
     if len(given.arrays) > 1:
-        return "To have each table evaluated, add frames of its colour filter array that it was not trained on."
+        return "No table is evaluated. Add, for each table, a training set of its camera on which it was not trained."
     if given.of(TrainingSet):
         return (
-            "The table was trained on every training set given. To have it evaluated, add frames that it was not trained on."
+            "The table is not evaluated, because it was trained on every training set of this report. Add a training set on "
+            "which it was not trained."
         )
-    return "To have the table evaluated, add a training set that it was not trained on."
+    return "The table is not evaluated. Add a training set on which it was not trained."

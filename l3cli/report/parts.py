@@ -1,8 +1,8 @@
-"""The parts of a report as plain data, and the page made from them.
+"""The parts of a report as data classes, and the HTML page.
 
-A report is a list of sections. A section contains tables, figures and pictures. Pictures are data URIs whose size is
-limited. The template page.html turns the sections into one self-contained HTML page. A script (downloads.js) lets the reader
-save a drawing as an SVG file.
+A report is a list of sections, and a section contains tables, figures and pictures. The template page.html turns the
+sections into one self-contained HTML page. Pictures are embedded as data URIs of limited size. With the script downloads.js,
+the reader can save a drawing as an SVG file.
 """
 
 import base64
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.schema import Stage
 from l3cli.physics.display import displayed, srgb_codes, white_luminance
 
-# Matches a cell with a number or a range of numbers. Columns that contain only such cells are aligned to the right.
+# Matches a cell with a number or a range of numbers. A column in which all cells match is aligned to the right.
 NUMBER = re.compile(r"^(?=.*[0-9])[−+]?[0-9.,–×⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+$")
 
 
@@ -36,27 +36,24 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Whether each column contains only numbers and is aligned to the right. Always false for the first column."""
+        """For each column, whether it is aligned to the right: if it contains only numbers and is not the first column."""
         columns = range(1, len(self.headings))
         return (False, *(all(NUMBER.match(row[column]) for row in self.rows) for column in columns))
 
 
 @dataclass(frozen=True)
 class Key:
-    """One entry of a figure's legend.
-
-    `colour` is a CSS colour. `mark` is "line", "dashed", "dotted", "box", "dot", "plus" or "cross".
-    """
+    """One entry of the legend of a figure."""
 
     label: str
-    colour: str
-    mark: str = "line"
+    colour: str  # CSS colour
+    mark: str = "line"  # "line", "dashed", "dotted", "box", "dot", "plus" or "cross"
     opacity: float = 1.0
 
 
 @dataclass(frozen=True)
 class Data:
-    """The numbers behind a drawing, as rows below column headings."""
+    """The numbers that a drawing shows, as a table."""
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str | float, ...], ...]
@@ -64,22 +61,19 @@ class Data:
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its title, its legend and its main result.
-
-    The main result is the sentence `finding`. It quotes numbers, and screen readers read it in place of the drawing.
-    """
+    """A drawing with a title, a legend and a caption."""
 
     title: str
     svg: Markup
-    finding: str
+    finding: str  # main result in one or two sentences with numbers; caption and text for screen readers
     legend: tuple[Key, ...] = ()
-    narrow: bool = False  # the drawing is small and should not be enlarged
+    narrow: bool = False  # do not enlarge the drawing
     data: Data | None = None  # numbers that the reader can save as a CSV file
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures side by side, as many as fit the width of the page."""
+    """Figures in rows, each with as many figures as fit the width of the page."""
 
     kind: ClassVar[str] = "figures"
     figures: tuple[Figure, ...]
@@ -87,13 +81,13 @@ class Figures:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a data URI, with its size in pixels, its caption and its alternative text."""
+    """A picture with a caption. The size is in pixels."""
 
-    uri: str
+    uri: str  # data URI
     rows: int
     cols: int
     caption: str
-    alt: str
+    alt: str  # alternative text
 
 
 @dataclass(frozen=True)
@@ -107,14 +101,13 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Pictures of one frame that can be compared with a slider.
+    """Pictures of one frame that the reader compares with a slider.
 
-    The first picture is usually the table's rendering. The reader selects the picture with which it is compared. If scripts
-    are disabled, the pictures are shown side by side.
+    The reader selects the two pictures. If scripts are disabled, the page shows all pictures side by side.
     """
 
     kind: ClassVar[str] = "comparison"
-    anchor: str
+    anchor: str  # HTML anchor
     title: str
     pictures: tuple[Picture, ...]
     key: tuple[Key, ...] = ()  # colour scale of the error map
@@ -122,31 +115,31 @@ class Comparison:
 
     @property
     def width(self) -> int:
-        """Maximum width on the screen, in pixels. It is limited because strongly enlarged frames look blurred."""
+        """Maximum width on the screen in pixels. It is limited, because strongly enlarged frames look blurred."""
         return max(3 * self.pictures[0].cols, 480)
 
 
 @dataclass(frozen=True)
 class Front:
-    """A comparison with the verdict and a table of metrics beside it."""
+    """A comparison at the top of a page, with the main metrics on its side."""
 
     kind: ClassVar[str] = "front"
     comparison: Comparison
-    score: str  # value of the main metric for the table, formatted
-    meaning: str  # sentence that explains the score
-    verdict: str
-    table: Table
+    score: str  # formatted main metric of the transform table
+    meaning: str  # explains the score
+    verdict: str  # states whether the transform table is better than the other pipelines
+    table: Table  # metrics of all pipelines
 
 
 @dataclass(frozen=True)
 class PixelPicker:
-    """A crop of a frame in which a script shows the classes and transforms of any pixel."""
+    """A crop of a frame in which the reader selects a pixel to see its classes and transforms."""
 
     kind: ClassVar[str] = "pixels"
-    anchor: str  # anchor of the comparison that shows the whole frame
+    anchor: str  # HTML anchor of the comparison that shows the whole frame
     text: str
     pictures: tuple[Picture, ...]
-    packed: str  # classes and transforms, encoded by pixels.packed
+    packed: str  # classes and transforms, encoded by the function pixels.packed
 
 
 @dataclass(frozen=True)
@@ -159,7 +152,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Details:
-    """A long text, such as a recipe, that is collapsed until the reader opens it."""
+    """A long text, for example a recipe, that is hidden until the reader opens it."""
 
     kind: ClassVar[str] = "details"
     title: str
@@ -179,7 +172,7 @@ class Subsection:
 
 @dataclass(frozen=True)
 class Section:
-    """Subsections under a second-level heading. `lead` summarizes the section in a sentence or two."""
+    """Subsections under a second-level heading. `lead` is the first paragraph, which summarizes the section."""
 
     title: str
     lead: str
@@ -188,7 +181,8 @@ class Section:
 
 Array = NDArray[np.floating]
 Pixels = NDArray[np.uint8]
-Jpeg = Callable[[Pixels, int], bytes]  # (row, col, 3) encoded sRGB and quality 1…100 → a JPEG file
+# JPEG encoder: a function of an 8-bit sRGB picture (row, col, 3) and a quality from 1 to 100. The result is a JPEG file.
+Jpeg = Callable[[Pixels, int], bytes]
 JPEG_ATTEMPTS = (
     (1, 92),
     (1, 85),
@@ -198,8 +192,8 @@ JPEG_ATTEMPTS = (
     (4, 85),
     (8, 80),
     (16, 75),
-)  # (reduction, JPEG quality), best first
-THUMBNAIL = 160  # px; maximum length of the longer side
+)  # pairs of reduction factor and JPEG quality, from the best to the worst
+THUMBNAIL = 160  # px; maximum length of the longer side of a thumbnail
 
 
 def thumbnail(target: Array, white: Array) -> Pixels:
@@ -210,12 +204,12 @@ def thumbnail(target: Array, white: Array) -> Pixels:
     target : ndarray, (3, row, col)
         XYZ planes.
     white : ndarray, (3,)
-        XYZ of the white, which is adapted to D65.
+        XYZ of white, which becomes D65.
 
     Returns
     -------
     ndarray of uint8, (row, col, 3)
-        sRGB codes. The longer side has at most THUMBNAIL pixels.
+        sRGB picture. Its longer side has at most THUMBNAIL pixels.
     """
     step = max(1, -(-max(target.shape[1:]) // THUMBNAIL))
     small = reduced(np.moveaxis(target, 0, -1), step)
@@ -230,8 +224,8 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
     pixels : ndarray, (row, col, channel)
         The picture.
     step : int
-        Side of the squares in pixels. Rows and columns that do not fill a whole square are cut off. A picture smaller than
-        one square is returned unchanged.
+        Side of the squares in pixels. Incomplete squares at the right and lower edge are cut off. A picture smaller than one
+        square is returned unchanged.
 
     Returns
     -------
@@ -245,18 +239,18 @@ def reduced(pixels: Array | Pixels, step: int) -> Array | Pixels:
 
 
 def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]]:
-    """Encode a picture as a JPEG data URI that fits a size limit.
+    """Encode a picture as a JPEG data URI with the first setting in JPEG_ATTEMPTS that fits a size limit.
 
-    The pairs of reduction and quality in JPEG_ATTEMPTS are tried in turn. If none of them fits, the last one is used.
+    If no setting fits, the last setting is used.
 
     Parameters
     ----------
     pixels : ndarray of uint8, (row, col, 3)
-        sRGB codes.
+        sRGB picture.
     limit : int
         Maximum length of the base64 text in bytes.
     jpeg : callable
-        JPEG encoder: pixels and quality in, bytes out.
+        JPEG encoder, see `Jpeg`.
 
     Returns
     -------
@@ -274,26 +268,21 @@ def fitted(pixels: Pixels, limit: int, jpeg: Jpeg) -> tuple[str, tuple[int, int]
 
 
 MAX_PAGE_BYTES = 10_000_000  # bytes; approximate maximum size of a page
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet treats a cell that begins with one of these as a formula
-MAX_FILE_NAME = 60  # characters; maximum length of a file name
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # spreadsheets interpret cells that begin with these as formulas
+MAX_FILE_NAME = 60  # characters; maximum length of the name of a saved file
 
 
 def render_page(title: str, lead: str, sections: list[Section]) -> str:
-    """Render a report as one self-contained HTML page.
-
-    All text is escaped. Drawings, pictures and scripts are embedded in the page.
+    """Render a report as one self-contained HTML page, with embedded drawings, pictures and scripts. All text is escaped.
 
     Parameters
     ----------
-    title, lead : str
-        Heading of the page and the paragraph below it.
+    title : str
+        Heading of the page.
+    lead : str
+        Paragraph below the heading.
     sections : list of Section
-        Contents, in order.
-
-    Returns
-    -------
-    str
-        The HTML document.
+        Contents of the page.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("l3cli.report", ""),
@@ -307,14 +296,14 @@ def render_page(title: str, lead: str, sections: list[Section]) -> str:
 
 
 def file_stem(title: str) -> str:
-    """Turn a title into a file name, without extension, that is valid on any operating system."""
+    """Turn a title into a file name without extension that is valid on all operating systems."""
     return re.sub("[^a-z0-9]+", "-", title.lower())[:MAX_FILE_NAME].strip("-") or "figure"
 
 
 def csv_uri(data: Data) -> str:
-    """Encode the numbers behind a drawing as a CSV file in a data URI.
+    """Encode the numbers of a drawing as a CSV file in a data URI.
 
-    A space is put before text that a spreadsheet would otherwise evaluate as a formula.
+    A space is added before text that a spreadsheet would otherwise interpret as a formula.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -328,22 +317,18 @@ def _harmless(text: str) -> str:
 
 
 def history_section(files: list[tuple[str, str, str, tuple[Stage, ...]]]) -> Section:
-    """Build the section that lists the files of a report and the stages that made them.
+    """Build the section that lists the files of a report and the commands that wrote the files.
 
     Parameters
     ----------
-    files : list of (name, kind, SHA-256, stages)
-        One entry per file. Stages are in the order in which they ran.
-
-    Returns
-    -------
-    Section
-        A table of the files, then a subsection per file with recorded stages.
+    files : list of (name, type, SHA-256, stages)
+        Name, type, checksum and history of each file. The stages of a history are in the order in which they ran.
     """
     given = tuple((name, kind, digest) for name, kind, digest, _ in files)
-    parts = [Subsection("Files", (Table("Files of this report", ("file", "kind", "SHA-256"), given),))]
+    parts = [Subsection("Files", (Table("Files of this report", ("file", "type", "SHA-256"), given),))]
     parts += [_stages(name, stages) for name, _, _, stages in files if stages]
-    return Section("History", "The commands that made each artifact and their inputs, as recorded in it.", tuple(parts))
+    lead = "For each artifact, the commands that created it and their inputs. Each artifact contains this record."
+    return Section("History", lead, tuple(parts))
 
 
 def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
@@ -353,12 +338,13 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
         chosen = " ".join(key if value is True else f"{key} {value}" for key, value in given)
         inputs = "; ".join(_digests(role, digests) for role, digests in sorted(stage.inputs.items()) if digests)
         rows.append((f"{number}", f"l3 {stage.command}", chosen or "–", inputs or "–", stage.version))
-    table = Table(f"Stages of {name}", ("stage", "command", "options", "inputs, SHA-256", "l3cli"), tuple(rows))
+    headings = ("stage", "command", "options", "inputs (first digits of the SHA-256)", "l3cli version")
+    table = Table(f"Stages of {name}", headings, tuple(rows))
     recipes = [Details(f"Recipe of stage {n}, {s.command}", s.recipe) for n, s in enumerate(stages, 1) if s.recipe]
     return Subsection(name, (table, *recipes))
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """Return a role and the first 12 digits of the SHA-256 of up to four files with this role."""
+    """List the input files of one role, for example "camera", by the first 12 digits of their SHA-256. At most four."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more

@@ -1,10 +1,11 @@
-"""A crop of a frame whose classes and transforms the reader can inspect pixel by pixel.
+"""A crop of a frame in which the reader of a report can inspect the class and the transform of each pixel.
 
-The data are embedded in the page. The script pixels.js shows them, and classes.js lists the other classes of the table.
+The data of the crop are embedded in the page. The script pixels.js shows the data of a pixel, and classes.js lists the
+other classes of the table.
 
-The data are compressed with deflate and encoded as base64. Uncompressed, they begin with the length of the header in bytes
-(uint32), followed by the header as JSON, padded with spaces to a multiple of four bytes. Then there are three arrays for
-each layer, each padded to a multiple of four bytes:
+The data are compressed with deflate and encoded as base64. Before compression, the data begin with the length of the header
+in bytes (uint32) and the header as JSON, padded with spaces to a multiple of four bytes. The header is followed by three
+arrays for each layer, each padded to a multiple of four bytes:
 
 1. The largest absolute weight of each class and output (float32).
 2. The class of each pixel, as an index into the classes of the header (uint16).
@@ -39,9 +40,9 @@ CROP_SIZES = (
     (72, 96),
     (48, 64),
     (24, 32),
-)  # rows and columns of the crop, tried in this order
+)  # rows and columns of the crop, in the order of preference
 JPEG_QUALITY = 95  # JPEG quality of the pictures of the crop
-CROP_STEPS = 8  # number of crop positions that are tried along each side of a frame
+CROP_STEPS = 8  # along each side of a frame, the crop starts at a multiple of the possible shift divided by this number
 WEIGHT_SCALE = 127  # integer that encodes the largest weight
 PLANES = ("X − aY", "Y", "Z − bY")  # input planes of refinement layers in tables with three outputs
 COMPONENTS = ("first component", "mean", "second component")  # input planes of the refinement layer in spectral tables
@@ -49,15 +50,15 @@ COMPONENTS = ("first component", "mean", "second component")  # input planes of 
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a table at the pixels of a crop. The classes that occur in the crop come first."""
+    """Classes and weights of one layer in a crop. The lists of classes begin with the classes that occur in the crop."""
 
     side: int  # pixels; side of the window
     planes: tuple[str, ...]  # names of the input planes, in the order of the taps; ("mosaic",) in the first layer
-    labels: NDArray[np.integer]  # (row, col) index into the following lists of classes
+    labels: NDArray[np.integer]  # (row, col) position of the pixel's class in the lists of classes
     words: tuple[dict[str, str], ...]  # (class) description of each feature of the class
     patches: Array  # (class) number of training patches; 0 if the class was filled from a neighbour
-    pixels: NDArray[np.integer]  # (class) number of pixels in the whole frame
-    weights: Array  # (class, output, tap) for the first classes only
+    pixels: NDArray[np.integer]  # (class) number of pixels of the class in the whole frame
+    weights: Array  # (class, output, tap); may end before the lists of classes
 
     @property
     def cropped(self) -> int:
@@ -67,9 +68,9 @@ class Layer:
 
 @dataclass(frozen=True)
 class Crop:
-    """A crop of a frame: its first row and column, the size of the frame, and the layers of the table."""
+    """A crop of a frame, with the classes and weights of all layers."""
 
-    corner: tuple[int, int]
+    corner: tuple[int, int]  # first row and column of the crop
     frame: tuple[int, int]  # rows and columns of the whole frame
     layers: tuple[Layer, ...]
 
@@ -86,31 +87,31 @@ class Sites:
 def crop_of(
     table: TransformTable, camera: CameraModel, labels: list[NDArray[np.integer]], limit: int, more: int = 0
 ) -> tuple[Crop, str]:
-    """Choose the crop of a frame with the most classes, and encode it for the page.
+    """Choose the crop of a frame that contains the most classes, and encode the crop for the page.
 
-    The crop has the largest of CROP_SIZES whose encoding fits `limit`, or the smallest if none fits. Then classes that do
-    not occur in the crop are added, starting with the most frequent in the frame. If `more` allows it, all classes of the
-    table are added, otherwise only classes that occur in the frame. The remaining space is used for their weights.
+    The crop has the largest of CROP_SIZES whose encoding fits `limit`. Classes that do not occur in the crop follow, sorted
+    by their frequency in the frame: all classes of the table if `more` is large enough, otherwise the classes that occur in
+    the frame. The remaining characters of `more` are used for weights of these classes.
 
     Parameters
     ----------
     table : TransformTable
         The table.
     camera : CameraModel
-        Supplies the colours of the channels.
+        Camera from which the display colours of the channels are computed.
     labels : list of ndarray, (row, col)
-        Class of every pixel of the frame, per layer.
+        For each layer, the class of every pixel of the frame.
     limit : int
         Maximum length of the encoded crop, in characters.
     more : int
-        Maximum number of additional characters for classes outside the crop.
+        Maximum number of additional characters for classes that do not occur in the crop.
 
     Returns
     -------
     crop : Crop
         The crop.
     text : str
-        The crop as encoded by `packed`.
+        The crop, encoded with `packed`.
     """
     sites = Sites(table.cfa, table.channels, tuple(hex_colour(each) for each in channel_light(camera)))
     words = [_words(table, layer) for layer in table.layers]
@@ -137,10 +138,11 @@ def _crop(
     others: str = "none",
     letters: int = 0,
 ) -> Crop:
-    """Cut out a part of a frame and add classes that do not occur in it.
+    """Cut out a part of a frame and add classes that do not occur in this part.
 
-    `others` selects the additional classes: "none", "frame" (classes that occur in the frame) or "all". They are sorted by
-    their frequency in the frame. Weights are included for as many of them as `letters` characters per layer allow.
+    `others` selects the additional classes: "none", "frame" (classes that occur in the frame) or "all". The additional
+    classes are sorted by their frequency in the frame. The first of them also get their weights, as many as fit `letters`
+    characters per layer.
     """
     layers = []
     for layer, worded, of in zip(table.layers, words, labels, strict=True):
@@ -151,7 +153,7 @@ def _crop(
         seen, indices = np.unique(of[area], return_inverse=True)
         order = np.argsort(-pixels, kind="stable")
         order = order[~np.isin(order, seen) & ((others == "all") | (pixels[order] > 0) & (others == "frame"))]
-        # Base64 needs 4 characters for 3 bytes. Weights are hardly compressible.
+        # Base64 needs 4 characters for 3 bytes. Deflate hardly compresses weights.
         room = letters * 3 // 4 // (layer.weights.shape[1] * (taps + 4))
         classes = np.concatenate([seen, order])
         layers.append(
@@ -169,10 +171,10 @@ def _crop(
 
 
 def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[int], dict[str, str]]:
-    """Return a function that describes a class of the layer in words, given its index."""
+    """Return a function that describes a class of the layer in words. Its argument is the index of the class."""
     every = np.arange(len(layer.weights))
     sites = layer.rule.split(every).site.tolist()
-    # In the first layer, the description of a class is the same at every site.
+    # In the first layer, classes that differ only in the site have the same description.
     within = layer.rule.within_site(every).tolist() if isinstance(layer, MosaicLayer) else every.tolist()
 
     @functools.cache
@@ -189,19 +191,19 @@ def _words(table: TransformTable, layer: MosaicLayer | PlaneLayer) -> Callable[[
 
 
 def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, int]:
-    """Find the crop with the most classes.
+    """Find the crop that contains the most classes.
 
     Parameters
     ----------
     labels : ndarray, (row, col)
         Class of every pixel.
     size : tuple of int
-        Rows and columns of the crop. It is smaller if the frame is smaller.
+        Rows and columns of the crop. If the frame is smaller, the crop is the whole frame.
 
     Returns
     -------
     tuple of int
-        First row and column of the crop. If several crops have the same number of classes, the first is returned.
+        First row and column of the crop. Of several crops with the same number of classes, the first is chosen.
     """
     best, most = (0, 0), -1
     room = [max(0, whole - part) for whole, part in zip(labels.shape, size, strict=True)]
@@ -215,7 +217,7 @@ def richest(labels: NDArray[np.integer], size: tuple[int, int]) -> tuple[int, in
 
 
 def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
-    """Encode a crop as base64 text in the format that is described at the top of this module."""
+    """Encode a crop as base64 text. The docstring of this module describes the format."""
     head: dict[str, Any] = {
         "corner": crop.corner,
         "size": crop.layers[0].labels.shape,
@@ -231,7 +233,7 @@ def packed(crop: Crop, sites: Sites, outputs: tuple[str, ...]) -> str:
                 "with_weights": len(layer.weights),
                 "pixels": np.trim_zeros(layer.pixels, "b").tolist(),
                 "classes": [
-                    {**words, "training": f"{count:.0f} patches" if count > 0 else "none: filled from a neighbour"}
+                    {**words, "training": f"{count:.0f} patches" if count > 0 else "no patches; filled from a neighbour"}
                     for words, count in zip(layer.words, layer.patches.tolist(), strict=True)
                 ],
             }
@@ -254,30 +256,25 @@ def _numbers(layer: Layer) -> bytes:
 
 
 def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scene: str, jpeg: Jpeg) -> PixelPicker:
-    """Build the part of the page in which the reader picks a pixel.
+    """Build the part of the page in which the reader selects a pixel.
 
     Parameters
     ----------
     anchor : str
-        Anchor of the comparison that shows the whole frame.
+        HTML anchor of the comparison that shows the whole frame.
     crop : Crop
         The crop.
     text : str
-        The crop as encoded by `packed`.
-    pictures : dict of str to ndarray
-        Pictures of the whole frame by name, from which the crop is cut.
+        The crop, encoded with `packed`.
+    pictures : dict of str to ndarray, (row, col, 3)
+        Pictures of the whole frame, by name.
     scene : str
         Name of the scene, for the alternative texts.
     jpeg : callable
-        JPEG encoder.
-
-    Returns
-    -------
-    PixelPicker
-        The part of the page.
+        JPEG encoder, see `parts.Jpeg`.
     """
     (top, left), (rows, cols) = crop.corner, crop.layers[0].labels.shape
-    where = f"{cols} × {rows} pixels from row {top}, column {left}"
+    where = f"{cols} × {rows} pixels, starting at row {top}, column {left}"
     shown = []
     for name, picture in pictures.items():
         coded = base64.b64encode(
@@ -285,4 +282,4 @@ def picker(anchor: str, crop: Crop, text: str, pictures: dict[str, Pixels], scen
         ).decode()
         shown.append(Picture("data:image/jpeg;base64," + coded, rows, cols, name, f"{scene}, {name}: {where}"))
     counts = ", ".join(f"{layer.cropped} of layer {number}" for number, layer in enumerate(crop.layers, 1))
-    return PixelPicker(anchor, f"{where}, enlarged. Classes that occur in it: {counts}.", tuple(shown), text)
+    return PixelPicker(anchor, f"{where}, enlarged. Classes that occur in this crop: {counts}.", tuple(shown), text)

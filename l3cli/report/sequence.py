@@ -1,4 +1,4 @@
-"""The section of rendered sequences in a report: noise, flicker and errors of each frame."""
+"""The section of evaluated sequences in a report: noise, flicker and errors of rendered frames."""
 
 from typing import Any
 
@@ -9,45 +9,37 @@ from l3cli.report.parts import Figure, Figures, Section, Subsection, Table, Text
 from l3cli.system.text import figure as number
 from l3cli.system.text import tidy
 
-Documents = dict[str, dict[str, Any]]  # file name → document of `l3 evaluate --sequence --json`
-SEQUENCE_METRICS = {  # metric of a whole sequence → heading with unit
+Documents = dict[str, dict[str, Any]]  # for each file name, the output of `l3 evaluate --sequence --json`
+SEQUENCE_METRICS = {  # headings of the metrics of a whole sequence
     "temporal_sigma": "temporal σ of L*",
-    "patch_sigma": "σ of patch means (L*)",
-    "still_share": "still patches (share)",
+    "patch_sigma": "temporal σ of patch means of L*",
+    "still_share": "fraction of still patches",
     "largest_jump": "largest jump of mean L*",
-    "largest_jump_frame": "in frame",
+    "largest_jump_frame": "frame with the largest jump",
     "warped_error": "warped error (L*)",
     "psnr": "PSNR (dB)",
     "mean_delta_e": "mean ΔE00",
 }
-FRAME_METRICS = {  # metric of a frame → title, label of the axis, whether the axis begins at 0
-    "step_sigma": ("Noise over time", "σ of the change of L* on still patches", True),
-    "jump": ("Flicker over time", "jump of mean L* since the frame before", False),
+FRAME_METRICS = {  # for each metric of a frame: title, label of the y axis, and whether the axis begins at 0
+    "step_sigma": ("Noise over time", "temporal σ of L* in still patches", True),
+    "jump": ("Flicker over time", "jump of mean L* since the previous frame", False),
     "warped_error": ("Error along the motion", "warped error (L*)", True),
     "mean_delta_e": ("Colour error over time", "mean ΔE00", True),
     "psnr": ("PSNR over time", "PSNR (dB)", False),
     "mean_lightness": ("Brightness over time", "mean L*", False),
 }
 MEANINGS = (
-    "L* is the CIE lightness of the displayed picture, 0 to 100. Temporal σ is the standard deviation of a pixel over time, "
-    "on patches of 8 × 8 pixels whose content stays still. The σ of the patch means is visible as flickering blotches. A "
-    "jump is the change of a frame's mean L* minus the change of the ideal's mean. The warped error is the difference "
-    "between the errors of a frame and of the frame before, compared along the known motion."
+    "L* is the CIE lightness of the displayed picture, from 0 to 100. Temporal σ is the standard deviation of a pixel over "
+    "time, in patches of 8 × 8 pixels in which nothing moves. A large temporal σ of the patch means is visible as "
+    "flickering blotches. A jump is the change of the mean L* since the previous frame, minus this change in the ideal "
+    "sequence. The warped error is the RMS change of the error between two frames, along the motion of the objects."
 )
 
 
 def sequence_section(documents: Documents) -> Section:
     """Build the section that compares evaluated sequences.
 
-    Parameters
-    ----------
-    documents : dict of str to dict
-        File name → document of `l3 evaluate --sequence --json`.
-
-    Returns
-    -------
-    Section
-        A table with the metrics of whole sequences, and plots against the frame number with one line per sequence.
+    The section contains a table with the metrics of whole sequences, and plots of frame metrics with one line per sequence.
     """
     rows = tuple(
         (name, str(len(document["frames"])), *(_cell(figure, document[figure]) for figure in SEQUENCE_METRICS))
@@ -55,20 +47,20 @@ def sequence_section(documents: Documents) -> Section:
     )
     table = Table("Whole sequences", ("evaluation", "frames", *SEQUENCE_METRICS.values()), rows)
     drawn = tuple(_curves(documents, figure) for figure in FRAME_METRICS if _known(documents, figure))
-    parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Over the frames", (Figures(drawn),)))
-    lead = "How much the lightness of still areas changes from frame to frame, and how far the pictures are from the ideal."
-    return Section("Sequences over time", lead, parts)
+    parts = (Subsection("Whole sequences", (table, Text(MEANINGS))), Subsection("Frame by frame", (Figures(drawn),)))
+    lead = "This section shows how much the lightness of still areas changes over time, and the errors of the pictures."
+    return Section("Sequences", lead, parts)
 
 
 def summary(documents: Documents) -> str:
-    """State the temporal noise and the largest jump of each sequence, with one sentence per sequence."""
+    """State the temporal noise and the largest jump of each sequence in a sentence."""
     return " ".join(_sentence(name, document) for name, document in documents.items())
 
 
 def _sentence(name: str, document: dict[str, Any]) -> str:
     noise, jump = document["temporal_sigma"], document["largest_jump"]
-    still = "no still patches" if noise is None else f"a temporal σ of {_cell('', noise)} L* on still patches"
-    jumps = "" if jump is None else f", and its mean L* jumps by {_cell('', jump)} at most"
+    still = "no still patches" if noise is None else f"a temporal σ of {_cell('', noise)} L* in still patches"
+    jumps = "" if jump is None else f", and the largest jump of its mean L* is {_cell('', jump)}"
     return f"{name} has {still}{jumps}."
 
 
@@ -80,12 +72,12 @@ def _cell(figure: str, value: float | None) -> str:
 
 
 def _known(documents: Documents, figure: str) -> bool:
-    """Whether any frame of any sequence has this metric."""
+    """Whether any frame of any sequence has a metric."""
     return any(frame[figure] is not None for document in documents.values() for frame in document["frames"])
 
 
 def _curves(documents: Documents, figure: str) -> Figure:
-    """Plot a metric against the frame number for every sequence that has it."""
+    """Plot a metric against the frame number, with one line for each sequence that has the metric."""
     title, label, zero = FRAME_METRICS[figure]
     series = {name: _series(document, figure) for name, document in documents.items()}
     longest = max(float(at.max(initial=1.0)) for at, _ in series.values())
@@ -101,7 +93,7 @@ def _curves(documents: Documents, figure: str) -> Figure:
 
 
 def _series(document: dict[str, Any], figure: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the frames that have a metric, and the values of the metric."""
+    """Return the frame numbers and the values of a metric, for all frames that have the metric."""
     known = [(frame["frame"], frame[figure]) for frame in document["frames"] if frame[figure] is not None]
     at, values = np.array(known, np.float64).reshape(-1, 2).T
     return at, values

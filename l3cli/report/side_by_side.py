@@ -1,6 +1,6 @@
 """The section of a report that compares several tables, for one or several colour filter arrays.
 
-The section shows the same frame rendered with each table, the metrics, and the error as a function of the level.
+The section shows a frame rendered with each table, the metrics, and the error as a function of the level.
 """
 
 from dataclasses import dataclass, replace
@@ -32,26 +32,29 @@ from l3cli.report.parts import (
 )
 from l3cli.system.text import counted
 
-CAVEAT = "Scenes and lights are the same. Each camera uses the exposure times of its own training set."
+CAVEAT = "All cameras photograph the same scenes and illuminants. The exposure times of the cameras may differ."
 UNKNOWN_SCENES = (
-    "Scenes and lights have the same names, but frames without fingerprints, such as real frames, may show different scenes."
+    "The scenes and illuminants have equal names. They may still differ, because some frames, for example real frames, have "
+    "no fingerprint."
 )
-DIFFERENT_SCENES = "frames with the same name show different scenes or lights; simulate all with one recipe and seed"
-Place = tuple[str, str, str]  # scene, illuminant and luminance; frames of different sets are matched by these
+DIFFERENT_SCENES = (
+    "frames with equal names show different scenes or illuminants; simulate all training sets with the same recipe and seed"
+)
+Place = tuple[str, str, str]  # scene, illuminant and luminance, by which frames of different training sets are matched
 
 
 @dataclass(frozen=True)
 class Side:
-    """A table evaluated on a set of frames. `document` is the output of `l3 evaluate --json`."""
+    """A table that was evaluated on a training set."""
 
-    name: str
-    frames: str
+    name: str  # name of the table's file
+    frames: str  # name of the training set's file
     camera: CameraModel
-    document: dict[str, Any]
+    document: dict[str, Any]  # output of `l3 evaluate --json`
 
     @property
     def places(self) -> dict[Place, int]:
-        """Map each combination of scene, illuminant and luminance to the index of the first frame that has it."""
+        """Index of the first frame for each combination of scene, illuminant and luminance."""
         places: dict[Place, int] = {}
         for index, frame in enumerate(self.document["frames"]):
             places.setdefault((frame["scene"], frame["illuminant"], f"{frame['luminance']:.6g}"), index)
@@ -59,44 +62,32 @@ class Side:
 
 
 def shared_places(sides: list[Side]) -> list[Place]:
-    """Return the combinations of scene, illuminant and luminance for which every side has a frame.
+    """Return the combinations of scene, illuminant and luminance for which every side has a frame of the same scene.
 
-    A combination is left out if the fingerprints of its frames differ.
-
-    Parameters
-    ----------
-    sides : list of Side
-        The evaluated tables.
-
-    Returns
-    -------
-    list of (scene, illuminant, luminance)
-        In the order of the first side.
+    Fingerprints decide whether two frames show the same scene. The order is the order of the first side.
     """
     return [place for place in _alike(sides) if _one_scene(_shown(sides, place))]
 
 
 def _alike(sides: list[Side]) -> list[Place]:
-    """Return the combinations of scene, illuminant and luminance that occur in all sides, in the order of the first side."""
+    """Return the combinations of scene name, illuminant name and luminance that occur on all sides."""
     others = [side.places for side in sides[1:]]
     return [place for place in sides[0].places if all(place in other for other in others)]
 
 
 def _shown(sides: list[Side], place: Place) -> list[Any]:
-    """Return the fingerprint of a frame on each side, or None where the frame has no fingerprint."""
+    """Return the fingerprint of a frame on each side. None if the frame has no fingerprint."""
     return [side.document["frames"][side.places[place]]["shown"] for side in sides]
 
 
 def _one_scene(shown: list[Any]) -> bool:
-    """Whether all known fingerprints belong to the same scene."""
+    """Whether all fingerprints that are not None belong to the same scene and illuminant."""
     known = [each for each in shown if each]
     return all(shown_alike(known[0], each) for each in known[1:])
 
 
 def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
-    """Choose the frame to show side by side.
-
-    It is the frame with the median ΔE00 in the first side, among the frames that all sides have.
+    """Choose the frame that the report shows for all tables: the frame with the median ΔE00 of the first table.
 
     Parameters
     ----------
@@ -108,7 +99,7 @@ def shared_frame(sides: list[Side], at: float | None = None) -> list[int]:
     Returns
     -------
     list of int
-        Index of the frame in each side. Empty if the sides have no frame in common or the outputs are not pictures.
+        Index of the frame on each side. Empty if no frame exists on all sides, or if the outputs are not pictures.
     """
     figures, first = {main_of(side.document) for side in sides}, sides[0]
     places = [
@@ -131,42 +122,42 @@ def side_by_side_section(
     sides : list of Side
         The evaluated tables.
     index : list of int
-        Index of the common frame in each side, from `shared_frame`.
+        Index of the shown frame on each side, from `shared_frame`.
     pictures : list of dict
-        Pictures of this frame for each side. Empty if there is no common frame.
+        Pictures of this frame for each side. Empty if no frame exists on all sides.
     limit : int
         Maximum size of all pictures together, in bytes.
     jpeg : callable
-        JPEG encoder.
+        JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        The common frame, the metrics, and the cameras if they differ. The lead of the section ranks the tables.
+        The frame, the metrics, and the cameras if they differ. The lead of the section ranks the tables.
     """
     parts = []
     if pictures:
-        parts.append(Subsection("The same frame", (_frame_block(sides, index, pictures, limit, jpeg),)))
+        parts.append(Subsection("One frame, rendered with each table", (_frame_block(sides, index, pictures, limit, jpeg),)))
     shared = shared_places(sides)
-    parts.append(Subsection("Figures", _figure_blocks(sides, shared)))
+    parts.append(Subsection("Metrics", _figure_blocks(sides, shared)))
     if len({side.camera.name for side in sides}) > 1 or len({side.camera.cfa.tobytes() for side in sides}) > 1:
         parts.append(Subsection("Arrays", (Figures(_cameras(sides)),)))
-    return Section("Side by side", _verdict(sides, shared), tuple(parts))
+    return Section("Comparison of tables", _verdict(sides, shared), tuple(parts))
 
 
 def _frames(side: Side, places: list[Place]) -> list[dict[str, Any]]:
-    """Return the metrics of the frames at the given places, or of all frames if no places are given."""
+    """Return the metrics of the frames in `places`, or of all frames if `places` is empty."""
     frames = side.document["frames"]
     return [frames[side.places[place]] for place in places] if places else list(frames)
 
 
 def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float | None:
-    """Return the mean of a metric over frames, or None if no frame has it."""
+    """Return the mean of a metric over frames. None if no frame has the metric."""
     return known_mean([frame[pipeline][figure] for frame in _frames(side, places)])
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
-    """Rank the tables in words, or say why they cannot be compared."""
+    """Rank the tables in a sentence, or state why the tables cannot be compared."""
     if len({main_of(side.document) for side in sides}) > 1:
         return "The tables have different outputs, so their metrics cannot be compared."
     others = len(_alike(sides)) - len(shared)
@@ -183,21 +174,21 @@ def _verdict(sides: list[Side], shared: list[Place]) -> str:
     caveat = (
         f" {CAVEAT if known else UNKNOWN_SCENES}" if any(not equal(side.camera, sides[0].camera) for side in sides) else ""
     )
-    caveat += f" {counted(others, 'frame')} left out: {DIFFERENT_SCENES}." if others else ""
-    often = "" if len(shared) == 1 else f", in {won} of {len(shared)} frames"
-    best = f"{_title(ranked[0], sides)} is nearest to the ideal{often}."
+    caveat += f" {counted(others, 'frame')} not compared: {DIFFERENT_SCENES}." if others else ""
+    often = "" if len(shared) == 1 else f" on average, and in {won} of {len(shared)} frames"
+    best = f"{_title(ranked[0], sides)} is closest to the ideal{often}."
     name = FIGURES[figure].heading
-    return f"{best} {name[0].upper()}{name[1:]} over {frames} that all have: {values}.{caveat}"
+    return f"{best} {name[0].upper()}{name[1:]} over {frames} that all training sets contain: {values}.{caveat}"
 
 
 def _title(side: Side, sides: list[Side]) -> str:
-    """Name a side by its table, and also by its frames if the same table is evaluated on several sets."""
+    """Return the name of the table. If the table was evaluated on several training sets, add the training set."""
     alone = [each.name for each in sides].count(side.name) == 1
     return side.name if alone else f"{side.name} on {side.frames}"
 
 
 def _frame_block(sides: list[Side], index: list[int], pictures: list[dict[str, Pixels]], limit: int, jpeg: Jpeg) -> Block:
-    """Show each side's rendering and the ideal, with a slider if all pictures have the same size."""
+    """Show the frame rendered with each table, and the ideal. If all pictures have the same size, they get a slider."""
     frames = [side.document["frames"][at] for side, at in zip(sides, index, strict=True)]
     shown = [
         (_title(side, sides), of[OURS], f"mean ΔE00 {frame[OURS]['mean_delta_e']:.2f}")
@@ -224,35 +215,39 @@ def _figure_blocks(sides: list[Side], shared: list[Place]) -> tuple[Block, ...]:
         height, width = side.camera.cfa.shape
         cells = tuple(figure_text(figure, _mean(side, shared, OURS, figure)) for figure in figure_names)
         rows.append((side.name, side.frames, f"{height} × {width}, {len(side.camera.channels)} channels", *cells))
-    over = "over the frames that all have" if shared else "each over its own frames"
-    blocks: list[Block] = [Table(f"Mean figures {over}", heads, tuple(rows))]
+    over = "frames that all training sets contain" if shared else "all frames of each training set"
+    blocks: list[Block] = [Table(f"Metrics of each table, mean over the {over}", heads, tuple(rows))]
     if not shared:
-        blocks.append(Text("Give every table frames of the same scenes, lights and luminances to compare them."))
+        blocks.append(
+            Text(
+                "To compare the tables, add training sets with the same scenes, illuminants and luminances for every camera."
+            )
+        )
     drawn = _level_figure(sides) if same else None
     return (*blocks, *([Figures((drawn,))] if drawn else []))
 
 
 def _level_figure(sides: list[Side]) -> Figure | None:
-    """Plot the error against the level of the class, with one line per table. None if there are too few levels."""
+    """Plot the main metric against the level of the class, with one line per table. None if a table has a single level."""
     classes = [side.document["by_class"].get("level", []) for side in sides]
     if min(map(len, classes)) < 2:
         return None
     figure = main_of(sides[0].document)
     curves = [(level_middles(entries), np.array([entry[OURS][figure] for entry in entries])) for entries in classes]
     x = spanning(
-        "level of the pixel's neighbourhood (share of full scale)", np.concatenate([at for at, _ in curves]), log=True
+        "level of the pixel's neighbourhood (fraction of full scale)", np.concatenate([at for at, _ in curves]), log=True
     )
     plot = Plot(x, spanning(FIGURES[figure].heading, np.concatenate([values for _, values in curves]), zero=True))
     series = {_title(side, sides): curve for side, curve in zip(sides, curves, strict=True)}
     ranges = (
         f"{name} {figure_text(figure, of.min())} to {figure_text(figure, of.max())}" for name, (_, of) in series.items()
     )
-    finding = f"{FIGURES[figure].heading} of ours, over all frames of each: {'; '.join(ranges)}."
-    return plot.figure("Error over the class's level", finding, plot.curves(series))
+    finding = f"{FIGURES[figure].heading} over all frames of each training set: {'; '.join(ranges)}."
+    return plot.figure("Error by level of the class", finding, plot.curves(series))
 
 
 def _cameras(sides: list[Side]) -> tuple[Figure, ...]:
-    """Draw the array and the responsivities of each distinct camera."""
+    """Draw the colour filter array and the responsivities of each distinct camera."""
     drawn: dict[bytes, Side] = {}
     for side in sides:
         drawn.setdefault(side.camera.cfa.tobytes() + side.camera.responsivity.tobytes(), side)

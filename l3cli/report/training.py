@@ -1,4 +1,4 @@
-"""The section of a training set in a report: its scenes, illuminants, levels and colours."""
+"""The section of a training set in a report: scenes, illuminants, raw levels and colours."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -32,25 +32,26 @@ from l3cli.system.text import counted, tidy
 Array = NDArray[np.floating]
 MAX_PICTURES = 24  # maximum number of frames shown as pictures
 LEVEL_EDGES = np.geomspace(1e-3, 1.0, 37)  # bin edges of the raw signal, as a fraction of full scale
-SATURATED = 0.985  # fraction of full scale, as in docs/method.md#saturation-cases
-CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram
+SATURATED = 0.985  # fraction of full scale from which a raw value counts as saturated (docs/method.md#saturation-cases)
+CELL_SIZE = 0.01  # width and height of a cell in the chromaticity diagram, in units of x and y
 CELLS_PER_SIDE = 100  # number of cells along x and along y
-MIN_RELATIVE_LUMINANCE = 1e-4  # luminance relative to white; darker pixels have no reliable chromaticity
+MIN_RELATIVE_LUMINANCE = 1e-4  # fraction of the luminance of white; the chromaticity of darker pixels is not reliable
 
 
 @dataclass
 class Survey:
     """Statistics of a training set, collected in one pass over its frames."""
 
-    pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)  # caption, alt, sRGB (row, col, 3)
-    levels: list[Array] = field(default_factory=list)  # (channel, bin) counts
-    below: int = 0
-    saturated: int = 0
-    pixels: int = 0
-    sizes: Counter = field(default_factory=Counter)
-    lights: dict = field(default_factory=dict)  # illuminant → list of (white, luminance in cd/m², exposure in s)
-    chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))
-    pairs: int = 0
+    # for some frames: caption, alternative text, and picture in sRGB (row, col, 3)
+    pictures: list[tuple[str, str, NDArray[np.uint8]]] = field(default_factory=list)
+    levels: list[Array] = field(default_factory=list)  # for each channel, the number of pixels in each bin of LEVEL_EDGES
+    below: int = 0  # number of pixels below the first bin
+    saturated: int = 0  # number of saturated pixels
+    pixels: int = 0  # number of all pixels
+    sizes: Counter = field(default_factory=Counter)  # number of frames of each size
+    lights: dict = field(default_factory=dict)  # for each illuminant, (white, luminance in cd/m², exposure in s) per frame
+    chromaticity: Array = field(default_factory=lambda: np.zeros((CELLS_PER_SIDE, CELLS_PER_SIDE)))  # (x, y) pixel counts
+    pairs: int = 0  # number of real frames with a target
 
 
 def training_section(reader: TrainingSetReader, name: str, role: str, limit: int, jpeg: Jpeg) -> Section:
@@ -59,33 +60,33 @@ def training_section(reader: TrainingSetReader, name: str, role: str, limit: int
     Parameters
     ----------
     reader : TrainingSetReader
-        The open training set. Its frames are read one by one.
+        The open training set.
     name : str
         Name of the file.
     role : str
-        Sentence that says which tables were trained or evaluated on the set. May be empty.
+        Sentence about the tables that were trained or evaluated on the training set. May be empty.
     limit : int
         Maximum size of all pictures together, in bytes.
     jpeg : callable
-        JPEG encoder.
+        JPEG encoder, see `parts.Jpeg`.
 
     Returns
     -------
     Section
-        Scenes with pictures of their targets, illuminants, raw levels, and chromaticities.
+        Pictures of the targets, illuminants, raw levels and chromaticities.
     """
     head = reader.head
     survey = survey_of(reader)
-    about = f"{counted(len(reader), 'frame')}, {survey.pixels / 1e6:.3g} million pixels, of {head.camera.name}."
+    about = f"{counted(len(reader), 'frame')} of {head.camera.name} with {survey.pixels / 1e6:.3g} million pixels."
     parts = [
         Subsection("Scenes", _scene_blocks(reader, survey, limit, jpeg)),
-        Subsection("Light, levels and colours", _light_blocks(head, survey)),
+        Subsection("Illuminants, raw levels and colours", _light_blocks(head, survey)),
     ]
     return Section(f"Training set: {name}", " ".join(filter(None, (about, role, f"From {name}."))), tuple(parts))
 
 
 def survey_of(reader: TrainingSetReader) -> Survey:
-    """Collect the statistics of all frames. They are read one by one, so that only one is in memory."""
+    """Collect the statistics of all frames. Only one frame is in memory at a time."""
     head, survey = reader.head, Survey()
     chosen = set(np.unique(np.linspace(0, len(reader) - 1, min(MAX_PICTURES, len(reader))).round().astype(int)).tolist())
     survey.levels = [np.zeros(len(LEVEL_EDGES) - 1) for _ in head.camera.channels]
@@ -122,7 +123,7 @@ def _count_levels(survey: Survey, frame: TrainingPair, camera: CameraModel) -> N
 
 
 def _count_colours(survey: Survey, frame: TrainingPair) -> None:
-    """Add the chromaticities of a frame's target to the histogram. Very dark pixels are left out."""
+    """Add the chromaticities of a target to the histogram. Very dark pixels are not counted."""
     total = frame.target.sum(axis=0)
     bright = (frame.target[1] > MIN_RELATIVE_LUMINANCE * frame.white[1]) & (total > 0)
     x, y = (frame.target[part][bright] / total[bright] for part in (0, 1))
@@ -132,19 +133,19 @@ def _count_colours(survey: Survey, frame: TrainingPair) -> None:
 
 def _scene_blocks(reader: TrainingSetReader, survey: Survey, limit: int, jpeg: Jpeg) -> tuple[Block, ...]:
     sizes = ", ".join(f"{size} ({count})" for size, count in sorted(survey.sizes.items()))
-    rows = [("Frames", str(len(reader))), ("Sizes in pixels (frames)", sizes)]
+    rows = [("Frames", str(len(reader))), ("Frame sizes in pixels (number of frames)", sizes)]
     if survey.pairs:
-        rows.append(("Real pairs among them", str(survey.pairs)))
+        rows.append(("Real frames, paired with a target", str(survey.pairs)))
     rows += [("Outputs", ", ".join(reader.head.outputs)), ("Target", reader.head.target_description)]
-    table = Table("What is in the set", ("quantity", "value"), tuple(rows))
+    table = Table("Contents of the training set", ("quantity", "value"), tuple(rows))
     if not survey.pictures:
-        return (table, Text("The targets are not XYZ, so there are no pictures to show."))
+        return (table, Text("The report shows no pictures, because the targets are not XYZ."))
     pictures = []
     for caption, alt, pixels in survey.pictures:
         uri, size = fitted(pixels, limit // MAX_PICTURES, jpeg)
         pictures.append(Picture(uri, *size, caption, alt))
     chosen = f"{len(pictures)} of {len(reader)} frames, evenly spaced" if len(pictures) < len(reader) else "All frames"
-    shown = f"{chosen}. The pictures are the targets as sRGB, with each frame's white adapted to D65."
+    shown = f"{chosen}. The pictures show the targets in sRGB. The white of each frame is adapted to D65."
     return (table, Text(shown), Gallery(tuple(pictures)))
 
 
@@ -161,7 +162,7 @@ def _light_blocks(head: TrainingSet, survey: Survey) -> tuple[Block, ...]:
 
 
 def _range(values: list[float]) -> str:
-    """Format the range of values, as a single number if all are equal."""
+    """Format the range of values. If all values are equal, return a single number."""
     low, high = tidy(min(values)), tidy(max(values))
     return low if low == high else f"{low}–{high}"
 
@@ -171,8 +172,8 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
     keys = colours.channel_keys(camera)
     shares = [100 * counts / max(counts.sum(), 1) for counts in survey.levels]
     plot = Plot(
-        Axis("raw signal above black / full scale (1)", 1e-3, 1.0, True),
-        spanning("pixels of the channel (% per bin)", np.concatenate(shares), zero=True),
+        Axis("raw signal above black (fraction of full scale)", 1e-3, 1.0, True),
+        spanning("pixels per bin (% of the channel)", np.concatenate(shares), zero=True),
     )
     middles = np.sqrt(LEVEL_EDGES[1:] * LEVEL_EDGES[:-1])
     medians = []
@@ -182,16 +183,16 @@ def _level_figure(camera: CameraModel, survey: Survey) -> Figure:
             middle = middles[int(np.searchsorted(np.cumsum(share), 50))]
             medians.append(f"{key.label} {tidy(float(middle), 2)}")
     finding = (
-        f"Median signal as a share of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % of "
-        f"all pixels are saturated; {100 * survey.below / survey.pixels:.2g} % are below a thousandth of full scale."
+        f"Median signal as a fraction of full scale: {', '.join(medians)}. {100 * survey.saturated / survey.pixels:.2g} % "
+        f"of all pixels are saturated, and {100 * survey.below / survey.pixels:.2g} % are below a thousandth of full scale."
     )
-    return plot.figure("Levels", finding, keys)
+    return plot.figure("Raw levels", finding, keys)
 
 
 def _chromaticity_figure(survey: Survey) -> Figure:
     """Plot the chromaticities of the targets in the CIE 1931 diagram.
 
-    The opacity of a cell increases with its fraction of the pixels, in steps of a factor of ten.
+    The more pixels a cell contains, the more opaque it is. The opacity changes in steps of a factor of ten.
     """
     plot = Plot(Axis("CIE 1931 x (1)", -0.04, 0.84), Axis("CIE 1931 y (1)", 0, 0.9), height=434)
     wavelength, locus = colours.spectral_locus()
@@ -203,7 +204,7 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         col, row = np.nonzero((shares >= low) & (shares < (high if power < -2 else 2)))
         if col.size:
             plot.cells(col * CELL_SIZE, row * CELL_SIZE, CELL_SIZE, CELL_SIZE, "var(--one)", opacity)
-            name = f"over {100 * low:g} % of pixels" if power > -6 else "less"
+            name = f"more than {100 * low:g} % of pixels" if power > -6 else "fewer pixels"
             keys.append(Key(name, "var(--one)", "box", opacity))
     plot.line(closed[:, 0], closed[:, 1], "currentColor", width=1.2)
     for nm in (460, 480, 500, 520, 540, 560, 580, 600, 620):
@@ -218,8 +219,8 @@ def _chromaticity_figure(survey: Survey) -> Figure:
         plot.dots(white[:1], white[1:2], "var(--two)", "cross", opacity=1)
     inside, covered = _cover(shares, primaries)
     finding = (
-        f"Targets reach {100 * covered:.0f} % of the area of the sRGB triangle (cells of {CELL_SIZE}); "
-        f"{100 * inside:.3g} % of all pixels are inside it. "
+        f"The targets cover {100 * covered:.0f} % of the area of the sRGB triangle (in cells of {CELL_SIZE}), and "
+        f"{100 * inside:.3g} % of all pixels are inside the triangle. "
         f"Crosses are the whites of {counted(len(survey.lights), 'illuminant')}."
     )
     keys += [
@@ -229,26 +230,26 @@ def _chromaticity_figure(survey: Survey) -> Figure:
     ]
     col, row = np.nonzero(shares)
     cells = zip((col * CELL_SIZE).tolist(), (row * CELL_SIZE).tolist(), shares[col, row].tolist(), strict=True)
-    data = Data(("CIE 1931 x (1)", "CIE 1931 y (1)", "pixels (share)"), tuple(cells))
+    data = Data(("CIE 1931 x (1)", "CIE 1931 y (1)", "fraction of pixels"), tuple(cells))
     return replace(plot.figure("Chromaticities of the targets", finding, tuple(keys)), data=data)
 
 
 def _cover(shares: Array, triangle: Array) -> tuple[float, float]:
-    """Compare the chromaticities with a triangle, such as the sRGB gamut.
+    """Compare the chromaticities with a triangle, for example the sRGB gamut.
 
     Parameters
     ----------
     shares : ndarray, (x, y)
         Fraction of pixels in each cell of the diagram.
     triangle : ndarray, (3, 2)
-        Corners in x and y.
+        Chromaticities x and y of the corners.
 
     Returns
     -------
     inside : float
         Fraction of pixels inside the triangle.
     covered : float
-        Fraction of the triangle's cells that contain any pixel.
+        Fraction of the triangle's cells that contain at least one pixel.
     """
     centre = (np.arange(CELLS_PER_SIDE) + 0.5) * CELL_SIZE
     points = np.stack(np.meshgrid(centre, centre, indexing="ij"), axis=-1)

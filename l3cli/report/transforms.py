@@ -1,4 +1,4 @@
-"""The section of a table in a report: training patches per class, selected transforms, and their noise gain."""
+"""The section of a transform table in a report: training patches per class, selected transforms, and noise gains."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,8 +16,8 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # longer names do not fit beside a drawing and are replaced by numbers
-MAX_MAPS = 3  # maximum number of outputs for which the weights of a transform are drawn
+MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing; numbers replace them
+MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
 
 
 def transform_section(
@@ -32,29 +32,24 @@ def transform_section(
     light : ndarray, (channel, 3), optional
         Display colours of the channels in linear sRGB. None if the report contains no camera.
     insight : dict
-        The document that `l3 info --json` prints for the table.
+        Output of `l3 info --json` for the table.
     class_name : callable
-        Function that takes the index of a class and returns its description.
+        Function that returns the description of a class, from its index.
     name : str
         Name of the file.
-
-    Returns
-    -------
-    Section
-        Training patches per class, selected transforms, noise gains and, if there are any, refinement layers.
     """
     classes = insight["classes"]
     lead = (
-        f"{classes['all']} classes of {table.first.rule.patch} × {table.first.rule.patch} patches; "
-        f"{classes['trained']} were trained on their own patches, {classes['filled']} were filled from their neighbours. "
-        f"For {table.camera_name}. From {name}."
+        f"The table from {name} is for {table.camera_name}. It has {classes['all']} classes of patches of "
+        f"{table.first.rule.patch} × {table.first.rule.patch} pixels. {classes['trained']} classes were trained on patches, "
+        f"and {classes['filled']} were filled from neighbouring classes."
     )
     if lights := ", ".join(light["name"] for light in insight.get("lights", ())):
-        lead += f" The transforms shown are common to all its lights. It also has transforms for each light: {lights}."
+        lead += f" The report shows the transforms for unknown illuminants. The table also has transforms for {lights}."
     parts: tuple[Subsection, ...] = (
-        Subsection("Class population", _population_blocks(table, insight)),
+        Subsection("Training patches per class", _population_blocks(table, insight)),
         Subsection("Transforms", _transform_blocks(table, light, class_name)),
-        Subsection("Noise and flat areas", (_noise_figures(table), *_gain_tables(table, insight))),
+        Subsection("Noise and uniform areas", (_noise_figures(table), *_gain_tables(table, insight))),
     )
     if insight["later"]:
         parts += (Subsection("Refinement layers", (_refinement_table(insight),)),)
@@ -62,8 +57,8 @@ def transform_section(
 
 
 def _refinement_table(insight: dict[str, Any]) -> Table:
-    """Make a table with one row per refinement layer."""
-    gains = tuple(f"noise gain {output}, median" for output in insight["noise_gain"])
+    """Make a table with one row for each refinement layer."""
+    gains = tuple(f"median noise gain of {output}" for output in insight["noise_gain"])
     rows = tuple(
         (
             f"layer {number}",
@@ -80,14 +75,16 @@ def _refinement_table(insight: dict[str, Any]) -> Table:
 
 
 def _structures(layer: dict[str, Any]) -> str:
-    """Describe the features by which a refinement layer classifies unsaturated pixels."""
+    """Describe how a refinement layer classifies unsaturated pixels: by a tree, or by edge strength and direction."""
     if "leaves" in layer:
-        return f"leaves of a tree, depth {layer['depth']}: {layer['leaves']}"
-    return f"flat, {layer['strengths']} strengths × (none + {layer['directions']} directions): {layer['structures']}"
+        return f"{layer['leaves']} leaves of a tree of depth {layer['depth']}"
+    return (
+        f"{layer['structures']}: flat, and {layer['strengths']} edge strengths with {layer['directions']} directions or none"
+    )
 
 
 def level_middles(table: TransformTable) -> Array:
-    """Return a representative level of each level class as a fraction of full scale. It is positive, for a log axis."""
+    """Return a positive level within the bounds of each level class, as a fraction of full scale."""
     bounds = level.bounds(table)
     lower = np.maximum(bounds[:-1], bounds[1:] / 2)
     return np.sqrt(np.maximum(lower * bounds[1:], 1e-8))
@@ -97,7 +94,7 @@ def level_middles(table: TransformTable) -> Array:
 
 
 def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[Block, ...]:
-    """Draw the number of training patches by level, contrast, kind and site."""
+    """Draw the number of training patches for each combination of level and kind, and of level and site."""
     samples = table.first.rule.by_feature(table.first.samples)
     levels = [tidy(value, 1) for value in level.bounds(table)[1:]]
     kinds, sites = (
@@ -107,7 +104,7 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
     by_number = max(map(len, kinds)) > MAX_NAME_CHARACTERS
     kinds = [name.partition(":")[0] for name in kinds] if by_number else kinds
     sites = [name.partition(" ")[0] for name in sites] if max(map(len, sites)) > MAX_NAME_CHARACTERS else sites
-    kind = "kind (number in the table)" if by_number else "kind"
+    kind = "kind (number in the table below)" if by_number else "kind"
     figures = []
     for contrast in range(table.first.rule.contrasts):
         counts = samples[:, :, contrast].sum(axis=(0, 2)).T
@@ -116,12 +113,12 @@ def _population_blocks(table: TransformTable, insight: dict[str, Any]) -> tuple[
         )
     by_site = samples.sum(axis=(2, 3, 4))
     figures.append(_population(by_site, sites, levels, "Patches by site", "site (row, column, channel)"))
-    empty = Text("Classes in an empty cell had no training patches. They took their transforms from neighbours.")
+    empty = Text("Classes in an empty cell had no training patches. Their transforms were filled from neighbouring classes.")
     return (empty, Figures(tuple(figures)), _kinds_table(insight), *_feature_tables(insight))
 
 
 def kind_names(insight: dict[str, Any]) -> list[str]:
-    """Return the names of the kinds. If some are too long for a drawing, each name gets a number in front."""
+    """Return the names of the kinds. If a name is too long for a drawing, all names begin with a number."""
     names = [kind["name"] for kind in insight["kinds"]]
     return (
         [f"{number}: {name}" for number, name in enumerate(names)] if max(map(len, names)) > MAX_NAME_CHARACTERS else names
@@ -129,20 +126,20 @@ def kind_names(insight: dict[str, Any]) -> list[str]:
 
 
 def _contrast(table: TransformTable, contrast: int) -> str:
-    """Describe the flattest and the most textured contrast class, with a leading comma."""
+    """Mark the first contrast as the flattest and the last as the most textured, with a leading comma."""
     if table.first.rule.contrasts == 1:
         return ""
     return {0: ", the flattest", table.first.rule.contrasts - 1: ", the most textured"}.get(contrast, "")
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw the number of patches per row and level. The opacity of a cell increases in steps of a factor of ten."""
+    """Draw the number of patches for each row and level. A cell is more opaque the more patches it contains."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())
     median = float(np.median(counts[counts > 0])) if filled else 0.0
-    finding = f"{filled} of {counts.size} cells contain patches. The median of these cells is {tidy(median)} patches."
-    svg = heat(shares, rows, levels, "level, upper end (share of full scale)", y_label, finding)
+    finding = f"{filled} of {counts.size} cells contain patches, with a median of {tidy(median)} patches."
+    svg = heat(shares, rows, levels, "level, upper end (fraction of full scale)", y_label, finding)
     used = np.unique(decade[counts > 0])
     names = [f"{10**d}–{10 ** (d + 1) - 1}" for d in range(len(DECADE_OPACITIES) - 1)] + [
         f"{10 ** (len(DECADE_OPACITIES) - 1)} or more"
@@ -159,7 +156,7 @@ def _kinds_table(insight: dict[str, Any]) -> Table:
 
 
 def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make one table per additional class feature, with the number of patches for each value of the feature."""
+    """Make a table for each additional class feature, with the number of patches for each value of the feature."""
     return tuple(
         Table(f"Patches by {name}", (name, "patches"), tuple((each["name"], f"{each['patches']:.0f}") for each in values))
         for name, values in insight.get("features", {}).items()
@@ -172,32 +169,23 @@ def _feature_tables(insight: dict[str, Any]) -> tuple[Table, ...]:
 def _transform_blocks(table: TransformTable, light: Array | None, class_name: Callable[[int], str]) -> tuple[Block, ...]:
     chosen = chosen_classes(table)
     if not chosen:
-        return (Text("No class has been trained on patches of its own."),)
+        return (Text("No class was trained on patches."),)
     text = (
-        "The weights of the taps of a patch for each output, as in Figure 3 of the paper, beside the colour filters of the "
-        "patch. Orange weights are positive, blue weights are negative. The opacity is the square root of the weight "
-        "relative to the largest weight of the map. The classes shown have many training patches. They cover one site of "
-        "each channel, dark and bright levels, and flat and textured areas."
+        "The drawings show the colour filters of a patch and, for each output, the weight of each pixel of the patch, as in "
+        "Figure 3 of the L³ paper. Positive weights are orange, and negative weights are blue. The opacity is the square "
+        "root of the weight, relative to the largest weight of the output. The drawn classes have many training patches. "
+        "They include one site of each channel, dark and bright levels, and flat and textured areas."
     )
     return (Text(text), Figures(tuple(_maps(table, light, index, class_name(index)) for index in chosen)))
 
 
 def chosen_classes(table: TransformTable) -> list[int]:
-    """Choose the classes whose transforms are drawn.
+    """Choose the classes of the first layer whose transforms are drawn.
 
-    The first site of the most frequent channel is shown at dark and bright levels, with the lowest and highest contrast. Up
-    to seven other channels are shown at a medium level with the highest contrast. In each case, the unsaturated kind with
-    the most training patches is chosen. Classes without patches are omitted.
-
-    Parameters
-    ----------
-    table : TransformTable
-        The table.
-
-    Returns
-    -------
-    list of int
-        Indices of classes of the first layer.
+    For the most frequent channel, the choice includes a dark and a bright level, each with the lowest and the highest
+    contrast. For up to seven other channels, it includes a medium level with the highest contrast. Each of these
+    combinations is represented by the unsaturated class with the most training patches, at the first site of the channel.
+    Combinations without patches are omitted.
     """
     rule = table.first.rule
     sites = table.cfa.ravel()
@@ -219,7 +207,7 @@ def chosen_classes(table: TransformTable) -> list[int]:
 
 
 def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> Figure:
-    """Draw the colour filters of a patch and the weights for the first outputs: blue if negative, orange if positive."""
+    """Draw the colour filters of a patch, and the weights of a class for the first outputs."""
     patch, outputs = table.first.rule.patch, min(MAX_MAPS, len(table.outputs))
     gap, top = 8.0, 18.0
     side = (WIDTH - gap * outputs) / (outputs + 1)
@@ -244,13 +232,13 @@ def _maps(table: TransformTable, light: Array | None, index: int, name: str) -> 
         f"{table.outputs[o]} {tidy(gains[o])} (sum {tidy(weights[o].sum())}, largest {tidy(np.abs(weights[o]).max())})"
         for o in range(outputs)
     )
-    finding = f"{table.first.samples[index]:.0f} patches. Noise gain √Σw²: {figures}."
+    finding = f"Trained on {table.first.samples[index]:.0f} patches. Noise gain √Σw² of each output: {figures}."
     drawing = sheet(WIDTH, round(top + side + 2), "".join(items), f"{name}. {finding}")
     return Figure(name, drawing, finding, data=_weights_data(table, index))
 
 
 def _weights_data(table: TransformTable, index: int) -> Data:
-    """List every weight of a class with its position in the patch."""
+    """List the weights of a class, each with its position in the patch."""
     patch, channel = table.first.rule.patch, taps(table, index)
     rows = tuple(
         (table.outputs[output], str(tap // patch), str(tap % patch), table.channels[channel[tap]], float(weight))
@@ -260,7 +248,7 @@ def _weights_data(table: TransformTable, index: int) -> Data:
 
 
 def _weight_map(weights: Array, left: float, top: float, cell: float) -> list[str]:
-    """Draw the weights of one output as cells."""
+    """Draw the weights of one output as cells, orange for positive and blue for negative weights."""
     largest = float(np.abs(weights).max()) or 1.0
     items = []
     for (row, col), weight in np.ndenumerate(weights):
@@ -293,7 +281,9 @@ def _noise_figures(table: TransformTable) -> Figures:
     known = np.concatenate([values[np.isfinite(values)] for _, _, values in curves])
     if not known.size:
         return Figures(())
-    plot = Plot(spanning("level (share of full scale)", middles, log=True), spanning("noise gain √Σw² (1)", known, log=True))
+    plot = Plot(
+        spanning("level (fraction of full scale)", middles, log=True), spanning("noise gain √Σw² (1)", known, log=True)
+    )
     keys, ranges = [], []
     for output, contrast, values in curves:
         at = np.isfinite(values)
@@ -309,23 +299,20 @@ def _noise_figures(table: TransformTable) -> Figures:
         ranges.append(f"{name} {tidy(values[at][0], 2)} to {tidy(values[at][-1], 2)}")
     finding = (
         f"Median over trained unsaturated classes, from the darkest to the brightest level: {'; '.join(ranges)}. "
-        "A gain of 1 passes on the noise of a single tap."
+        "With a gain of 1, the output is as noisy as a single pixel."
     )
     return Figures((plot.figure("Noise gain", finding, tuple(keys)),))
 
 
 def _medians(values: Array, chosen: NDArray[np.bool_]) -> Array:
-    """Return the median per level of values (site, level, combination, kind) where `chosen` is true.
-
-    Levels without chosen values give NaN.
-    """
+    """Return the median of the chosen values (site, level, combination, kind) at each level. NaN if none is chosen."""
     return np.array(
         [np.median(values[:, at][chosen[:, at]]) if chosen[:, at].any() else np.nan for at in range(values.shape[1])]
     )
 
 
 def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table, ...]:
-    """Make tables of noise gains, of the gain in flat areas, and of the classes with the highest noise gain."""
+    """Make tables of noise gains, of the gain for uniform areas, and of the classes with the highest noise gain."""
     flat = tuple(
         (output, *(tidy(gains[channel]) for channel in table.channels)) for output, gains in insight["dc_gain"].items()
     )
@@ -335,7 +322,7 @@ def _gain_tables(table: TransformTable, insight: dict[str, Any]) -> tuple[Table,
         for entry in insight["worst"]
     )
     return (
-        Table("Noise gain √Σw² over trained classes", ("output", "median", "worst class"), noise),
-        Table("Gain of a flat signal of one channel, median of unsaturated classes", ("output", *table.channels), flat),
-        Table("Noisiest classes", ("class", "noise gain", "patches", "condition number"), worst),
+        Table("Noise gain √Σw² of trained classes", ("output", "median", "maximum"), noise),
+        Table("Gain for a uniform signal in one channel, median of unsaturated classes", ("output", *table.channels), flat),
+        Table("Classes with the highest noise gain", ("class", "noise gain", "patches", "condition number"), worst),
     )

@@ -1,7 +1,7 @@
-"""The validation of a camera model in a report: how well it predicts the charts to which it was fitted.
+"""The validation of a camera model in a report: how well the model predicts the charts to which it was fitted.
 
-For lab measurements, this includes the choice of the smoothing. For photos, it includes the uncertainty of curves and
-colours. A chart is drawn patch by patch: the ideal colour, the actual colour, and the difference.
+For lab measurements, the report also shows how the smoothing was chosen. For photos, it shows the uncertainty of the
+responsivity curves and of the colours. Drawings of charts compare two colours of each patch.
 """
 
 from typing import Any
@@ -23,28 +23,23 @@ from l3cli.system.text import counted, tidy, unit
 Array = NDArray[np.floating]
 PATCHES_PER_ROW = 6
 MAX_CHARTS = 4  # maximum number of charts drawn for a calibration
-PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px; gap between patches, and height of the text below each patch
+PATCH_GAP, TEXT_HEIGHT = 10.0, 18.0  # px; distance between patches, and height of the text below each patch
 
 
 def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array], errors: dict[str, Array]) -> Figure:
-    """Draw the patches of a chart in rows, each split into two halves, with the ΔE00 below.
+    """Draw the patches of a chart, each with two colours in its left and right half, and their ΔE00 below.
 
     Parameters
     ----------
     title : str
         Title of the figure.
     names : tuple of str
-        Names of the left and the right halves.
+        Names of the pictures in the left and the right halves.
     pair : tuple of ndarray, (patch, 3)
-        Linear sRGB of the left and the right halves.
+        Colours of the left and the right halves in linear sRGB.
     errors : dict of str to ndarray, (patch,)
-        ΔE00 between the left half of each patch and this picture. The values of `names[1]` are written below the patches.
-        Other entries, such as other pipelines, appear in the finding and the data.
-
-    Returns
-    -------
-    Figure
-        The drawing, with mean and worst ΔE00 in its finding.
+        For each picture, the ΔE00 of each patch from the picture in the left halves. The drawing shows the values of
+        `names[1]`. The values of other pictures appear only in the caption and in the data of the figure.
     """
     side = (WIDTH - 2 - PATCH_GAP * (PATCHES_PER_ROW - 1)) / PATCHES_PER_ROW
     main, items = errors[names[1]], []
@@ -62,8 +57,9 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     worst = int(np.argmax(main))
     means = ", ".join(f"{name} {error.mean():.2f}" for name, error in errors.items())
     finding = (
-        f"Left half: {names[0]}. Right half: {names[1]}. Below: ΔE00 between them. "
-        f"Mean ΔE00 of {len(main)} patches: {means}; worst of {names[1]}: {PATCH_NAMES[worst]}, {main[worst]:.2f}."
+        f"The left halves are {names[0]}, the right halves {names[1]}. The numbers are the ΔE00 between the halves. "
+        f"Mean ΔE00 of {len(main)} patches: {means}. The worst patch of {names[1]} is {PATCH_NAMES[worst]} with "
+        f"{main[worst]:.2f}."
     )
     drawing = sheet(WIDTH, round(rows * (side + TEXT_HEIGHT + PATCH_GAP / 2) + 1), "".join(items), finding)
     data = Data(
@@ -77,28 +73,16 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
 
 
 def patches_table(errors: dict[str, Array]) -> Table:
-    """Make a table of the ΔE00 of every pipeline for each patch. `errors` is the same as for `patches_figure`."""
+    """Make a table of the ΔE00 of each patch and pipeline. `errors` is the same as for `patches_figure`."""
     rows = tuple((name, *(f"{float(of[patch]):.2f}" for of in errors.values())) for patch, name in enumerate(PATCH_NAMES))
     return Table("ΔE00 of each patch", ("patch", *errors), rows)
 
 
 def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...]:
-    """Draw the charts of a calibration as measured, beside the prediction of the model.
+    """Draw the measured and the predicted colours of the first MAX_CHARTS charts of a calibration.
 
-    Channels are converted to colours with one matrix per chart. Charts whose illuminant is not a named standard illuminant
-    are omitted, because their ideal colours are unknown.
-
-    Parameters
-    ----------
-    camera : CameraModel
-        Supplies the wavelengths.
-    fit : ChartFit
-        Measured and predicted values. The first MAX_CHARTS charts are drawn.
-
-    Returns
-    -------
-    tuple of Figure
-        One figure per chart.
+    The channels are converted to colours with one matrix per chart. Charts under an illuminant that is not a named standard
+    illuminant are omitted, because the ideal colours of their patches are unknown.
     """
     figures = []
     for light, measured, predicted in zip(fit.illuminants[:MAX_CHARTS], fit.measured, fit.predicted, strict=False):
@@ -119,19 +103,19 @@ def calibration_figures(camera: CameraModel, fit: ChartFit) -> tuple[Figure, ...
 
 
 def _matrix(predicted: Array, residual: Array, ideal: Array) -> Array:
-    """Fit the matrix (channel, 3) from channels to XYZ.
+    """Fit the matrix (channel, 3) from channels to XYZ by least squares.
 
-    The residuals between measurement and prediction act as noise in the least squares fit. They prevent the matrix from
-    amplifying the difference between two similar channels.
+    The residuals between measurement and prediction are treated as noise. As a result, the matrix does not amplify the
+    difference between two similar channels.
     """
     noise = np.diag((residual**2).sum(axis=0))
     matrix: Array = np.linalg.pinv(predicted.T @ predicted + noise) @ predicted.T @ ideal
     return matrix
 
 
-BANDS = {  # key in the document of `l3 calibrate --json` → heading in the report
-    "curve ± 95 % (% of peak)": "curve ± 95 % (% of peak)",
-    "colours ± 95 % (% of most)": "colours ± 95 % (% of the brightest)",
+BANDS = {  # headings in the report, by key in the output of `l3 calibrate --json`
+    "curve ± 95 % (% of peak)": "curve, 95 % band (± % of its peak)",
+    "colours ± 95 % (% of most)": "colours, 95 % band (± % of the brightest patch)",
 }
 
 
@@ -143,14 +127,15 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     camera : CameraModel
         The camera.
     fit : Fit
-        Its fit to measurements.
+        Fit of the camera to measurements.
     figures : dict
-        The document that `l3 calibrate --json` prints.
+        Output of `l3 calibrate --json`.
 
     Returns
     -------
     tuple of Block
-        Prediction, residuals and smoothing, charts, and tables per chart and per band, as far as the fit has them.
+        Plots of predictions, residuals and smoothing, drawings of charts, and tables for each chart and each illumination
+        band. Blocks for which the fit has no data are missing.
     """
     graphs: list[Figure] = []
     if fit.validation is not None:
@@ -163,12 +148,12 @@ def validation_blocks(camera: CameraModel, fit: Fit, figures: dict[str, Any]) ->
     if figures["lights"]:
         blocks.append(table_of("Prediction of each chart", "chart", figures["lights"]))
     if figures["bands"]:
-        blocks.append(table_of("Response to each band", "band", figures["bands"]))
+        blocks.append(table_of("Response to each illumination band", "band", figures["bands"]))
     return tuple(blocks)
 
 
 def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> Table:
-    """Make a table from named rows of numbers, as `l3 calibrate --json` prints them."""
+    """Make a table from named rows of numbers in the output of `l3 calibrate --json`."""
     titles = tuple(next(iter(rows.values())))
     body = tuple(
         (name, *(f"{row[title]:.5f}" if title.startswith("R²") else tidy(row[title], 4) for title in titles))
@@ -178,7 +163,7 @@ def table_of(caption: str, heading: str, rows: dict[str, dict[str, float]]) -> T
 
 
 def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
-    """Plot measured against predicted values, and the residuals."""
+    """Plot measured values, and their residuals, against predicted values."""
     assert fit.validation is not None
     measured, predicted = fit.validation.measured, fit.validation.predicted
     used = np.ones(measured.shape, bool) if fit.chart is not None or fit.series is None else fit.series.used
@@ -195,16 +180,17 @@ def _prediction_figures(camera: CameraModel, fit: Fit) -> list[Figure]:
     rest.line(np.array([low, 1.04 * top]), np.zeros(2), "var(--muted)", "dashed", 1)
     rest.points(keys, predicted, error, used)
     fits = ", ".join(f"{n} {float(r):.5f}" for n, r in zip(camera.channels, fit.validation.r_squared, strict=True))
-    scatter = f"{int(used.sum())} values, one per {what} and channel. R²: {fits}."
+    scatter = f"{int(used.sum())} values, one for each {what} and channel. R²: {fits}."
     rmse = ", ".join(
         f"{n} {tidy(100 * float(r), 2)} %" for n, r in zip(camera.channels, fit.validation.relative_rmse, strict=True)
     )
-    spread = f"RMSE relative to the mean signal: {rmse}; largest residual {tidy(float(np.abs(error[used]).max()))} DN."
-    return [one.figure("Measured against predicted", scatter, keys), rest.figure("Residuals", spread, keys)]
+    largest = tidy(float(np.abs(error[used]).max()))
+    spread = f"RMSE relative to the mean signal: {rmse}. The largest residual is {largest} DN."
+    return [one.figure("Measured against predicted values", scatter, keys), rest.figure("Residuals", spread, keys)]
 
 
 def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
-    """Plot the cross-validated error against the smoothing δ. There is no plot if fewer than two values were tried."""
+    """Plot the cross-validated error against the smoothing δ. No plot if fewer than two values of δ were tried."""
     tried = sweep.smoothing > 0
     if tried.sum() < 2:
         return []
@@ -216,18 +202,18 @@ def _smoothing_figure(sweep: SweepFit) -> list[Figure]:
     nearest = int(np.argmin(np.abs(np.log(delta / chosen)))) if chosen > 0 else int(np.argmin(error))
     plot.dots(delta[nearest : nearest + 1], error[nearest : nearest + 1], "var(--two)", size=10, opacity=1, series="chosen")
     finding = (
-        f"δ = {tidy(chosen)} was chosen, which is the middle of the plateau. Its cross-validated RMSE is "
-        f"{tidy(float(error[nearest]))} %; the lowest RMSE of all δ tried is {tidy(float(error.min()))} %."
+        f"The chosen value, δ = {tidy(chosen)}, is the middle of the plateau. Its cross-validated RMSE is "
+        f"{tidy(float(error[nearest]))} %, and the lowest RMSE of all tried values is {tidy(float(error.min()))} %."
     )
     keys = (Key("tried", "var(--one)", "dot"), Key("chosen", "var(--two)", "dot"))
-    return [plot.figure("Choice of the smoothing", finding, keys)]
+    return [plot.figure("Choice of the smoothing δ", finding, keys)]
 
 
 # --------------------------------------------------------------------------------------------------------- photos
 
 
 def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any]) -> tuple[Subsection, ...]:
-    """Build the subsections of a camera fitted to photos of a chart.
+    """Build the subsections of a camera that was fitted to photos of a chart.
 
     Parameters
     ----------
@@ -236,7 +222,7 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
     fit : PhotoFit
         Measured and predicted patches of each photo.
     figures : dict
-        The document that `l3 calibrate --json` prints.
+        Output of `l3 calibrate --json`.
 
     Returns
     -------
@@ -246,18 +232,18 @@ def photo_subsections(camera: CameraModel, fit: PhotoFit, figures: dict[str, Any
     keys = point_keys(camera)
     return (
         Subsection("Photos of a chart", (_photos(figures), _lights(figures), *_left_out(figures))),
-        Subsection("What to rely on", (_bands(camera, figures), *_reading(figures))),
-        Subsection("Patches", tuple(Figures(_patches(fit, index, keys)) for index in range(len(fit.names)))),
+        Subsection("Uncertainty of curves and colours", (_bands(camera, figures), *_reading(figures))),
+        Subsection("Patches of each photo", tuple(Figures(_patches(fit, index, keys)) for index in range(len(fit.names)))),
     )
 
 
 def photo_lead(fit: PhotoFit, figures: dict[str, Any]) -> str:
-    """Summarize the uncertainty of curves and colours in a sentence."""
+    """State the uncertainty of curves and colours in a sentence."""
     curve, colours = (max(row[title] for row in figures["channels"].values()) for title in BANDS)
-    many = "a photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
+    many = "one photo" if len(fit.names) == 1 else f"{len(fit.names)} photos"
     return (
-        f"Estimated from {many} of a chart: its curves stay uncertain (95 % within ± {tidy(curve, 2)} % of their peak), but "
-        f"its colours do not (± {tidy(colours, 2)} % of the brightest)."
+        f"The camera was estimated from {many} of a chart. The 95 % bands are ± {tidy(curve, 2)} % of the peak for the "
+        f"responsivity curves, and ± {tidy(colours, 2)} % of the brightest patch for colours."
     )
 
 
@@ -273,60 +259,62 @@ def _photos(figures: dict[str, Any]) -> Table:
         )
         for name, photo in figures["photos"].items()
     ]
-    units = ("uneven light (%)", "glare (% of the brightest)", "residual RMS (% of the brightest)")
-    return Table("Photos, with glare and residual of the worst channel", ("photo", "chart", "light", *units), tuple(rows))
+    units = ("uneven light (%)", "glare (% of the brightest patch)", "residual RMS (% of the brightest patch)")
+    headings = ("photo", "chart", "illuminant", *units)
+    return Table("Photos. Glare and residual are values of the worst channel", headings, tuple(rows))
 
 
 def _lights(figures: dict[str, Any]) -> Text:
-    """Say for each photo whether the given illuminant fits its patches."""
+    """State for each photo whether the illuminant that the user named fits the patches."""
     words = []
     for name, photo in figures["photos"].items():
         if photo["guessed"]:
             words.append(
-                f"{name}: the illuminant was not given; it is {guessed_light(photo['probable lights'])}. The bands "
+                f"{name}: no illuminant was named. The estimate is {guessed_light(photo['probable lights'])}. The bands "
                 "include the uncertainty of the illuminant."
             )
         elif photo["deficit"] > 0:
             words.append(
-                f"{name}: {photo['nearest']} explains its patches best among the common illuminants; "
-                f"{photo['light']} was given."
+                f"{name}: {photo['light']} was named, but the common illuminant that fits the patches best is "
+                f"{photo['nearest']}."
             )
         else:
-            words.append(f"{name}: no common illuminant explains its patches better than {photo['light']}, which was given.")
+            words.append(f"{name}: {photo['light']} was named, and no common illuminant fits the patches better.")
     return Text(" ".join(words))
 
 
 def _left_out(figures: dict[str, Any]) -> list[Block]:
     lines = figures["left out"]
-    return [Details(f"{counted(len(lines), 'value')} of patches left out", "\n".join(lines))] if lines else []
+    return [Details(f"{counted(len(lines), 'patch value')} not used", "\n".join(lines))] if lines else []
 
 
 def _bands(camera: CameraModel, figures: dict[str, Any]) -> Table:
     rows = [(name, *(tidy(figures["channels"][name][title], 3) for title in BANDS)) for name in camera.channels]
     return Table(
-        "Half widths of the 95 % bands, RMS over wavelengths and surfaces", ("channel", *BANDS.values()), tuple(rows)
+        "95 % bands, RMS over wavelengths (curve) and over surfaces (colours)", ("channel", *BANDS.values()), tuple(rows)
     )
 
 
 def _reading(figures: dict[str, Any]) -> tuple[Text, Text]:
-    """Explain how to read the bands, and which additional photo would help most."""
+    """Explain the bands, and state which additional photo would reduce the uncertainty most."""
     further = figures["next light"]
     source = "smoothness alone" if figures["prior"] == "smooth" else "the curves of measured cameras"
     return (
         Text(
-            "Curves stay uncertain, colours do not. The patches determine the responses to other surfaces under other "
-            "illuminants well, and these make the colours of pictures. They determine the details of a curve only roughly; "
-            f"these are filled in from {source}. The first column is the band drawn around the curves above."
+            "A photo of a chart determines the colours of pictures well, because the patches determine how the camera "
+            "responds to other surfaces under other illuminants. It determines the details of the responsivity curves only "
+            f"roughly. The missing details come from {source}. The first column of the table is the band around the curves "
+            "in the plot above."
         ),
         Text(
-            f"Another photo of the chart would help most under {further['light']}. It would reduce the error of the colours "
-            f"to {tidy(further['remaining %'], 2)} % of its present value."
+            f"Another photo of the chart would reduce the uncertainty most under {further['light']}. The colour error would "
+            f"decrease to {tidy(further['remaining %'], 2)} % of its present value."
         ),
     )
 
 
 def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, Figure]:
-    """Plot measured against predicted patches of one photo, and the residual of each patch."""
+    """Plot the measured against the predicted values of the patches of one photo, and the residual of each patch."""
     used = fit.used[index]
     brightest = np.where(used, fit.measured[index], 0.0).max(axis=0)
     brightest = np.where(brightest > 0, brightest, 1.0)
@@ -345,7 +333,8 @@ def _patches(fit: PhotoFit, index: int, keys: tuple[Key, ...]) -> tuple[Figure, 
     rms = ", ".join(f"{key.label} {tidy(100 * float(m), 2)} %" for key, m in zip(keys, fit.misfit[index], strict=True))
     fits = (
         f"{int(used.sum())} values of {len(used)} patches. The prediction includes uneven light and glare. "
-        f"Residual RMS: {rms}."
+        f"RMS of the residuals: {rms}."
     )
-    largest = f"Largest: patch {patch + 1} in {keys[worst].label}, {tidy(float(rest[patch, worst]), 2)} %."
+    value = tidy(float(rest[patch, worst]), 2)
+    largest = f"The largest residual is {value} %, for patch {patch + 1} in channel {keys[worst].label}."
     return one.figure(f"Patches of {fit.names[index]}", fits, keys), left.figure("Residuals", largest, keys)
