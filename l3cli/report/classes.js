@@ -1,4 +1,4 @@
-// Lists all classes of a table, including those that do not occur in the crop, and shows the selected class (see pixels.js).
+// Lists all classes of a table, including classes that do not occur in the crop, and shows the selected class (see pixels.js).
 const share = (view, layer, index) => {
   const part = (100 * (layer.pixels[index] ?? 0)) / (view.frame[0] * view.frame[1]);
   return part && part < 0.01 ? "below 0.01 %" : `${part.toFixed(2)} %`;
@@ -10,7 +10,7 @@ function chosenFrom(title, names) {
   return [list, written("label", `${title} `, list)];
 }
 
-// Returns the list entry of a class: its fraction of the frame, then the features in which the classes of the layer differ.
+// Returns the text of a class in the list: its percentage of the frame, then the features in which classes of the layer differ.
 function listed(view, layer, index) {
   const words = Object.entries(layer.classes[index]).filter(([name]) => layer.varying.has(name));
   return [share(view, layer, index), ...words.map(([name, text]) => `${name} ${text}`)].join(" · ");
@@ -20,7 +20,7 @@ function browse(block, view) {
   const sites = view.cfa.flatMap((row, down) => row.map((channel, across) => `(${down}, ${across}) ${view.channels[channel]}`));
   const [layers, layerLabel] = chosenFrom("Layer", view.layers.map((_, number) => layerTitle(number)));
   const [places, placeLabel] = chosenFrom("Site", sites);
-  const [classes, classLabel] = chosenFrom("Classes, the most frequent in the frame first", []);
+  const [classes, classLabel] = chosenFrom("Classes, sorted by their frequency in the frame", []);
   const reading = Object.assign(document.createElement("div"), { className: "reading" });
   classes.size = 10;
   layerLabel.hidden = view.layers.length === 1;
@@ -47,7 +47,7 @@ function browse(block, view) {
   places.addEventListener("change", list);
   classes.addEventListener("change", show);
   block.append(written("div", layerLabel, placeLabel, classLabel), reading);
-  // The list has thousands of lines, so it is built only when it is opened.
+  // The list has thousands of lines. It is built when the reader opens it.
   block.addEventListener("toggle", list, { once: true });
   block.hidden = false;
 }

@@ -1,4 +1,4 @@
-// Saves a plot and its legend as an SVG file, in the colours for a white page. Without scripts, the page offers only the CSV file.
+// Saves a plot with its legend as an SVG file, in the colours of a white page. If scripts are disabled, readers can save only CSV.
 {
   const [sheet] = document.styleSheets;
   const paper = sheet.cssRules[0].style;

@@ -1,5 +1,5 @@
-// Shows the classes of the selected pixel and their transforms. A pixel is selected by a click or with the arrow keys. The data
-// are encoded by pixels.py.
+// Shows the class and the transform of the selected pixel in each layer. The reader selects a pixel with a click or with the arrow
+// keys. The module pixels.py encodes the data.
 const drawn = (name, attributes, ...inside) => {
   const node = document.createElementNS(document.querySelector("svg").namespaceURI, name);
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -34,10 +34,10 @@ async function unpacked(text) {
   return view;
 }
 
-const PANEL = 117; // pixels of a window's side, about
+const PANEL = 117; // px; approximate side of a drawn window
 const rounded = (value) => Number(value.toPrecision(2)).toString().replace("-", "−");
 
-// Draws a square of taps below its name. `fill` returns the colour, the opacity and the text of each tap.
+// Draws a window as a square of cells, with its name above. `fill` returns the colour, the opacity and the text of each tap.
 function panel(side, name, x, y, fill) {
   const cell = Math.round(PANEL / side);
   const group = drawn("g", { transform: `translate(${x} ${y})` });
@@ -53,7 +53,7 @@ function panel(side, name, x, y, fill) {
   return [group, side * cell];
 }
 
-// Draws the transform of a class: one row per output, or a single row if the layer has one input plane.
+// Draws the transform of a class. If the layer reads the mosaic, there is a single row of windows, otherwise one row per output.
 function transform(view, layer, index, site) {
   const { side, planes } = layer;
   const [mosaic, gap, items, findings] = [planes.length === 1, 12, [], []];
@@ -93,7 +93,8 @@ function transform(view, layer, index, site) {
     });
   });
   const box = { viewBox: `0 0 ${wide - gap + 2} ${y + size + 2}`, width: wide - gap + 2, height: y + size + 2 };
-  const finding = `${findings.join("; ")}. Orange is positive, blue negative. The opacity is the square root of the weight.`;
+  const legend = "Positive weights are orange, negative weights are blue. The opacity is the square root of the weight.";
+  const finding = `${findings.join("; ")}. ${legend}`;
   return [drawn("svg", { ...box, role: "img", "aria-label": `Weights of the taps. ${finding}` }, ...items), finding];
 }
 
@@ -105,7 +106,7 @@ function classed(view, number, index, site) {
   const list = document.createElement("dl");
   const words = { ...layer.classes[index], frame: `${share(view, layer, index)} of its pixels` };
   for (const [name, text] of Object.entries(words)) list.append(written("dt", name), written("dd", text));
-  let figure = written("p", "This page does not contain the transform, because the class is rare in the frame or does not occur.");
+  let figure = written("p", "This page does not contain the transform, because the class is rare in the frame or missing from it.");
   if (index < layer.with_weights) {
     const [drawing, finding] = transform(view, layer, index, site);
     figure = written("figure", drawing, written("figcaption", finding));
@@ -149,7 +150,7 @@ async function pick(block) {
     const image = each.querySelector("img");
     each.tabIndex = 0;
     each.setAttribute("role", "application");
-    each.setAttribute("aria-label", `Pixels of the picture "${image.closest("figure").textContent.trim()}": choose one with arrow keys`);
+    each.setAttribute("aria-label", `Picture "${image.closest("figure").textContent.trim()}": select a pixel with the arrow keys`);
     each.addEventListener("click", (event) => {
       const area = image.getBoundingClientRect();
       const share = [(event.clientY - area.top) / area.height, (event.clientX - area.left) / area.width];
@@ -163,7 +164,7 @@ async function pick(block) {
       move(row + step * way[0], col + step * way[1]);
     });
   }
-  // The picture of the whole frame shows an outline of the crop. A click inside it also selects a pixel.
+  // The picture of the whole frame shows an outline of the crop. A click inside the outline also selects a pixel.
   const whole = document.getElementById(`with-${block.dataset.frame}`).closest(".comparison");
   const [height, width] = whole.dataset.size.split(" ").map(Number);
   for (const each of whole.querySelectorAll(".view")) {

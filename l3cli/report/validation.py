@@ -57,7 +57,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     worst = int(np.argmax(main))
     means = ", ".join(f"{name} {error.mean():.2f}" for name, error in errors.items())
     finding = (
-        f"The left halves are {names[0]}, the right halves {names[1]}. The numbers are the ΔE00 between the halves. "
+        f"Left halves: {names[0]}. Right halves: {names[1]}. The numbers are the ΔE00 between the two halves. "
         f"Mean ΔE00 of {len(main)} patches: {means}. The worst patch of {names[1]} is {PATCH_NAMES[worst]} with "
         f"{main[worst]:.2f}."
     )

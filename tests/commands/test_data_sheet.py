@@ -13,7 +13,7 @@ from l3cli.report.parts import Figures, Table
 from tests.helpers.calls import L3
 from tests.helpers.pages import Tags
 
-PLOTS = ["Photon transfer", "Linearity", "Deviation from linearity", "Signal over noise"]
+PLOTS = ["Photon transfer", "Linearity", "Deviation from linearity", "Signal-to-noise ratio"]
 SAME = {  # name in the sheet: that of the figures of calibration
     "overall system gain K (DN/e⁻)": "K (DN/e-)",
     "temporal dark noise (e⁻)": "dark noise (e-)",

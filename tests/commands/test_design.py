@@ -191,7 +191,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     page = tmp_path / "page.html"
     assert l3("report", tmp_path / "d.h5", "-o", page)[0] == 0
     text = page.read_text()
-    for words in ("Design: four", "Error over light", "Error by group", "shifted by 5 nm", "tuned", "rank correlation"):
+    for words in ("Design: four", "Error by exposure", "Error by group", "shifted by 5 nm", "tuned", "rank correlation"):
         assert words in text
     assert made.verdict[0].partition(";")[0] in text
     rows = re.findall(r"<t[dh][^>]*>(plain|edge|dark|bright|neutral|blue)</t[dh]>", text)

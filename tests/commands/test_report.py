@@ -19,10 +19,14 @@ from tests.helpers.calls import L3, Refused
 @pytest.mark.parametrize(
     ("names", "sections", "lead"),
     [
-        (["camera"], ["Camera", "History"], "nothing is evaluated"),
-        (["table"], ["Table", "History"], "add a training set that it was not trained on"),
-        (["training"], ["Camera", "Training set", "History"], "without a transform table"),
-        (["training", "table"], ["Camera", "Training set", "Table", "History"], "add frames that it was not trained on"),
+        (["camera"], ["Camera", "History"], "nothing can be evaluated"),
+        (["table"], ["Table", "History"], "Add a training set on which it was not trained"),
+        (["training"], ["Camera", "Training set", "History"], "Without a transform table"),
+        (
+            ["training", "table"],
+            ["Camera", "Training set", "Table", "History"],
+            "Add a training set on which it was not trained",
+        ),
         (
             ["table", "unseen"],
             ["Pictures", "Camera", "Training set", "Table", "Evaluation", "History"],
@@ -49,8 +53,8 @@ def test_a_described_camera_and_odd_outputs_are_shown(bayer: CameraModel, tmp_pa
     assert l3(*simulate)[0] == 0
     assert l3("report", tmp_path / "camera.h5", tmp_path / "bands.h5", "-o", tmp_path / "report.html")[0] == 0
     text = (tmp_path / "report.html").read_text()
-    assert "Described by a recipe, not measured" in text
-    assert "there are no pictures to show" in text
+    assert "The camera was not measured" in text
+    assert "The report shows no pictures" in text
 
 
 def test_a_table_of_bands_is_judged_by_angles(pipeline: Path, tmp_path: Path, l3: L3) -> None:
@@ -78,11 +82,11 @@ def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: 
     save(replace(camera, fit=replace(camera.fit, chart=chart, noise=noise)), tmp_path / "camera.h5")
     assert l3("report", tmp_path / "camera.h5", "-o", tmp_path / "report.html")[0] == 0
     text = (tmp_path / "report.html").read_text()
-    assert "It falls short: channel g is predicted with" in text
+    assert "The model is not reliable: channel g is predicted with" in text
     assert "No white frame saturates" in text
-    assert " 1 saturated point with less variance lies below the lines." in text
+    assert " Below the lines: 1 saturated point." in text
     assert l3("report", pipeline / "camera.h5", "-o", tmp_path / "sound.html")[0] == 0
-    assert "falls short" not in (tmp_path / "sound.html").read_text()
+    assert "not reliable" not in (tmp_path / "sound.html").read_text()
 
 
 # ------------------------------------------------------------------------------------------------------- refusals
@@ -154,21 +158,20 @@ def test_a_page_states_what_to_rely_on(bayer: CameraModel, tmp_path: Path, l3: L
     text = page(photographed(bayer, ("<b>one.dng</b>",), guessed=False, deficit=2.0), tmp_path, l3)
     plain = re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", text))
     curve = 2.0 / bayer.responsivity.max(axis=1).min()
-    assert f"its curves stay uncertain (95 % within ± {curve:.1f} % of their peak)" in plain
-    assert "its colours do not (± 0.6 % of the brightest)" in plain
-    assert "Curves stay uncertain, colours do not" in plain
-    assert "would help most under LED-B3. It would reduce the error of the colours to 61 % of its present value" in plain
+    assert f"The 95 % bands are ± {curve:.1f} % of the peak for the responsivity curves" in plain
+    assert "± 0.6 % of the brightest patch for colours" in plain
+    assert "reduce the uncertainty most under LED-B3. The colour error would decrease to 61 % of its present value" in plain
     assert re.search(r"classic\s+A\s+9.5\s+1\s+0.63", plain)  # uneven by 0.1 of 1.05, glare, residual RMS
-    assert "3200K explains its patches best among the common illuminants; A was given" in plain
+    assert "A was named, but the common illuminant that fits the patches best is 3200K" in plain
     assert "69 values of 24 patches" in plain
-    assert "Largest: patch 1 in r, 3 %" in plain
-    assert "1 value of patches left out" in plain
-    assert "Not measured, taken as 0" in plain
+    assert "The largest residual is 3 %, for patch 1 in channel r" in plain
+    assert "1 patch value not used" in plain
+    assert "Not measured, assumed to be 0" in plain
     assert "<b>one" not in text
     assert text.count("<b>") == 0
-    bands = re.findall(r"\b([rgb])\s+(\d\.\d+|\d)\s+(0\.\d)\b", plain[plain.index("Half widths") :])
+    bands = re.findall(r"\b([rgb])\s+(\d\.\d+|\d)\s+(0\.\d)\b", plain[plain.index("95 % bands, RMS") :])
     assert [(name, colours) for name, _, colours in bands] == [("r", "0.4"), ("g", "0.5"), ("b", "0.6")]
-    assert "Figures of each channel" not in plain
+    assert "Values per channel" not in plain
 
 
 def test_it_is_painted_without_complaint(bayer: CameraModel, tmp_path: Path, l3: L3, tab: Browser) -> None:

@@ -101,7 +101,7 @@ def side_by_side(text: str) -> str:
 def test_tables_of_two_arrays_stand_side_by_side(both: Path) -> None:
     text = both.read_text()
     assert sections(text)[:3] == [
-        "Side by side",
+        "Comparison of tables",
         "Pictures: <i>bayer.h5 on <i>bayer unseen.h5",
         "Pictures: quad.h5 on quad unseen.h5",
     ]
@@ -110,9 +110,9 @@ def test_tables_of_two_arrays_stand_side_by_side(both: Path) -> None:
         "History",
     ]
     first = side_by_side(text)
-    assert re.search(r"(<i>bayer|quad)\.h5 is nearest to the ideal, in [12] of 2 frames\.", first)
-    assert "over 2 frames that all have" in first
-    assert "Each camera uses the exposure times of its own training set" in first
+    assert re.search(r"(<i>bayer|quad)\.h5 is closest to the ideal on average, and in [12] of 2 frames\.", first)
+    assert "over 2 frames that all training sets contain" in first
+    assert "The exposure times of the cameras may differ" in first
     captions = re.findall("<figcaption>(.*?): (?:mean|the)", first)
     assert captions == ["<i>bayer.h5", "quad.h5", "ideal"]
     assert "2 × 2, 3 channels" in first
@@ -175,14 +175,14 @@ def test_frames_of_one_name_that_show_other_scenes_are_not_compared(
     other = dataclasses.replace(bayer, cfa=bayer.cfa[::-1])
     first = side_by_side(page(*one, *write(tmp_path, "other", other, (2,), light="other"))[0])
     assert (
-        "on different frames (frames with the same name show different scenes or lights; simulate all with one recipe "
-        "and seed)" in first
+        "on different frames (frames with equal names show different scenes or illuminants; simulate all training sets with "
+        "the same recipe and seed)" in first
     )
     assert "nearest" not in first
-    assert "Scenes and lights are the same" not in first
+    assert "the same scenes and illuminants" not in first
     text = page(*one, *write(tmp_path, "older", other, (2,), light=None))[0]
-    assert "frames without fingerprints, such as real frames, may show different scenes" in side_by_side(text)
-    assert "Scenes and lights are the same" not in text
+    assert "They may still differ, because some frames, for example real frames, have no fingerprint" in side_by_side(text)
+    assert "the same scenes and illuminants" not in text
     assert "Colour filter array: small Bayer (older.h5)" in side_by_side(text)
     assert {"Camera: small Bayer (<i>bayer unseen.h5)", "Camera: small Bayer (older unseen.h5)"} <= {*sections(text)}
 
@@ -199,8 +199,8 @@ def test_frames_of_other_sizes_stand_next_to_one_another(
 def test_frames_of_an_array_without_a_table_are_reported_to_be_left_out(files: list[Path], page: Callable) -> None:
     text, err = page(files[0], files[3])
     assert "quad unseen.h5 has another colour filter array than <i>bayer.h5, so it is not used for evaluation" in err
-    assert "To have each table evaluated, add frames of its colour filter array" in text
-    assert "Side by side" not in sections(text)
+    assert "Add, for each table, a training set of its camera on which it was not trained" in text
+    assert "Comparison of tables" not in sections(text)
 
 
 def test_the_divider_names_what_it_divides(both: Path, tab: Browser) -> None:

@@ -76,7 +76,7 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
         "Chromaticities of the targets",
         "Patches by site",
         "Noise gain",
-        "Error over the class's level",
+        "Error by level of the class",
     ):
         assert title in tags.text, title
 
@@ -88,9 +88,9 @@ def test_the_picture_comes_first_with_figures_and_verdict_next_to_it(page: Path)
     assert names[:3] == ["ours", "ideal", "basic"]
     aside = first[first.index("<aside") : first.index("</aside>")]
     assert re.search(r'class="score"><strong>\d+\.\d\d</strong> mean ΔE00 of ours, mean over 4 frames', aside)
-    assert re.search("<p>Ours is (not )?nearer to the ideal than basic by", aside)
+    assert re.search("<p>Ours is (not )?closer to the ideal than basic in", aside)
     assert aside.count('<th scope="row">') == 9
-    assert "The first is the frame with the median mean ΔE00 among 4 frames" in first
+    assert "The first picture is the frame with the median mean ΔE00 of 4 frames" in first
     assert "The worst and the best frame" in first
 
 

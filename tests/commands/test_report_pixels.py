@@ -106,7 +106,7 @@ def test_every_pixel_has_its_classes_and_transforms(report: Report) -> None:
                 else plane_class_words(report.table, layer, index)
             )
             assert of_class.items() <= answer.items()
-            assert answer["training"] == ("none: filled from a neighbour" if layer.samples[index] == 0 else
+            assert answer["training"] == ("no patches; filled from a neighbour" if layer.samples[index] == 0 else
                                         f"{layer.samples[index]:.0f} patches")  # fmt: skip
     assert view.head["channels"] == ["r", "<b>", "b"]
     assert "<b>" not in report.page.read_text()

@@ -93,7 +93,7 @@ def test_info_and_report_report_of_the_tree(leaves: Path, trained: Trained, tmp_
     assert sum(later["tests"].values()) == rule.structures - 1
     assert list(later["tests"].values()) == sorted(later["tests"].values(), reverse=True)
     assert l3("report", tmp_path / "table.h5", "-o", tmp_path / "report.html")[0] == 0
-    assert f"leaves of a tree, depth {rule.depth}: {rule.structures}" in (tmp_path / "report.html").read_text()
+    assert f"{rule.structures} leaves of a tree of depth {rule.depth}" in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.parametrize(("noise", "side"), [("none", 3), ("analytic", 5)])

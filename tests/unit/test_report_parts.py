@@ -26,12 +26,12 @@ def test_a_verdict_states_by_which_figures_and_how_often() -> None:
         figures = {"ours": dict.fromkeys(wins, 1.0)}
         return verdict({"frames": [figures] * frames, "better": {"basic": wins}})
 
-    assert words(1, mean_delta_e=1, ssim=1) == "Ours is nearer to the ideal than basic in every metric."
-    assert words(3, mean_delta_e=3, ssim=3) == "Ours is nearer to the ideal than basic in every metric, in every frame."
-    some = "Ours is nearer to the ideal than basic by mean ΔE00 in 3 of 4 frames"
+    assert words(1, mean_delta_e=1, ssim=1) == "Ours is closer to the ideal than basic in every metric."
+    assert words(3, mean_delta_e=3, ssim=3) == "Ours is closer to the ideal than basic in every metric, in every frame."
+    some = "Ours is closer to the ideal than basic in mean ΔE00 (3 of 4 frames)"
     assert words(4, mean_delta_e=3, ssim=3) == f"{some}."
-    assert words(4, mean_delta_e=3, ssim=2) == f"{some}, not by SSIM (1)."
-    assert words(1, mean_delta_e=0, ssim=1) == "Ours is not nearer to the ideal than basic by mean ΔE00."
+    assert words(4, mean_delta_e=3, ssim=2) == f"{some}, but not in SSIM (1)."
+    assert words(1, mean_delta_e=0, ssim=1) == "Ours is not closer to the ideal than basic in mean ΔE00."
 
 
 def test_a_spreadsheet_computes_nothing_that_is_a_name() -> None:
@@ -113,7 +113,7 @@ def test_errors_are_those_of_the_patches(bayer: CameraModel) -> None:
     assert isinstance(table, Table)
     figure = figures.figures[0]
     assert figure.title == "Patches in frame 3, chart, A"
-    assert f"worst of ours: red, {colours.delta_e['ours'][14]:.2f}" in figure.finding
+    assert f"worst patch of ours is red with {colours.delta_e['ours'][14]:.2f}" in figure.finding
     assert figure.svg.count("<rect") == 48
     fills = re.findall('fill="(#[0-9a-f]{6})"', figure.svg)
     assert [one == other for one, other in zip(fills[::2], fills[1::2], strict=True)] == [patch != 14 for patch in range(24)]
