@@ -1,1 +1,1 @@
-"""Files for other software: camera profiles, C source and arrays of a table."""
+"""Export to other software: profiles of a camera, and a table as C source or as plain arrays."""

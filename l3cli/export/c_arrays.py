@@ -19,8 +19,8 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ShortWords
 from l3cli.rendering.opencl import layout
 
-TAP_GROUP = 16  # the number of taps is padded to a multiple with zero weights, so that loops have no remainder
-TYPES = {
+TAP_GROUP = 16  # the number of taps is padded with zero weights to a multiple of this, so that loops have no remainder
+TYPES = {  # C types
     "int8": "int8_t",
     "uint8": "uint8_t",
     "int16": "int16_t",
@@ -29,24 +29,23 @@ TYPES = {
     "uint32": "uint32_t",
     "float32": "float",
 }
-PER_LINE = 20  # numbers
-PER_STRING = 4000  # bytes; C99 guarantees 4095
-# Bytes in a string literal: printable characters, otherwise octal. "?" is octal, too, because two of them begin a trigraph.
+PER_LINE = 20  # numbers per line of an array
+PER_STRING = 4000  # bytes per string literal; C99 guarantees that 4095 are possible
+# Every byte in a string literal: printable ASCII as it is, other bytes in octal. "?" is also in octal, because two question
+# marks begin a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
 SHORT_TOP = 2**15 - 1
 
 
 @dataclass(frozen=True)
 class Array:
-    """A constant array of l3_table.c.
-
-    A `packed` array, with an entry per class, has a single axis in C. It is written as string literals of its bytes, which
-    compilers read fifty times as fast as numbers.
-    """
+    """A constant array of l3_table.c."""
 
     name: str
     values: NDArray
-    axes: str
+    axes: str  # comment above the array, with the axes in parentheses
+    # Write a long array as string literals of its bytes, with a single axis. Compilers read strings fifty times as fast as
+    # numbers.
     packed: bool = False
 
     @property
@@ -56,7 +55,7 @@ class Array:
 
     @property
     def declaration(self) -> str:
-        """The declaration in the header. For a packed array it declares the union with its bytes."""
+        """C declaration. A packed array is declared as a union of its bytes and its values."""
         kind = TYPES[self.values.dtype.name]
         if not self.packed:
             return f"const {kind} {self.name}{''.join(f'[{length}]' for length in self.values.shape)}"
@@ -66,11 +65,11 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """The line that defines the name of a packed array's values."""
+        """Macro that gives the values of a packed array the name of the array."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:
-        """Return the lines of the header."""
+        """Return the lines of the header that declare the array."""
         return [f"extern {self.declaration};", *self.alias]
 
     def lines(self) -> Iterator[str]:
@@ -84,14 +83,14 @@ class Array:
 
 
 def filled(taps: int) -> int:
-    """Return a number of taps rounded up to a multiple of TAP_GROUP."""
+    """Round a number of taps up to a multiple of TAP_GROUP."""
     return -(-taps // TAP_GROUP) * TAP_GROUP
 
 
 def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[Array], list[str]]:
-    """Return the arrays of l3_table.c, and the lines that follow them.
+    """Return the arrays of l3_table.c, and the lines of C that follow the arrays.
 
-    The last layer's weights are floats unless `short` is given.
+    The weights of the last layer are the 16-bit words in `short`. If `short` is None, they are floats.
     """
     rule, neighbours = table.first.rule, neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     arrays = [
@@ -101,19 +100,17 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
         Array(
             "l3_variance_reciprocal", neighbours.variance_reciprocal.astype(np.uint32), "round(512 / count) (site, channel)"
         ),
-        Array("l3_level_tops", _some(level.kernel_array(rule)), "highest level sum below each level edge (edge)"),
+        Array("l3_level_tops", _some(level.kernel_array(rule)), "largest level sum below each level edge (edge)"),
         Array("l3_contrast_edges", _some(contrast.kernel_array(rule)), "contrast edges, times 512 (edge, level)"),
-        Array(
-            "l3_case_of_code", saturation.kernel_array(rule), "saturation case of each pattern of saturated channels (code)"
-        ),
-        Array("l3_chroma_weights", rule.chroma_weights, "(chroma, channel)"),
-        Array("l3_chroma_widths", chroma.chroma_widths(rule), "(chroma)"),
+        Array("l3_case_of_code", saturation.kernel_array(rule), "saturation case for each set of saturated channels (code)"),
+        Array("l3_chroma_weights", rule.chroma_weights, "weights in the score of a chroma (chroma, channel)"),
+        Array("l3_chroma_widths", chroma.chroma_widths(rule), "range of scores for dither (chroma)"),
     ]
     lines = []
     if rule.features:
-        arrays.append(Array("l3_feature_constants", _some(rule.features.constants), "what the features' functions read"))
+        arrays.append(Array("l3_feature_constants", _some(rule.features.constants), "constants of the other features"))
         windows = sorted(rule.windows, key=lambda window: (window.top, window.rows, window.sum))
-        windows = windows or [Window(0, 0, 0, 0, 0, 1)]  # because C has no empty arrays; it holds no pixel
+        windows = windows or [Window(0, 0, 0, 0, 0, 1)]  # C has no empty arrays; this window contains no pixel
         lines += ["/* sum, top, left, rows, columns, sign */", "const L3Window l3_windows[L3_WINDOWS] = {"]
         lines += [*(f"{{{', '.join(map(str, window))}}}," for window in windows), "};"]
     arrays += _last_words(table, short) if short else _last_floats(table)
@@ -123,7 +120,9 @@ def table_arrays(table: TransformTable, short: ShortWords | None) -> tuple[list[
         if table.later[-1].clipping:
             response = table.later[-1].clipping.response.astype(np.float32)
             white = table.later[-1].clipping.white.astype(np.float32)
-            arrays.append(Array("l3_clip_response", response, "(clipped, signal, output)", packed=True))
+            arrays.append(
+                Array("l3_clip_response", response, "responses of the outputs (clipped, signal, output)", packed=True)
+            )
             arrays.append(Array("l3_clip_white", white, "signals of a white (channel)", packed=True))
     if table.later and table.components:
         first = layout.first_weights(table, table.first)
@@ -148,7 +147,7 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps that follow the windows, if there are any."""
+    """Return the weights of the taps that follow the window taps (colour ratios and bilateral chroma), if there are any."""
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
 
@@ -160,20 +159,22 @@ def _last_words(table: TransformTable, words: ShortWords) -> list[Array]:
     return [
         Array("l3_last_weights", short, "times 2^(shift + L3_SPLIT) (class, output, tap)", packed=True),
         Array("l3_last_intercept", words.intercept, "times 2^shift (class, output)", packed=True),
-        Array("l3_last_shift", words.fraction, "from sums to outputs (class, output)", packed=True),
+        Array("l3_last_shift", words.fraction, "right shift from sums to outputs (class, output)", packed=True),
         Array(
             "l3_last_rest",
             rest.sum(axis=-1, dtype=np.int32),
-            "what one weight has beyond 16 bits (class, output)",
+            "excess of the largest weight over 16 bits (class, output)",
             packed=True,
         ),
-        Array("l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "which (class, output)", packed=True),
+        Array(
+            "l3_last_tap", np.abs(rest).argmax(axis=-1).astype(np.uint16), "tap of this weight (class, output)", packed=True
+        ),
         *_ratio_weights(words.whole[..., windows:].astype(np.int16)),
     ]
 
 
 def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
-    """Return the arrays and structs of refinement layers."""
+    """Return the arrays of the refinement layers, and the lines with their structs."""
     basis = planes_basis(table)
     arrays = _fixed("l3_", layout.first_plane_weights(fixed_point(table), table.bits))
     structs, entries = [], []
@@ -185,8 +186,16 @@ def _layers(table: TransformTable) -> tuple[list[Array], list[str]]:
         more, struct = _structure(prefix, rule) if isinstance(rule, StructureRule) else _tree(prefix, rule)
         label_words = first_label_words(rule, table.first.rule)
         arrays += [
-            Array(f"{prefix}gradient", (label_words & 0xFFFFFFFF).astype(np.uint32), "(class of the first layer)"),
-            Array(f"{prefix}first_class", (label_words >> 32).astype(np.uint32), "(class of the first layer)"),
+            Array(
+                f"{prefix}gradient",
+                (label_words & 0xFFFFFFFF).astype(np.uint32),
+                "scale of the gradients and orientation (class of the first layer)",
+            ),
+            Array(
+                f"{prefix}first_class",
+                (label_words >> 32).astype(np.uint32),
+                "first class in this layer (class of the first layer)",
+            ),
             *more,
         ]
         structs.append(struct)
@@ -219,19 +228,19 @@ def _structure(prefix: str, rule: StructureRule) -> tuple[list[Array], str]:
 
 
 def _tree(prefix: str, rule: TreeRule) -> tuple[list[Array], str]:
-    """Return the words that opencl/cpu/trees.cl reads, with each kind in an array of its own."""
+    """Split the tree constants, as opencl/cpu/trees.cl reads them, into one array per quantity."""
     parts = int(rule_macros(rule)["PARTS"])
     (words,) = rule_constants(rule, "processor")
     groups = -(-parts // 32) + parts
     start, first, tests = np.split(words, [groups + 1, groups + 1 + parts])
     tests = tests.reshape(-1, 3)
     arrays = [
-        Array(f"{prefix}start", (start - start[0]) // 3, "first test of each group, and behind the last (group + 1)"),
-        Array(f"{prefix}first_leaf", first, "(part)"),
+        Array(f"{prefix}start", (start - start[0]) // 3, "first test of each group, and number of tests (group + 1)"),
+        Array(f"{prefix}first_leaf", first, "first leaf of a part of the tree (part)"),
         Array(f"{prefix}threshold", tests[:, 0].copy().view(np.float32), "(test)"),
-        Array(f"{prefix}numerator", tests[:, 1].astype(np.uint8), "(test)"),
-        Array(f"{prefix}denominator", (tests[:, 1] >> 8).astype(np.uint8), "(test)"),
-        Array(f"{prefix}ruled_out", tests[:, 2], "(test)"),
+        Array(f"{prefix}numerator", tests[:, 1].astype(np.uint8), "index of the numerator (test)"),
+        Array(f"{prefix}denominator", (tests[:, 1] >> 8).astype(np.uint8), "index of the denominator (test)"),
+        Array(f"{prefix}ruled_out", tests[:, 2], "leaves or parts that a passed test excludes, as bits (test)"),
     ]
     values = ", ".join([str(parts), *(array.name for array in arrays)])
     return arrays, f"static const L3Tree {prefix}rule = {{{values}}};"
@@ -251,19 +260,19 @@ def _fill(taps: NDArray) -> NDArray:
 
 
 def _some(edges: NDArray) -> NDArray:
-    """Return edges, or a single unused one if there are none, because C has no empty arrays."""
+    """Return `edges`. If there are none, return a single unused edge, because C has no empty arrays."""
     return edges if edges.size else np.zeros((1, *edges.shape[1:]), edges.dtype)
 
 
 def _strings(values: NDArray) -> Iterator[str]:
-    """Yield the little-endian bytes of an array as string literals of a length that C99 guarantees."""
+    """Yield the little-endian bytes of an array as string literals that are short enough for C99."""
     data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
     for start in range(0, len(data), PER_STRING):
         yield f'"{"".join(map(CHARACTERS.__getitem__, data[start : start + PER_STRING]))}",'
 
 
 def _rows(values: NDArray) -> Iterator[str]:
-    """Yield the numbers of an array in lines, with braces around all axes but the last."""
+    """Yield the lines of an array's numbers, with braces around all axes except the last."""
     if values.ndim > 1:
         for each in values:
             rows = list(_rows(each))
@@ -271,7 +280,7 @@ def _rows(values: NDArray) -> Iterator[str]:
             rows[-1] = rows[-1].rstrip(",") + "},"
             yield from rows
         return
-    if values.dtype.kind == "f":  # nine digits reproduce a float32 exactly, whatever numpy's print options
+    if values.dtype.kind == "f":  # nine digits reproduce a float32 exactly
         numbers = [f"{value:.8e}f" if value else "0.0f" for value in values.astype(np.float32).tolist()]
     else:
         numbers = [f"{value}{'u' if values.dtype == np.uint32 else ''}" for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""A table as plain arrays: little-endian files, and table.json, which describes each."""
+"""A table as plain arrays: one little-endian file per array, and table.json, which describes the arrays."""
 
 import json
 from typing import Any
@@ -31,67 +31,79 @@ LEFT_OUT = ("samples", "condition")  # fields of layers that only document the t
 FORMULAS = {
     "class": "(((site * levels + level) * contrasts + contrast) * combinations + combination) * kinds + kind",
     "site": "CFA row * CFA columns + CFA column",
-    "statistics": "v = DN >> shift over the patch about a pixel; n, S, Q: number, sum, sum of squares of v of a channel",
-    "level": "number of level_edges <= sum over channels of (S * mean_reciprocal >> 8)",
+    "statistics": "v = DN >> shift for every pixel of the patch around a pixel. n, S and Q of a channel are the number, the "
+    "sum and the sum of squares of the values v of the channel",
+    "level": "number of level_edges that are <= sum over channels of (S * mean_reciprocal >> 8)",
     "contrast": "M = S * mean_reciprocal >> 16; V = min((Q - M * (2 S - n M)) * variance_reciprocal, "
-    "(2^32 - 1) // channels); number of contrast_edges (of the level) < sum over channels of V",
-    "saturation": "code: bit c is set where a pixel of channel c within saturation_radius is >= saturation; "
-    "case_of_code[code]",
-    "chroma": "first k of least sum over channels of clamp((S * mean_reciprocal >> 12) - chroma_black_level, 0, 65535) * "
-    "chroma_weights[k]; with chroma_dither, at site s the second least k2 where its score exceeds that of k by less than "
-    "((sum of the clamped >> 8) * chroma_widths[k] >> 8) * t, t = 2 * ((159 s + 79) & 255) - 255, or -t if k > k2",
-    "kind": "chroma where the case is 0, else chromas - 1 + case",
-    "borders": "the sample of equal CFA phase nearest the mirror image; planes: mirrored about the outermost pixels",
+    "(2^32 - 1) // channels); contrast = number of contrast_edges of the level that are < sum over channels of V",
+    "saturation": "case = case_of_code[code]. Bit c of code is set if a pixel of channel c within saturation_radius is >= "
+    "saturation",
+    "chroma": "a = clamp((S * mean_reciprocal >> 12) - chroma_black_level, 0, 65535) for each channel; score of k = sum "
+    "over channels of a * chroma_weights[k]. The chroma is the first k with the lowest score. If chroma_dither is set, "
+    "the k2 with the second lowest score replaces k if (score of k2) - (score of k) < ((sum of a >> 8) * chroma_widths[k] "
+    ">> 8) * t. At site s, t = 2 * ((159 s + 79) & 255) - 255 if k < k2, and the negative of this if k > k2",
+    "kind": "chroma if the case is 0, otherwise chromas - 1 + case",
+    "borders": "outside the mosaic, the sample with the same CFA phase that is nearest to the mirror image. Planes are "
+    "mirrored about the outermost pixels",
 }
 CONDITIONS_DOC = (
-    "further sets of transforms. noise: learned for an analog gain over the camera's, or for a share noise_left of a "
-    "frame's noise variance, for pixels of which a filter in time has left no more than limit; light: learned under this "
-    "light. Arrays are those of the same name behind conditions/NUMBER/; where there is none, those above. Formulas "
-    "and constants are the same; test_labels and test_outputs are by this set alone"
+    "additional sets of transforms. A set with noise was trained for an analog gain, relative to the gain of the camera "
+    "model, or for frames in which a temporal filter left the fraction noise_left of the noise variance. It applies to "
+    "pixels with at most the fraction limit. A set with light was trained under this illuminant. The names of the arrays "
+    "of a set begin with conditions/NUMBER/. If such an array is missing, the array without this prefix applies. Formulas "
+    "and constants are the same for all sets. test_labels and test_outputs are computed with this set alone"
 )
 ONE_LAYER = {"output": "sum of weights * (DN - black_level) / (white_level - black_level) + intercept"}
 CLIPPED_WHITE = {
-    "clipped white": "where there is one, X, Y, Z of a pixel with Y above white_Y, its Y, become, last of all, "
-    "(1 - f) * white_Y / Y * (X, Y, Z) + f * clipped_white; f = min((Y / white_Y - 1) / (white_from - 1), 1)"
+    "clipped white": "if there is a clipped_white, the last step limits the luminance of the outputs to its Y, white_Y. If "
+    "Y > white_Y, (X, Y, Z) <- (1 - f) * white_Y / Y * (X, Y, Z) + f * clipped_white, where "
+    "f = min((Y / white_Y - 1) / (white_from - 1), 1)"
 }
 LAYERS = {
-    "plane": "clamp(sum of fixed_weights * value + fixed_intercept + 2^(F - 1) >> F, -plane_top, plane_top); "
-    "F = fraction[class]; value: DN in the first layer; in others clamp(plane + 2^(coarse - 1) >> coarse, "
-    "-coarse_top, coarse_top)",
-    "output": "sum of the last layer's weights * plane * plane_step + intercept; taps plane by plane, each row by row, "
-    "behind them those of the colour ratios if it has two taps more, bilateral chroma if it has four; where the table has "
-    "components, added to sum of the first layer's weights * (DN - black_level) / (white_level - black_level) + intercept",
-    "colour ratios": "mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1) of the first and of the third plane; "
-    "means over the window",
-    "bilateral chroma": "sum of w * (difference from the pixel's own) / sum of w, over the window, of the first and of the "
-    "third plane; w = max(0, mean of d + ratio_darkest^2 - d)^2, d = sum of squared differences of all planes",
-    "coarse chroma": "of a layer that has it, first and third output += plane_step * d of the plane of the same number; d = "
-    "bilinear mean, of the four blocks nearest to the pixel, of what the last step differs by from the blocks, beyond the "
-    "frame 0; blocks: means of 4 x 4 pixels, the outermost repeated; they pass steps over 3 x 3 of them, spaced 1, 2, 4, 8, "
-    "within the frame, with the weights 1 2 1 * max(0, 1 - sum of difference^2 / (8 * 4 alike^2 v))^8, alike of the step, "
-    "v = sum of variance * max(Y, 0)^power at the Y of the middle",
-    "clipping": "of a layer that has it, at last output = (1 - w) * output + q, both read bilinearly at the middle of the "
-    "pixel's 2 x 2 pixels from blocks of clip_sides pixels, the last ones within the frame; w = f * S(max s; kept), q = w * "
-    "sum of response[0] * (s - h + g * white) + f * (A(s) - A(h)); A(s) = sum of S(s of channel c; begins) * "
-    "response[1 + c] * s; h = min(g * white, 1), g = (mean of s / white, by max(1 - S(s; begins), faintest)) + "
-    "min S(s; begins) * (max s / white - that mean); s: means of the channels over full scale, at most 1, over 3 x 3 blocks "
-    "by 1 2 1, and 1 behind them; f = 1 - S(d; plain), d: largest range of a channel in one of these blocks, and difference "
-    "of its means from the middle one's; S(x; a, b) = t^2 (3 - 2 t), t = (x - a) / (b - a) within 0 and 1; blocks without "
-    "a value of begins of full scale, or that lack a channel, have means of 0",
-    "later class": "(site * levels + level // level_step) * kinds + kind; level and case of the first layer; kind: "
-    "structure or leaf where case - spared_cases is at most 0, else structures - 1 + that; of a tree levels = 1",
+    "plane": "clamp((sum of fixed_weights * value + fixed_intercept + 2^(F - 1)) >> F, -plane_top, plane_top), where "
+    "F = fraction[class]. value is the DN in the first layer, and clamp((plane + 2^(coarse - 1)) >> coarse, -coarse_top, "
+    "coarse_top) in later layers",
+    "output": "sum of weights of the last layer * plane * plane_step + intercept. The taps are stored plane by plane, and "
+    "each plane row by row. If the layer has more taps, the next two are the colour ratios and the last two the bilateral "
+    "chroma. If the table has components, the outputs of the first layer are added: sum of weights of the first layer * "
+    "(DN - black_level) / (white_level - black_level) + intercept",
+    "colour ratios": "for the first and the third plane: mean * clamp((Y - mean Y) / max(mean Y, ratio_darkest), -1, 1). "
+    "The means are over the window",
+    "bilateral chroma": "for the first and the third plane: sum of w * (difference from the pixel itself) / sum of w. The "
+    "sums are over the window. w = max(0, mean of d + ratio_darkest^2 - d)^2, where d is the sum of the squared "
+    "differences from the pixel itself in all planes",
+    "coarse chroma": "if a layer has it, plane_step * d is added to the first and to the third output, with the d of the "
+    "plane of the same number. Blocks are means of 4 x 4 pixels of the planes, with the outermost pixels repeated. In "
+    "each step, a block becomes the weighted mean of 3 x 3 blocks within the frame, with a spacing of 1, 2, 4 and 8 "
+    "blocks. The weights are 1 2 1 in both directions, times max(0, 1 - sum over planes of difference^2 / (8 * 4 alike^2 "
+    "v))^8. alike is the value of the step, and v is the sum of variance * max(Y, 0)^power at the Y of the middle block. "
+    "d is the difference between the blocks after the last and before the first step, interpolated bilinearly from the "
+    "four blocks nearest to the pixel. Outside the frame, the difference is 0",
+    "clipping": "if a layer has it, the last step is output = (1 - w) * output + q. w and q are computed for blocks of "
+    "clip_sides pixels, of which the last are moved into the frame. They are interpolated bilinearly, at the middle of "
+    "the group of 2 x 2 pixels that contains the pixel. w = f * S(max s; kept); q = w * sum of response[0] * (s - h + g * "
+    "white) + f * (A(s) - A(h)); A(s) = sum over channels c of S(s[c]; begins) * response[1 + c] * s; h = min(g * white, "
+    "1); g = m + min S(s; begins) * (max (s / white) - m); m = mean of s / white, weighted by max(1 - S(s; begins), "
+    "faintest); f = 1 - S(d; plain); S(x; a, b) = t^2 (3 - 2 t), t = (x - a) / (b - a) clamped to 0 and 1. s contains the "
+    "means of the channels as fractions of full scale, at most 1, averaged over 3 x 3 blocks with the weights 1 2 1 in "
+    "both directions, followed by a 1. d is the maximum, over the 3 x 3 blocks and the channels, of the range in a block "
+    "and of the difference between the means of a block and of the middle block. The means of a block are 0 if no value "
+    "reaches the fraction begins[0] of full scale, or if the block lacks a channel",
+    "later class": "(site * levels + level // level_step) * kinds + kind, with the level and the case of the first layer. "
+    "kind is the structure or the leaf if case <= spared_cases, otherwise structures - 1 + case - spared_cases. A layer "
+    "with a tree has levels = 1",
 }
 
 
 SPECTRA_DOC = (
-    "what is done to the outputs at last, also to test_outputs: Y is the mean of the outputs, p a pixel, q those of the "
-    "window about it, mirrored at the borders; w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2; output_p <- mean of "
-    "output_q * Y_p / mean of Y_q, means weighed by w, where Y_p > spectra_darkest"
+    "last step, which is also applied to test_outputs. Y is the mean of the outputs, p is a pixel, and q are the pixels "
+    "of the window around p, mirrored at the borders. output_p <- mean of output_q * Y_p / mean of Y_q if Y_p > "
+    "spectra_darkest. The means are weighted by w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2"
 )
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return the content of every file, by name."""
+    """Return the contents of all files of a table, by file name."""
     require_known_layers(table)
     arrays = _Arrays()
     content: dict[str, Any] = {
@@ -108,7 +120,7 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
         content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
     if table.components:
-        doc = "what makes planes of outputs, as fixed_weights of the first layer do of the mosaic"
+        doc = "conversion from outputs to the planes of the refinement layer. fixed_weights of the first layer include it"
         content["components"] = {"doc": doc, **arrays.add_fields("components/", table.components)}
     if table.conditions:
         content["conditions"] = {"doc": CONDITIONS_DOC, "sets": []}
@@ -127,9 +139,9 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
 
 
 def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
-    """Add the transforms of a table to `arrays`, and return the other entries of its header.
+    """Add the arrays of a set of transforms to `arrays`, and return the entries of the set for table.json.
 
-    The entries contain the scalar parameters of each layer, and the loss of accuracy at short word lengths.
+    The entries are the scalar parameters of each layer and the accuracy at short word lengths.
     """
     costs = word_costs(table)
     words = chosen_words(table, costs)
@@ -142,12 +154,12 @@ def _set(arrays: "_Arrays", table: TransformTable) -> dict[str, Any]:
 
 
 class _Arrays:
-    """Collects files of arrays, and the entry of each in table.json."""
+    """Collects the files of arrays, and their descriptions for table.json."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        self.prefix = ""  # prefix of a further set's names; arrays equal to the first set's are left out
+        self.prefix = ""  # prefix for the arrays of an additional set; arrays equal to an array without prefix are omitted
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))
@@ -162,7 +174,7 @@ class _Arrays:
         )  # fmt: skip
 
     def add_fields(self, prefix: str, instance: Any, names: tuple[str, ...] | None = None) -> dict[str, Any]:
-        """Add the arrays that a dataclass declares, and return its scalars and texts, each with unit and meaning."""
+        """Add the arrays of a dataclass. Return its scalars and texts, each with unit and description."""
         values = {}
         for name, spec in declared(type(instance)):
             if not isinstance(spec, Spec) or name in LEFT_OUT or (names is not None and name not in names):
@@ -182,7 +194,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and of its rule, and return their scalars."""
+    """Add the arrays of a layer and of its class rule, and return the scalars."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -198,22 +210,23 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
     if number and layer.clipping:
         entry["clipping"] = arrays.add_fields(f"{prefix}clipping/", layer.clipping)
     if kind == "tree":
-        arrays.add(f"{prefix}leaf", rule.leaf.astype(np.int32), ("node",), "1", "number of the leaf")
+        arrays.add(f"{prefix}leaf", rule.leaf.astype(np.int32), ("node",), "1", "index of the leaf")
     return entry
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 computes from a table before rendering."""
+    """Add the arrays that l3 derives from a table before rendering."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
-        ("count", neighbours.count, "taps of each channel in the patch of a site"),
+        ("count", neighbours.count, "number of taps of each channel in the patch of a site"),
         ("mean_reciprocal", neighbours.mean_reciprocal, "round(65536 / count)"),
         ("variance_reciprocal", neighbours.variance_reciprocal, "round(512 / count)"),
     ):
         arrays.add(f"layer0/{name}", values.astype(np.int32), ("site", "channel"), "1", doc)
     if table.first.rule.chroma_dither:
         widths = chroma.chroma_widths(table.first.rule)
-        arrays.add("layer0/chroma_widths", widths, ("chroma",), "1", "how far sites take a second chroma")
+        doc = "range of scores within which some sites use the second chroma"
+        arrays.add("layer0/chroma_widths", widths, ("chroma",), "1", doc)
     if not table.later:
         return
     basis = planes_basis(table)
@@ -222,28 +235,31 @@ def _derived(arrays: _Arrays, table: TransformTable) -> None:
     tests = [turned_tests(turn) for turn in range(8)]
     if any(layer.tree for layer in table.later):
         axes = ("orientation", "test")
-        arrays.add("turned_test", np.array([test for test, _ in tests], np.uint8), axes, "1", "numerator that a test reads")
-        arrays.add("turned_sign", np.array([sign for _, sign in tests]).astype(np.int8), axes, "1", "and its sign")
+        arrays.add("turned_test", np.array([test for test, _ in tests], np.uint8), axes, "1", "index of the numerator")
+        signs = np.array([sign for _, sign in tests]).astype(np.int8)
+        arrays.add("turned_sign", signs, axes, "1", "sign of this numerator")
 
 
 def _fixed(arrays: _Arrays, prefix: str, fixed: FixedPoint, unit: str) -> None:
     taps = ("class", "plane", "tap")
-    arrays.add(f"{prefix}fixed_weights", fixed.weights, taps, unit, "taps plane by plane, each row by row; times 2^fraction")
-    arrays.add(f"{prefix}fixed_intercept", fixed.intercept, taps[:2], "1", "times 2^fraction")
-    arrays.add(f"{prefix}fraction", fixed.fraction, taps[:1], "bit", "binary point F")
+    doc = "weights times 2^fraction. Taps are stored plane by plane, and each plane row by row"
+    arrays.add(f"{prefix}fixed_weights", fixed.weights, taps, unit, doc)
+    arrays.add(f"{prefix}fixed_intercept", fixed.intercept, taps[:2], "1", "intercept times 2^fraction")
+    arrays.add(f"{prefix}fraction", fixed.fraction, taps[:1], "bit", "number of fractional bits, F")
 
 
 def _words(arrays: _Arrays, words: Words, last: int) -> None:
     axes, prefix = ("class", "output", "tap"), f"layer{last}/"
-    doc = f"the layer's weights times 2^word_fraction, in {words.bits} bits with sign"
+    doc = f"weights of the layer times 2^word_fraction, as signed integers of {words.bits} bits"
     arrays.add(f"{prefix}word_weights", words.whole, axes, "1", doc)
-    arrays.add(f"{prefix}word_fraction", words.fraction, axes[:1], "bit", "binary point of a class")
+    arrays.add(f"{prefix}word_fraction", words.fraction, axes[:1], "bit", "number of fractional bits of a class")
 
 
 def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
     return {
-        "doc": "weights of the last layer in words of so many bits, with a binary point for each class or for the table; "
-        "psnr_db: outputs against those of float weights, of a full output 1, on a drawn mosaic",
+        "doc": "accuracy of the outputs if the weights of the last layer are rounded to integers with the given number of "
+        "bits. The binary point is the same for a class or for the whole table. psnr_db compares the outputs with the "
+        "outputs of float weights for a random mosaic, with a peak of 1",
         "mosaic": {"rows": SHAPE[0], "columns": SHAPE[1], "seed": SEED},
         "costs": [{"bits": cost.bits, "binary_point_of": cost.scale, "psnr_db": round(cost.psnr, 1)} for cost in costs],
         "chosen": {"bits": words.bits, "binary_point_of": words.scale, "least_psnr_db": ENOUGH_PSNR_DB},
@@ -251,7 +267,7 @@ def _study(words: Words, costs: tuple[Cost, ...]) -> dict[str, Any]:
 
 
 def _clipped_white(table: TransformTable) -> dict[str, Any]:
-    """Return the limit of a set's outputs; empty if its light is unknown."""
+    """Return the clipped white of a set of transforms. The result is empty if the illuminant of the set is unknown."""
     return {} if table.clipped_white is None else {"clipped_white": table.clipped_white.tolist()}
 
 
@@ -276,9 +292,10 @@ def _constants(table: TransformTable) -> dict[str, Any]:
 
 def _vector(table: TransformTable) -> dict[str, tuple[NDArray, tuple[str, ...], str, str]]:
     vector = make_vector(table)
-    start = f"first pixel at CFA row {vector.phase[0]}, column {vector.phase[1]}"
+    doc = f"random mosaic. Its first pixel is at CFA row {vector.phase[0]}, column {vector.phase[1]}"
+    outputs_doc = "outputs of test_raw with float weights"
     return {
-        "test_raw": (vector.raw, ("row", "column"), "DN", f"a drawn mosaic; {start}"),
-        "test_labels": (vector.labels.astype(np.uint32), ("layer", "row", "column"), "1", "its classes"),
-        "test_outputs": (vector.outputs, ("output", "row", "column"), "output_unit", "its outputs, of float weights"),
+        "test_raw": (vector.raw, ("row", "column"), "DN", doc),
+        "test_labels": (vector.labels.astype(np.uint32), ("layer", "row", "column"), "1", "classes of test_raw"),
+        "test_outputs": (vector.outputs, ("output", "row", "column"), "output_unit", outputs_doc),
     }

@@ -1,7 +1,7 @@
 """Files of a camera for other software (docs/method.md#colour-matrices).
 
-They are curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for dcamprof's json2dcp, tuning files for libcamera,
-and a data sheet as CSV.
+The files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for json2dcp from dcamprof, tuning
+files for libcamera, and a data sheet as CSV.
 """
 
 import csv
@@ -24,18 +24,19 @@ from l3cli.physics.display import SRGB_FROM_XYZ, delta_e_2000, fit_through, lab,
 from l3cli.system.text import printable
 
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated colour temperature
-STEP_NM = 5.0  # nm
+STEP_NM = 5.0  # nm; spacing of the wavelengths for colour matrices
 VISIBLE = (380.0, 780.0)  # nm
-DIMMEST = 1e-4  # of the brightest channel; white balance would only amplify noise in dimmer channels
-TYPICAL = 0.2  # fraction of a white's signal at which noise is weighed against colour errors
-DIGITS = 5  # decimals of the written matrices
+# Smallest response to grey, as a fraction of the largest channel. Dimmer channels contain little but noise.
+DIMMEST = 1e-4
+TYPICAL = 0.2  # fraction of the signal of white at which noise and colour errors are weighed against each other
+DIGITS = 5  # decimals of matrices in files
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
-NOISE_LEVELS = 64  # signals to which a noise profile is fitted, from 1 DN of 16 bits to the white level
-MIN_CHANNELS = 3  # for colour matrices
-RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of channels
-SIXTEEN = 16  # bits of the scale of tuning files
-DECLARED_AS = {  # quantity → its name among the camera's declared quantities
+NOISE_LEVELS = 64  # number of signals to which a noise profile is fitted, from 1 DN at 16 bits to the white level
+MIN_CHANNELS = 3  # smallest number of channels for colour matrices
+RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
+SIXTEEN = 16  # bit depth of signals in tuning files
+DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
     "overall system gain K": "gain",
     "temporal dark noise": "noise",
     "saturation capacity": "noise",
@@ -44,23 +45,27 @@ DECLARED_AS = {  # quantity → its name among the camera's declared quantities
 }
 NOISE = ("dark current", "DSNU", "PRNU", "column noise")
 Row = tuple[str, str, float | str, str, str]
-CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"  # of every camera
-DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"  # of some
+# Files of every camera
+CURVES, RAWTOACES_JSON, DATASHEET = "responsivity.csv", "rawtoaces.json", "datasheet.csv"
+# Files of cameras with suitable channels
+DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_pisp.json", "libcamera_simple.yaml"
 
-ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # of the two matrices in a DCP, which orders them by rising temperature
-SIMPLE_DARKEST = 2**15 - 1  # highest black level that the simple pipeline can store
-RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, wavelength grid of rawtoaces' database
-ALSC_TEMPERATURE = 5000  # K, of the only shading tables, which then apply at every temperature
-SMOOTHNESS = 0.003  # weight of a shading table's second differences, relative to its errors
+ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of the matrices in a DCP, in the order of their temperature
+SIMPLE_DARKEST = 2**15 - 1  # highest black level that a tuning file for the simple pipeline can contain
+RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths of the curves in rawtoaces
+ALSC_TEMPERATURE = (
+    5000  # K; if a tuning file has shading tables for a single temperature, libcamera uses them for all lights
+)
+SMOOTHNESS = 0.003  # weight of the second differences of a shading table, relative to the errors
 Array = NDArray[np.floating]
 
 
 class Target(NamedTuple):
-    """An image signal processor of Raspberry Pi, with libcamera's name."""
+    """An image signal processor of Raspberry Pi computers."""
 
-    name: str
-    cells: tuple[int, int]  # rows, columns of its shading tables
-    vertices: tuple[int, int]  # rows, columns of the grid that it interpolates, from edge to edge, at most
+    name: str  # name in libcamera
+    cells: tuple[int, int]  # rows and columns of the shading tables
+    vertices: tuple[int, int]  # largest rows and columns of the grid, from edge to edge, between which the ISP interpolates
 
 
 VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33, 33))
@@ -68,7 +73,7 @@ VC4, PISP = Target("bcm2835", (12, 16), (49, 64)), Target("pisp", (32, 32), (33,
 
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix as it is written, and the colour errors that remain for measured surfaces."""
+    """A colour matrix, rounded as in the files, and its remaining colour errors for measured surfaces."""
 
     values: Array  # (row, column), rounded to DIGITS decimals
     errors: Array  # (surface) CIEDE2000
@@ -77,17 +82,18 @@ class Matrix:
 
 @dataclass(frozen=True)
 class LightMatrices:
-    """Matrices of a camera with n channels for one light."""
+    """Colour matrices of a camera with n channels for one illuminant."""
 
-    neutral: Array  # (n) channels of a grey, scaled to a maximum of 1
-    colour: Matrix  # (n, 3) from XYZ under this light (Y = 1 for white) to channels (at most 1 for white)
-    forward: Matrix  # (3, n) from channels divided by those of a grey to XYZ of the surface under D50
-    correction: Matrix  # (3, n) from the same to linear sRGB of the surface under daylight; rows sum to 1
+    neutral: Array  # (n) signals of a grey, scaled to a maximum of 1
+    colour: Matrix  # (n, 3) converts XYZ under the illuminant (white has Y = 1) to channels (white is at most 1)
+    forward: Matrix  # (3, n) converts white-balanced channels to XYZ of the surface under D50
+    correction: Matrix  # (3, n) converts white-balanced channels to linear sRGB of the surface under D65; rows sum to 1
 
 
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
-    """Return the matrices for a named light, or None if the camera has fewer than three channels or one is blind to the
-    light.
+    """Fit the colour matrices of a camera for a named illuminant.
+
+    The result is None if the camera has fewer than three channels, or if a channel hardly responds to the illuminant.
     """
     neutral, balanced = _responses(camera, light)
     if len(neutral) < MIN_CHANNELS or neutral.min() < DIMMEST:
@@ -105,7 +111,7 @@ def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
 
 
 def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) -> Matrix:
-    """Return the ColorMatrix (n, 3), fitted through its pseudo-inverse, which is what raw converters apply."""
+    """Fit the ColorMatrix (n, 3) such that its pseudo-inverse, which raw converters apply, has small colour errors."""
     start = fit_through(xyz, channels, white, neutral)
     ours = refinement(channels @ np.linalg.pinv(start).T, xyz, white)
     values = np.round(start @ np.linalg.inv(ours), DIGITS)
@@ -113,11 +119,15 @@ def _colour_matrix(xyz: Array, white: Array, channels: Array, neutral: Array) ->
 
 
 def _matrix_to(space: Array, balanced: Array, noise: Array, wanted: Array, white: Array) -> Matrix:
-    """Return the matrix (3, n) from balanced channels to a linear space of XYZ. White is exact."""
+    """Fit the matrix (3, n) from white-balanced channels to a colour space.
+
+    `space` (3, 3) converts XYZ to the linear colour space. White is mapped exactly.
+    """
     start = fit_through(balanced, wanted, np.ones(balanced.shape[1]), white, noise)
     values = np.round(space @ refinement(balanced @ start.T, wanted, white) @ start, DIGITS)
     largest = np.abs(values).argmax(axis=1)
-    values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)  # corrects the rounding
+    # Rounding changes the sums of the rows. Correct the largest value of each row, so that white remains exact.
+    values[np.arange(3), largest] += np.round(space @ white, DIGITS) - values.sum(axis=1)
     values = np.round(values, DIGITS)
     return _judged(values, balanced @ values.T @ np.linalg.inv(space).T, wanted, white)
 
@@ -128,13 +138,21 @@ def _judged(values: Array, xyz: Array, wanted: Array, white: Array) -> Matrix:
 
 
 def _grid(camera: CameraModel) -> Array:
-    """Return the wavelengths in nm that the eye or the camera sees."""
+    """Return the wavelengths in nm at which the eye or the camera responds."""
     low, high = min(camera.wavelength[0], VISIBLE[0]), max(camera.wavelength[-1], VISIBLE[1])
     return np.arange(STEP_NM * np.floor(low / STEP_NM), high + STEP_NM / 2, STEP_NM)
 
 
 def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
-    """Return the channels of a white (n), scaled to a maximum of 1, and those of surfaces relative to white (surface, n)."""
+    """Return the responses of a camera with n channels under an illuminant.
+
+    Returns
+    -------
+    white : ndarray, (n)
+        Signals of a white, scaled to a maximum of 1.
+    balanced : ndarray, (surface, n)
+        Signals of measured surfaces, divided by the signals of white.
+    """
     grid = _grid(camera)
     weights = spectra.average(camera.responsivity, camera.wavelength, grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -143,7 +161,7 @@ def _responses(camera: CameraModel, light: str) -> tuple[Array, Array]:
 
 
 def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Array]:
-    """Return the XYZ of the surfaces (surface, 3) and of white (3) under a light, scaled to Y = 1 for white."""
+    """Return the XYZ of surfaces (surface, 3) and of white (3) under an illuminant. White has Y = 1."""
     grid = _grid(camera)
     weights = spectra.xyz_weights(grid) * spectra.illuminant(light, grid)
     white = weights.sum(axis=1)
@@ -151,9 +169,10 @@ def _colours(camera: CameraModel, library: Array, light: str) -> tuple[Array, Ar
 
 
 def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
-    """Return each matrix and its remaining colour errors for measured surfaces, ready for JSON.
+    """Return the matrices and their colour errors as a dictionary that can be written as JSON.
 
-    The errors are the mean, the 95th percentile and the maximum of CIEDE2000, and the L*a*b* of the worst surface.
+    The errors are the mean, the 95th percentile and the maximum of CIEDE2000 over measured surfaces. The dictionary also
+    contains the L*a*b* of the worst surface.
     """
     kinds = {"CCM": matrices.correction, "ForwardMatrix": matrices.forward, "ColorMatrix": matrices.colour}
     return {
@@ -168,14 +187,24 @@ def errors(matrices: LightMatrices) -> dict[str, dict[str, Any]]:
     }
 
 
-# -------------------------------------------------------------------------------------------------- white, noise
+# ------------------------------------------------------------------------------- white balance, noise and shading
 
 
 def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array | None:
-    """Return the curve (temperature, 3) of K, r/g and b/g of a grey under black bodies and daylights.
+    """Return the channel ratios of a grey as a function of the colour temperature.
 
-    `order` gives the channels r, g, b. The result is None unless r/g falls and b/g rises monotonically, as programs that
-    search along the curve expect.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    order : tuple of int
+        Indices of the channels r, g and b.
+
+    Returns
+    -------
+    ndarray, (temperature, 3), or None
+        Temperature in K, r/g and b/g, for black bodies and daylights. None unless r/g falls and b/g rises with the
+        temperature, because libcamera searches along the curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])
@@ -188,9 +217,10 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
 
 
 def noise_profile(camera: CameraModel) -> tuple[float, float]:
-    """Return the noise of a pixel as standard deviation = constant + slope · √signal, on a scale of 16 bits.
+    """Fit the noise model of libcamera, standard deviation = constant + slope · √signal, to the noise of a camera.
 
-    It is fitted by least squares over signals that are evenly spaced in their square roots. The constant is not negative.
+    Standard deviation and signal are in DN at 16 bits. The fit is least squares over signals whose square roots are evenly
+    spaced. The constant is not negative.
     """
     scale = 2.0 ** (SIXTEEN - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)
@@ -202,18 +232,31 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
 
 
 def black_level_16(camera: CameraModel) -> int:
-    """Return the black level on a scale of 16 bits, as in tuning files."""
+    """Return the black level in DN at 16 bits, as in tuning files."""
     return round(camera.black_level * 2 ** (SIXTEEN - camera.bits))
 
 
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:
-    """Return tables (row, col) that correct the shading: the gain of g, and the gains of r and b relative to g, each at
-    least 1.
+    """Fit the shading tables of a Raspberry Pi to a flat field.
 
-    `order` gives the channels r, g, b. A processor takes the values of a table for the centres of its cells, extends the
-    outermost values to the edge, and interpolates. With a lens that halves the light in the corners, this would leave an
-    error of 4 % there. Therefore the gain of each channel is first fitted by the smooth table that leaves the smallest
-    error.
+    The image signal processor (ISP) assigns the values of a table to the centres of the cells, extends the outermost values
+    to the edge of the frame, and interpolates. If the tables contained the gains at the centres, an error of 4 % would
+    remain in the corners of a lens that halves the light there. The tables are therefore smooth least-squares fits, which
+    take the interpolation of the ISP into account.
+
+    Parameters
+    ----------
+    field : FlatField
+        Flat field of the camera.
+    order : tuple of int
+        Indices of the channels r, g and b.
+    target : Target
+        ISP with the size of the tables.
+
+    Returns
+    -------
+    green, red, blue : ndarray, (row, col)
+        Gain of g, and gains of r and b relative to g. The smallest value of each table is 1.
     """
     ends = field.grid_row[-1] + 1, field.grid_col[-1] + 1
     fine = [length * _middles(4 * vertices) - 0.5 for length, vertices in zip(ends, target.vertices, strict=True)]
@@ -225,8 +268,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
 
 
 def _fit(cells: int, vertices: int) -> Array:
-    """Return the matrix (cell, place) from gains at 4 places per vertex to the values of cells, by regularised least
-    squares.
+    """Return the matrix (cell, place) that fits the values of table cells to gains at four places per vertex.
+
+    The fit is regularised least squares along one axis of the frame.
     """
     places, middles = _middles(4 * vertices), _middles(cells)
     corners = np.linspace(0, 1, vertices)
@@ -237,12 +281,12 @@ def _fit(cells: int, vertices: int) -> Array:
 
 
 def _middles(count: int) -> Array:
-    """Return the centres of `count` equal parts of 0…1."""
+    """Divide the interval 0…1 into `count` equal parts, and return their centres."""
     return (np.arange(count) + 0.5) / count
 
 
 def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
-    """Return the indices of the channels r, g, b, or None if there are other channels."""
+    """Return the indices of the channels r, g and b. None if the camera has other channels."""
     colours = [next((index for index, each in enumerate(RGB) if name.casefold() in each), None) for name in channels]
     if len(colours) != len(RGB) or set(colours) != {0, 1, 2}:
         return None
@@ -250,7 +294,7 @@ def rgb_order(channels: Sequence[str]) -> tuple[int, int, int] | None:
 
 
 def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int, int, int] | None:
-    """Return the `rgb_order` of a Bayer array (2×2, g on a diagonal), or None for other arrays."""
+    """Return the indices of the channels r, g and b of a Bayer array, with g on a diagonal. None for other arrays."""
     order = rgb_order(channels)
     if order is None or cfa.shape != (2, 2):
         return None
@@ -260,9 +304,9 @@ def bayer_order(channels: Sequence[str], cfa: NDArray[np.integer]) -> tuple[int,
 
 
 def datasheet(camera: CameraModel) -> list[Row]:
-    """Return the rows of a camera's data sheet: quantity, channel, value, unit, source.
+    """Return the rows of a camera's data sheet. The columns are quantity, channel, value, unit and source.
 
-    The channel is empty for quantities of the whole camera. The source is "measured", "declared" or "recipe".
+    The channel is empty if a quantity applies to the whole camera. The source is "measured", "declared" or "recipe".
     """
     optics, source = camera.optics, "recipe" if camera.fit is None else "measured"
     given = "recipe" if camera.fit is None else "declared"
@@ -293,7 +337,7 @@ def datasheet(camera: CameraModel) -> list[Row]:
 
 
 def _declared(name: str, camera: CameraModel) -> bool:
-    """Return whether calibration took a quantity from a data sheet, or as 0."""
+    """Whether the calibration did not measure a quantity, but copied it from a data sheet or assumed it to be 0."""
     known = DECLARED_AS.get(name, name)
     return known in camera.declared or (name in NOISE and "noise" in camera.declared)
 
@@ -301,25 +345,25 @@ def _declared(name: str, camera: CameraModel) -> bool:
 class Exported(NamedTuple):
     """Files of a camera for other software."""
 
-    files: dict[str, str]  # name → content
-    errors: dict[str, dict[str, dict[str, Any]]]  # light → matrix → colour errors, ready for JSON
-    note: str | None  # names files that are missing, and why
+    files: dict[str, str]  # contents by file name
+    errors: dict[str, dict[str, dict[str, Any]]]  # for each illuminant, the colour errors of each matrix
+    note: str | None  # sentence that states which files are missing, and why
 
 
 def export(camera: CameraModel) -> Exported:
-    """Return all files of a camera."""
-    camera = replace(camera, name=printable(camera.name))  # the name in a file may contain bytes that are no text
+    """Return all files of a camera for other software."""
+    camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
     lights = {name: light_matrices(camera, name) for name in TEMPERATURES}
     known = {name: matrices for name, matrices in lights.items() if matrices is not None}
     if missing := [name for name in lights if name not in known]:
         few = len(camera.channels) < MIN_CHANNELS
         reason = "it has fewer than three channels" if few else f"a channel receives almost no light from {missing[0]}"
-        return Exported(files, {}, f"{camera.name}: no colour matrices and no tuning files: {reason}")
+        return Exported(files, {}, f"{camera.name} has no colour matrices and no tuning files, because {reason}")
     files[DCP] = _dcp_json(camera, known)
     order, note = bayer_order(camera.channels, camera.cfa), None
     if order is None:
-        note = f"{camera.name}: no tuning files for libcamera, which only supports 2×2 arrays of r, g and b"
+        note = f"{camera.name} has no tuning files for libcamera, which supports only 2×2 arrays of r, g and b"
     else:
         corrections = {TEMPERATURES[name]: each.correction.values[:, order] for name, each in known.items()}
         curve = temperature_curve(camera, order)
@@ -332,7 +376,10 @@ def export(camera: CameraModel) -> Exported:
 
 
 def _curves(camera: CameraModel) -> dict[str, str]:
-    """Return the responsivities per energy, scaled to a peak of 1: as CSV on their own grid, and as JSON for rawtoaces."""
+    """Return the files with the responsivities per energy: CSV at the camera's wavelengths, and JSON for rawtoaces.
+
+    The largest responsivity is 1.
+    """
     curves = camera.responsivity * camera.wavelength
     curves = curves / curves.max()
     table = spectra.average(curves, camera.wavelength, RAWTOACES).T
@@ -356,10 +403,10 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 
 
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
-    """Return a DCP as JSON for dcamprof's json2dcp, with the lights of ILLUMINANTS.
+    """Return a DCP as JSON for json2dcp from dcamprof, with matrices for ILLUMINANTS.
 
-    It also lists the channels in their order, which is that of raw files (r, g, b), and AsShotNeutral for each light, which
-    belongs in the DNG of a picture.
+    Two additional keys are not part of a DCP: Channels lists the names of the channels, with r, g and b in the order of raw
+    files. AsShotNeutral contains the signals of a grey under each illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]
@@ -376,24 +423,26 @@ def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
 def _raspberry_pi_json(
     camera: CameraModel, corrections: Mapping[int, Array], curve: Array | None, order: tuple[int, int, int], target: Target
 ) -> str:
-    """Return a tuning file (version 2.0) for libcamera's Raspberry Pi pipelines, as JSON.
+    """Return a tuning file (version 2.0, JSON) for the Raspberry Pi pipelines of libcamera.
 
-    libcamera and picamera2 both read JSON under the name SENSOR.json.
+    libcamera and picamera2 read the file under the name SENSOR.json.
 
     Parameters
     ----------
     camera : CameraModel
-    corrections : mapping
-        Colour correction matrices (3, 3) by temperature in K, increasing.
-    curve : ndarray or None
-        As returned by `temperature_curve`.
+        The camera.
+    corrections : mapping of int to ndarray, (3, 3)
+        Colour correction matrices by temperature in K, in increasing order.
+    curve : ndarray, (temperature, 3), or None
+        Result of `temperature_curve`.
     order : tuple of int
-        Indices of the channels r, g, b.
+        Indices of the channels r, g and b.
     target : Target
+        Image signal processor.
     """
-    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # flat, because there is no lux meter
+    flat = {"priors": [{"lux": 0, "prior": [2000, 0.0, 13000, 0.0]}]}  # flat, because the illuminance is unknown
     awb: dict[str, Any] = {"bayes": 0}
-    missing = ["missing: rpi.awb ct_curve: the channels of greys do not follow a temperature"]
+    missing = ["missing: ct_curve of rpi.awb, because the colour of greys does not change monotonically with temperature"]
     if curve is not None:
         low, high = int(curve[0, 0]), int(curve[-1, 0])
         awb = {**flat, "modes": {"auto": {"lo": low, "hi": high}}, "bayes": 1, "ct_curve": curve.ravel().tolist()}
@@ -406,23 +455,23 @@ def _raspberry_pi_json(
         "rpi.awb": awb,
         "rpi.ccm": {"ccms": ccms},
     }
-    shading = ["missing: rpi.alsc, since no even white was measured through the lens"]
+    shading = ["missing: rpi.alsc, because no evenly lit white was measured through the lens"]
     if camera.flat_field is not None:
         luminance, *ratios = (np.round(each, 4) for each in shading_tables(camera.flat_field, order, target))
         red, blue = ([{"ct": ALSC_TEMPERATURE, "table": each.ravel().tolist()}] for each in ratios)
         tables = {"calibrations_Cr": red, "calibrations_Cb": blue, "luminance_lut": luminance.ravel().tolist()}
         algorithms["rpi.alsc"] = {"luminance_strength": 1.0, **tables}
-        shading = ["rpi.alsc: of the light of the white frames, at every temperature"]
+        shading = ["rpi.alsc: measured under the light of the white frames, used at every temperature"]
     content = {
         "version": 2.0,
         "target": target.name,
-        "comment": [  # for people; libcamera only reads version, target and algorithms
+        "comment": [  # libcamera ignores this key; it reads only version, target and algorithms
             f"{camera.name}, l3cli {__version__}: black level, noise, white balance and colours of the camera model",
-            "noise: at the analogue gain of the calibration, which counts as 1",
+            "rpi.noise: valid at the analogue gain of the calibration, which counts as 1",
             *shading,
-            "missing, take them from the tuning file of a similar sensor: rpi.agc, rpi.contrast, rpi.sharpen",
-            "missing: rpi.lux, since no scene of known illuminance was measured through the lens; priors are flat without "
-            "it",
+            "missing: rpi.agc, rpi.contrast and rpi.sharpen; copy them from the tuning file of a similar sensor",
+            "missing: rpi.lux, because no scene of known illuminance was measured through the lens; the priors of rpi.awb "
+            "are therefore flat",
             *missing,
         ],
         "algorithms": [{key: value} for key, value in algorithms.items()],
@@ -431,9 +480,7 @@ def _raspberry_pi_json(
 
 
 def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
-    """Return a tuning file for libcamera's simple pipeline, the software ISP of laptops and phones, which is named
-    SENSOR.yaml.
-    """
+    """Return a tuning file, SENSOR.yaml, for the simple pipeline of libcamera, the software ISP of laptops and phones."""
     black_level = black_level_16(camera)
     lines = [
         "# " + json.dumps(f"{camera.name}, l3cli {__version__}")[1:-1],
@@ -455,7 +502,7 @@ def _simple_yaml(camera: CameraModel, corrections: Mapping[int, Array]) -> str:
 
 
 def _datasheet_csv(camera: CameraModel) -> str:
-    """Return the data sheet as CSV with a header row."""
+    """Return the data sheet as CSV with a row of headings."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     for row in (("quantity", "channel", "value", "unit", "source"), *datasheet(camera)):
@@ -464,7 +511,7 @@ def _datasheet_csv(camera: CameraModel) -> str:
 
 
 def _json(value: Any, indent: int = 0) -> str:
-    """Return ASCII JSON, indented by two spaces, with lists of plain values on one line."""
+    """Return ASCII JSON, indented by two spaces. Lists of numbers are on one line."""
     inner = " " * (indent + 2)
     if isinstance(value, dict):
         lines = [f"{inner}{json.dumps(key)}: {_json(each, indent + 2)}" for key, each in value.items()]

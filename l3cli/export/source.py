@@ -1,6 +1,7 @@
-"""A table as C99 source: fixed code, joined from the pieces in c/, and the table's numbers as macros and arrays.
+"""A table as C99 source.
 
-The features of a class rule need no piece of their own: their OpenCL snippets are C, up to the names of types.
+The code is joined from the files in c/. The numbers of the table become macros and constant arrays. Code for optional class
+features comes from their OpenCL snippets, which are valid C once the types are renamed.
 """
 
 import json
@@ -52,15 +53,15 @@ from l3cli.system.text import printable
 PIECES = Path(__file__).parent / "c"
 Words = Literal["float32", "int16"]  # type of the outputs, and of the last layer's weights and values
 PREFIX = "l3"  # default prefix of symbols
-MIN_BLOCK = 128  # pixels that loops process at a time, at least
-CODES = 256  # number of codes of a picture
-LINEAR_BINS = 4096  # of linear values; sRGB is nowhere so steep that one bin contains two thresholds
+MIN_BLOCK = 128  # smallest number of pixels that a loop processes at a time
+CODES = 256  # number of values of a picture
+LINEAR_BINS = 4096  # number of bins of linear values; sRGB is so flat that no bin contains two thresholds
 DATA = (
-    "/* The numbers of a transform table; l3_table.h says how many. Long arrays are strings of their bytes. */",
+    "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',
     "",
     "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__",
-    '#error "the bytes of numbers are in the order of little-endian processors"',
+    '#error "the strings contain little-endian numbers, but this processor is not little-endian"',
     "#endif",
     "",
 )
@@ -71,35 +72,38 @@ GUARD = ("#ifndef L3_TABLE_H", "#define L3_TABLE_H", "", "#include <stdint.h>", 
 def c_files(
     table: TransformTable, words: Words = "float32", balance: WhiteBalance | None = None, prefix: str = PREFIX
 ) -> dict[str, bytes]:
-    """Return the content of each file of a table's C source, by name.
+    """Return the files of a table's C source, by file name.
 
     Parameters
     ----------
     table : TransformTable
+        Table to export.
     words : {"float32", "int16"}
         Type of the outputs.
     balance : WhiteBalance, optional
-        White that pictures show as neutral, for a table of X, Y, Z. By default the table's white.
+        White that pictures show as neutral, for tables with the outputs X, Y, Z. [default: the white of the table]
     prefix : str
-        Prefix of symbols and files.
+        Prefix of C symbols and file names.
 
     Raises
     ------
     InputFileError
         If the C source does not support the table.
     RecipeError
-        If the prefix is not allowed.
+        If the prefix is invalid.
     """
     require_known_layers(table)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
         raise RecipeError(
-            f'prefix "{shortened(prefix)}" cannot begin a symbol: give at most 31 of a-z, 0-9 and _, a letter first'
+            f'prefix "{shortened(prefix)}" is invalid; use a letter from a to z, followed by up to 30 of a-z, 0-9 and _'
         )
     if prefix == "test":
-        raise RecipeError('prefix "test" is taken by the test program; give another')
+        raise RecipeError('prefix "test" is reserved for the test program; choose another prefix')
     floats = "smooths spectra" if table.spectra else "corrects bands" if _corrects(table) else ""
     if floats and words == "int16":
-        raise InputFileError(f"the table {floats}, in floats; leave out ‹words› or export it as a folder")
+        raise InputFileError(
+            f"the table {floats}, which the C source computes in floats; omit ‹words› or export the table as a folder"
+        )
     short = short_words(table) if words == "int16" else None
     arrays, layers = table_arrays(table, short)
     vector, shows = make_vector(table), table.outputs == XYZ
@@ -129,9 +133,9 @@ def c_files(
 
 
 def _named(text: str, prefix: str) -> str:
-    """Return a text with the prefix instead of l3 in symbols, macros, types and file names.
+    """Replace l3 with the prefix in symbols, macros, types and file names.
 
-    String literals with bytes of arrays are not changed, because they may contain anything.
+    Lines that begin with a string literal do not change, because they contain the bytes of arrays.
     """
     if prefix == PREFIX:
         return text
@@ -148,7 +152,7 @@ def _piece(name: str) -> str:
 
 
 def _computation(table: TransformTable, words: Words) -> str:
-    """Return l3.c."""
+    """Return the text of l3.c."""
     coarse = "coarse_chroma.c" if _coarse_chroma(table) else "no_coarse_chroma.c"
     clips = "clipping.c" if table.later and table.later[-1].clipping else "no_clipping.c"
     corrections = "corrections.c" if _corrects(table) else "no_corrections.c"
@@ -163,7 +167,7 @@ def _computation(table: TransformTable, words: Words) -> str:
 
 
 def _features(rule: ClassRule) -> str:
-    """Return C source that decides the features of a rule from their OpenCL snippets."""
+    """Convert the OpenCL snippets of the optional features of a class rule to C."""
     modules = features_of(rule)
     if not modules:
         return _piece("no_features.c")
@@ -181,7 +185,7 @@ def _features(rule: ClassRule) -> str:
 
 
 def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
-    """Return the macros for sizes of loops and arrays, and for the formulas."""
+    """Return the macros of l3_table.h, without their prefix: sizes of loops and arrays, and constants of formulas."""
     rule, columns = table.first.rule, table.cfa.shape[1]
     group = math.lcm(columns, TAP_GROUP)
     values: dict[str, int | str] = {
@@ -241,7 +245,10 @@ def _coarse_chroma(table: TransformTable) -> CoarseChroma | None:
 
 
 def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]:
-    """Return the macros that limit outputs, with this number of fractional bits, to the clipped white, if there is one."""
+    """Return the macros that limit outputs to the clipped white. Empty if the table has no clipped white.
+
+    `fraction` is the number of fractional bits of an output, or 0 for floats.
+    """
     if table.clipped_white is None:
         return {}
     white = {f"WHITE_{name}": at for name, at in zip("XYZ", table.clipped_white.tolist(), strict=True)}
@@ -252,7 +259,7 @@ def _clipped_white(table: TransformTable, fraction: int) -> dict[str, int | str]
 
 
 def _clipping_known(table: TransformTable) -> dict[str, float | int]:
-    """Return the numbers in the formula of uniform clipped areas, by name."""
+    """Return the constants of the formulas for uniform clipped areas, by name."""
     rows, columns = clipping.block_sides(table.cfa)
     return {
         "clip_rows": rows,
@@ -309,7 +316,7 @@ def _header(table: TransformTable, vector: Vector, arrays: list[Array], words: W
     types = (_piece("types.h") if table.later else "") + (_piece("window.h") if table.first.rule.features else "")
     extra = ["extern const L3PlaneLayer l3_layers[L3_LAYERS - 1];"] if table.later else []
     extra += ["extern const L3Window l3_windows[L3_WINDOWS];"] if table.first.rule.features else []
-    start = "/* A transform table: its constants; its arrays stand in l3_table.c. README.md explains both. */"
+    start = "/* The constants of a transform table, and the declarations of its arrays. README.md explains them. */"
     lines += ["", f"typedef {TYPES[words]} L3Output;"]
     return "\n".join([start, *GUARD, *lines, "", types + "\n".join(public), *extra, "", "#endif", ""])
 
@@ -369,7 +376,7 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
     psnr, worst = short_cost(table, short)
     trees = any(isinstance(layer.rule, TreeRule) for layer in table.later)
     places = [*(["where trees decide"] if trees else []), *(["in coarse chroma"] if _coarse_chroma(table) else [])]
-    floats = f"l3.c computes floats {' and '.join(places)}, and nowhere else." if places else "l3.c computes no float."
+    floats = f"l3.c uses floats only {' and '.join(places)}." if places else "l3.c does not use floats."
     return {
         "words": "int16_t", "top": OUTPUT_TOP, "split": short.split, "floats": floats, "psnr": f"{psnr:.1f}",
         "worst": f"{worst:.2g}",
@@ -377,7 +384,10 @@ def _words_known(table: TransformTable, short: ShortWords) -> dict[str, str | in
 
 
 def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: str) -> str:
-    """Return the text of picture.c with the constants for a table of X, Y, Z and a white; by default the table's white."""
+    """Insert the constants for a table with the outputs X, Y, Z into the template picture.c.
+
+    If `balance` is None, pictures show the white of the table as neutral.
+    """
     balance = balance or usual_balance(table)
     matrix, gamut = linear_matrix(shown_adaptation(table, balance.adaptation), 1.0, SRGB), gamut_of(SRGB)
     assert SRGB.curve is not None
@@ -404,17 +414,17 @@ def _picture_source(table: TransformTable, balance: WhiteBalance | None, text: s
 
 
 def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
-    """Return the facts about a table that the browser page needs, as JSON.
+    """Return the properties of a table that the browser page needs, as JSON.
 
-    `neutral` holds the signals of a grey under the training light. It is only given if no white was chosen: the page then
-    balances files that state another white.
+    `neutral` contains the signals of a grey under the training illuminant. With these, the page can apply the white balance
+    that a file states. If the user chose a white for the export, `neutral` is null.
     """
     codes, trained = channel_codes(table.channels), Whites(table).trained
     facts = {
         "camera": printable(table.camera_name),
         "cfa": table.cfa.tolist(),
-        "codes": codes.tolist(),  # codes of TIFF/EP, or unused codes
-        "names": [code_of(name) for name in table.channels],  # null if TIFF/EP has no code
+        "codes": codes.tolist(),  # CFA colour codes of TIFF/EP; channels without a TIFF/EP code have an unused code
+        "names": [code_of(name) for name in table.channels],  # null for channels without a TIFF/EP code
         "black": table.black_level,
         "white": table.white_level,
         "layers": len(table.layers),
@@ -425,7 +435,7 @@ def _page_facts(table: TransformTable, balance: WhiteBalance | None) -> str:
 
 
 def _thresholds(curve: Curve) -> NDArray[np.float64]:
-    """Return the lowest linear value of each 8-bit code except 0."""
+    """Return the lowest linear value of each 8-bit value except 0."""
     encoded = (np.arange(1, CODES) - 0.5) / (CODES - 1)
     power = ((encoded + curve.offset) / curve.gain) ** (1 / curve.exponent)
     return np.where(encoded <= curve.slope * curve.knee, encoded / curve.slope, power)

@@ -1,12 +1,11 @@
-"""Short word lengths: the weights of the last layer in fixed point, and the resulting change of outputs on a synthetic
-mosaic.
+"""Fixed-point weights of the last layer with few bits, and the resulting change of the outputs of a synthetic mosaic.
 
     weight ≈ whole · 2^−F
 
-`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits for which the largest
-weight fits, of the whole table or of each class separately.
+`whole` is a signed integer with a given number of bits. F is the largest number of fractional bits with which the largest
+weight of a class, or of the whole table, still fits.
 
-Intercepts are not changed. Layers before the last always have 16-bit words (docs/method.md#planes).
+Intercepts do not change. Layers before the last always use 16-bit weights (docs/method.md#planes).
 """
 
 import dataclasses
@@ -27,33 +26,35 @@ from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
 from l3cli.rendering.reference import ReferenceRenderer, output_planes, refinement_outputs
 
-VECTOR_SHAPE = (40, 150)  # rows, columns; more than a block, and no multiple of any array's period
+# Rows and columns of the test vector: wider than a block of the C source, and not a multiple of the period of any array
+VECTOR_SHAPE = (40, 150)
 VECTOR_SEED = 3
-OUTPUT_FRACTION = 12  # fractional bits of an output, so that words reach ±8
+OUTPUT_FRACTION = 12  # fractional bits of a 16-bit output, whose range is ±8
 OUTPUT_TOP = 2**15 - 1
 HIGH_BITS = 12  # bits of the high part of a value, including the sign
-MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26  # before rounding, and before the low part and 2^(F − 1) are added
+# Largest weight before rounding, and largest sum of products before the low part and the rounding constant are added
+MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R of taps: falls to 1/e over REACH pixels, is OTHER times as large between channels, plus NOISE on the
-# diagonal.
+# Assumed correlation R of the values of two taps. It decays with the distance of the taps, to 1/e over REACH pixels. Between
+# channels it is multiplied by OTHER. NOISE is added on the diagonal.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
-LENGTHS = (8, 10, 12, 14, 16)  # bits
-SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic
-ENOUGH_PSNR_DB = 60.0  # dB, PSNR relative to a full output, which is an error of a thousandth
-Scale = Literal["class", "table"]  # whether each class has a binary point, or the table has one
+LENGTHS = (8, 10, 12, 14, 16)  # bits; word lengths whose accuracy is measured
+SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic for which the accuracy is measured
+ENOUGH_PSNR_DB = 60.0  # dB; RMS error of a thousandth of an output of 1
+Scale = Literal["class", "table"]  # weights that share a binary point
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A test vector: a mosaic, its classes in every layer, and its outputs."""
+    """A test vector: a mosaic, with its classes in all layers and its outputs."""
 
-    raw: NDArray[np.uint16]  # (row, col) DN at the table's levels
-    phase: tuple[int, int]  # CFA row and column of its first pixel
+    raw: NDArray[np.uint16]  # (row, col) DN, with the black and white level of the table
+    phase: tuple[int, int]  # CFA row and column of the first pixel
     labels: Integers  # (layer, row, col)
     outputs: NDArray[np.float32]  # (output, row, col)
 
     def files(self) -> dict[str, bytes]:
-        """Return the arrays as files: little-endian, row by row."""
+        """Return the arrays as little-endian files, row by row, by file name."""
         return {
             "test_raw.bin": self.raw.astype("<u2").tobytes(),
             "test_labels.bin": self.labels.astype("<u4").tobytes(),
@@ -62,8 +63,10 @@ class Vector:
 
 
 def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> NDArray[np.uint16]:
-    """Return a mosaic (row, col) at the table's levels, dark at the left, saturated at the right, of plain areas and
-    texture."""
+    """Draw a random mosaic (row, col) with the black and white level of a table.
+
+    The mosaic contains uniform and textured areas. It is dark at the left and saturated at the right.
+    """
     rng = np.random.default_rng(seed)
     level = np.geomspace(0.002, 1.5, shape[1]) * (table.white_level - table.black_level)
     blocks = rng.normal(size=(shape[0] // 8 + 1, shape[1] // 8 + 1)).repeat(8, 0).repeat(8, 1)[: shape[0], : shape[1]]
@@ -72,7 +75,7 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 
 
 def make_vector(table: TransformTable) -> Vector:
-    """Return the test vector of a table: its second site first, so that phases count."""
+    """Make the test vector of a table. Its CFA phase is not (0, 0), so that errors in the handling of phases show."""
     phase = (1 % table.cfa.shape[0], 1 % table.cfa.shape[1])
     raw = drawn_mosaic(table, VECTOR_SHAPE, VECTOR_SEED)
     frame = RawFrame("test vector", raw, table.black_level, table.white_level, phase)
@@ -83,39 +86,43 @@ def make_vector(table: TransformTable) -> Vector:
 
 @dataclass(frozen=True)
 class ShortWords:
-    """Transforms of the last layer in 16-bit words, with taps in the table's order."""
+    """Transforms of the last layer as 16-bit words. The taps are in the order of the table."""
 
-    whole: NDArray[np.int32]  # (class, output, tap) within 16 bits, except the largest weight of a window
+    whole: NDArray[
+        np.int32
+    ]  # (class, output, tap) within 16 bits, except that the largest weight of a window may exceed them
     intercept: NDArray[np.int32]  # (class, output)
-    fraction: NDArray[np.uint8]  # (class, output) F minus the split
-    split: int  # bits of the low part
+    fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of a weight, minus `split`
+    split: int  # number of bits in the low part of a value
 
     def in_floats(self, table: TransformTable) -> NDArray[np.float32]:
-        """Return the weights (class, output, tap) of the table's last layer that these words represent."""
+        """Convert the words back to float weights (class, output, tap) of the table's last layer."""
         shift = -(self.fraction.astype(np.int32) + self.split + OUTPUT_FRACTION)
         return np.ldexp(self.whole.astype(np.float64) / _value_step(table), shift[..., None]).astype(np.float32)
 
 
 def split_of(table: TransformTable) -> int:
-    """Return the number of bits in the low part of the values that a table's last layer reads."""
+    """Return the number of bits in the low part of the values that the last layer of a table reads."""
     return PLANE_TOP.bit_length() + 1 - HIGH_BITS if table.later else max(0, table.bits - HIGH_BITS)
 
 
 def offset_of(table: TransformTable) -> int:
-    """Return the offset of the values that a table's last layer reads."""
+    """Return the offset that is subtracted from the values that the last layer of a table reads."""
     return 0 if table.later else raw_middle(table.bits)
 
 
 def short_words(table: TransformTable) -> ShortWords:
-    """Return the last layer of a table in 16-bit words; InputFileError if its transforms are too large."""
+    """Convert the last layer of a table to 16-bit words. Raises InputFileError if the transforms are too large."""
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
-    weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)  # per unit of a value
+    # in output steps per unit of a value
+    weights = layer.weights.astype(np.float64) * (_value_step(table) * 2**OUTPUT_FRACTION)
     intercept = layer.intercept.astype(np.float64) * 2**OUTPUT_FRACTION - black * weights.sum(axis=-1)
     values = PLANE_TOP if table.later else max(2**table.bits - 1 - offset, offset)
     size = np.abs(weights)
     windows = weights.shape[-1] - (table.later[-1].ratio_taps if table.later else 0)
-    twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)  # bilateral chroma is a difference of values
+    # Bilateral chroma is a difference of two values, so it can be twice as large as a value.
+    twice = size[..., windows + RATIO_TAPS[1] :].sum(axis=-1)
     sums = (size.sum(axis=-1) + twice) * values + np.abs(intercept)
     second = np.sort(size[..., :windows], axis=-1)[..., -2:].min(axis=-1)
     second = np.maximum(second, size[..., windows:].max(axis=-1, initial=0.0))
@@ -123,7 +130,7 @@ def short_words(table: TransformTable) -> ShortWords:
     fraction = np.minimum(MAX_FRACTION + split, np.floor(np.log2(most)))
     if fraction.min() < split:
         raise InputFileError(
-            "transforms of the last layer are too large for words of 16 bits; export them as float32 (‹words›)"
+            "the transforms of the last layer are too large for 16-bit words; export the table with ‹words› float32"
         )
     scaled = weights * 2.0 ** fraction[..., None]
     of_windows = [_rounded(scaled[members, :, :windows], likeness) for members, likeness in _likenesses(table)]
@@ -137,14 +144,15 @@ def short_words(table: TransformTable) -> ShortWords:
 
 
 def _value_step(table: TransformTable) -> float:
-    """Return the unit of the last layer's weights, relative to the values that words multiply."""
+    """Return the step of the values that the last layer reads, in the unit to which float weights apply."""
     return PLANE_STEP if table.later else 1 / (table.white_level - table.black_level)
 
 
 def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
-    """Return the correlation R (tap, tap) of the windows of the last layer, and the classes that it applies to.
+    """Return the assumed correlation R (tap, tap) of the window taps, for each group of classes of the last layer.
 
-    The classes of a layer that reads the mosaic have one R per site.
+    A layer that reads the mosaic has one group per CFA site. Later layers have a single group. Each item of the result
+    contains the mask of the classes in a group and their R.
     """
     layer = table.layers[-1]
     if table.later:
@@ -156,7 +164,10 @@ def _likenesses(table: TransformTable) -> list[tuple[NDArray[np.bool_], NDArray[
 
 
 def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
-    """Return the correlation R (tap, tap) of the taps of square windows, given plane by plane by their `source`."""
+    """Return the assumed correlation R (tap, tap) of the taps of square windows.
+
+    `source` contains the channel or plane of each tap. `other` is the factor between different sources.
+    """
     side = math.isqrt(len(source) if other else np.count_nonzero(source == source[0]))
     row, column = np.divmod(np.arange(len(source)) % side**2, side)
     distance = np.hypot(row[:, None] - row, column[:, None] - column)
@@ -165,13 +176,13 @@ def _likeness(source: NDArray[np.int64], other: float) -> NDArray[np.float64]:
 
 
 def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights (class, output, tap) rounded such that the error eᵀ R e is small."""
+    """Round weights (class, output, tap) to integers such that the error eᵀ R e is small. e is the rounding error."""
     flat = weights.reshape(-1, weights.shape[-1])
     whole = np.rint(flat)
-    slope = (whole - flat) @ likeness  # half the derivative of eᵀ R e by each weight
+    slope = (whole - flat) @ likeness  # half the derivative of eᵀ R e with respect to each weight
     own = np.diag(likeness)
     for _ in range(2 * flat.shape[1]):
-        change = own - 2 * np.abs(slope)  # change of eᵀ R e by a step of one, up or down, whichever is better
+        change = own - 2 * np.abs(slope)  # change of eᵀ R e if a weight changes by 1 in the better direction
         tap = change.argmin(axis=1)
         moved = np.flatnonzero(change[np.arange(len(flat)), tap] < -1e-9)
         if not moved.size:
@@ -185,30 +196,30 @@ def _rounded(weights: NDArray[np.float64], likeness: NDArray[np.float64]) -> NDA
 
 @dataclass(frozen=True)
 class Words:
-    """Weights in fixed point."""
+    """Fixed-point weights of the last layer."""
 
     whole: NDArray[np.int16]  # (class, output, tap)
-    fraction: NDArray[np.int8]  # (class) binary point F
-    bits: int
+    fraction: NDArray[np.int8]  # (class) number of fractional bits, F
+    bits: int  # word length
     scale: Scale
 
     @property
     def weights(self) -> NDArray[np.float32]:
-        """The weights (class, output, tap) as floats."""
+        """The fixed-point weights (class, output, tap), converted to floats."""
         return np.ldexp(self.whole.astype(np.float32), -self.fraction[:, None, None].astype(np.int32))
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Difference between the outputs of shortened weights and those of float weights."""
+    """Accuracy of the outputs of fixed-point weights, compared with float weights."""
 
-    bits: int
+    bits: int  # word length
     scale: Scale
-    psnr: float  # dB, relative to a full output of 1
+    psnr: float  # dB; the peak is an output of 1
 
 
 def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
-    """Return weights (class, output, tap) as words with this number of bits."""
+    """Convert weights (class, output, tap) to fixed point with a given number of bits."""
     largest = np.abs(weights).max(axis=(1, 2)).astype(np.float64)
     if scale == "table":
         largest[:] = largest.max()
@@ -219,7 +230,7 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Return the cost of every word length, with a binary point per class and with one for the table."""
+    """Measure the accuracy of every word length, with one binary point per class and with one for the whole table."""
     weights = table.layers[-1].weights
     outputs = _outputs(table)
     expected = outputs(weights)
@@ -233,10 +244,15 @@ def word_costs(table: TransformTable) -> tuple[Cost, ...]:
 
 
 def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
-    """Return the cost of 16-bit words: PSNR in dB relative to a full output, and the largest error in steps of an unrounded
-    output.
+    """Measure the accuracy of 16-bit words.
 
-    Coarse chroma, which is added to two of three outputs, is rounded separately.
+    Returns
+    -------
+    psnr : float
+        PSNR of the rounded outputs in dB. The peak is an output of 1. If the table has coarse chroma, its separate rounding
+        in two of three outputs is included.
+    worst : float
+        Largest error of an output before rounding, in steps of a rounded output.
     """
     outputs, step = _outputs(table), 2.0**-OUTPUT_FRACTION
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
@@ -252,13 +268,16 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Return the shortest words with a binary point per class whose PSNR reaches ENOUGH, otherwise the longest."""
+    """Choose the shortest word length whose PSNR reaches ENOUGH_PSNR_DB, with one binary point per class.
+
+    If no length reaches it, the longest is chosen.
+    """
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
 
 
 def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
-    """Return a function from weights of the last layer to the outputs (output, row, col) of the synthetic mosaic."""
+    """Return a function that computes the outputs (output, row, col) of a random mosaic from weights of the last layer."""
     frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
     reference = ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)

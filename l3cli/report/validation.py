@@ -58,7 +58,7 @@ def patches_figure(title: str, names: tuple[str, str], pair: tuple[Array, Array]
     means = ", ".join(f"{name} {error.mean():.2f}" for name, error in errors.items())
     finding = (
         f"Left halves: {names[0]}. Right halves: {names[1]}. The numbers are the ΔE00 between the two halves. "
-        f"Mean ΔE00 of {len(main)} patches: {means}. The worst patch of {names[1]} is {PATCH_NAMES[worst]} with "
+        f"Mean ΔE00 of {len(main)} patches: {means}. Largest ΔE00 of {names[1]}: {PATCH_NAMES[worst]}, "
         f"{main[worst]:.2f}."
     )
     drawing = sheet(WIDTH, round(rows * (side + TEXT_HEIGHT + PATCH_GAP / 2) + 1), "".join(items), finding)

@@ -195,19 +195,22 @@ def test_the_white_that_a_file_states_is_shown_neutral(pipeline: Path, tmp_path:
     assert casts[1] <= 4
 
 
+CONVERT = "convert the file to a DNG with lossless JPEG compression or without compression"
+
+
 @pytest.mark.parametrize(
     ("tags", "words"),
     [
-        ({259: (SHORT, [8])}, "it is compressed (Deflate); convert it to a DNG of lossless JPEG or none"),
-        ({259: (SHORT, [5])}, "it is compressed (5); convert it to a DNG of lossless JPEG or none"),
-        ({259: (SHORT, [7])}, "it is damaged or no DNG"),
-        ({262: (SHORT, [2])}, "it holds no mosaic of a camera"),
-        ({277: (SHORT, [3])}, "it is already demosaicked (linear); give the raw file the camera wrote"),
-        ({266: (SHORT, [2])}, "its FillOrder is 2, which is not read here"),
-        ({258: (SHORT, [32])}, "its BitsPerSample is 32, which is not read here"),
-        ({50829: (LONG, [0, 0, 70, 96])}, "its crop is not within its pixels; it is damaged"),
-        ({33422: (1, [1, 1, 1, 1])}, "its colour filter array is not that of this page's camera"),
-        ({273: (LONG, [2**31])}, "it is damaged or no DNG"),
+        ({259: (SHORT, [8])}, f"compression Deflate is not supported; {CONVERT}"),
+        ({259: (SHORT, [5])}, f"compression 5 is not supported; {CONVERT}"),
+        ({259: (SHORT, [7])}, "the file is damaged or not a DNG"),
+        ({262: (SHORT, [2])}, "the file contains no camera mosaic"),
+        ({277: (SHORT, [3])}, "the file is already demosaicked (linear DNG); use the raw file that the camera wrote"),
+        ({266: (SHORT, [2])}, "this page does not support FillOrder 2"),
+        ({258: (SHORT, [32])}, "this page does not support BitsPerSample 32"),
+        ({50829: (LONG, [0, 0, 70, 96])}, "the crop of the file exceeds its pixels; the file is damaged"),
+        ({33422: (1, [1, 1, 1, 1])}, "the file has another colour filter array than the camera of this page"),
+        ({273: (LONG, [2**31])}, "the file is damaged or not a DNG"),
     ],
 )
 def test_what_cannot_be_read_is_named_in_a_line(tags: Tags, words: str, page: Path, tmp_path: Path, tab: Browser) -> None:
@@ -219,11 +222,11 @@ def test_what_cannot_be_read_is_named_in_a_line(tags: Tags, words: str, page: Pa
     assert tab.run("[canvas.hidden, save.hidden]") == [True, True]
     cut = lossless_jpeg(textured((64, 96)))[:-1000]
     assert dropped(tab, write_dng(dng, textured((64, 96)), RGGB, strips=[cut], tags={259: (SHORT, [7])})) == (
-        "a.dng: its pixels are damaged"
+        "a.dng: the pixels of the file are damaged"
     )
     for content in (b"", b"II*\0", b"PNG" * 100):
         dng.write_bytes(content)
-        assert dropped(tab, dng) in ("a.dng: it is damaged or no DNG", "a.dng: it is no DNG")
+        assert dropped(tab, dng) in ("a.dng: the file is damaged or not a DNG", "a.dng: the file is not a DNG")
     assert tab.complaints() == []
 
 

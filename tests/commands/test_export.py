@@ -221,8 +221,8 @@ def test_other_arrays_get_no_tuning_and_greys_no_matrices(bayer: CameraModel, tm
     red_dark[0] = 0.0
     blind = replace(bayer, name="blind", responsivity=red_dark)
     for camera, left_out, line in (
-        (quad, FILES[2:5], "quad: no tuning files for libcamera, which only supports 2×2 arrays of r, g and b"),
-        (grey, FILES[1:5], "grey, one: no colour matrices and no tuning files: it has fewer than three channels"),
+        (quad, FILES[2:5], "quad has no tuning files for libcamera, which supports only 2×2 arrays of r, g and b"),
+        (grey, FILES[1:5], "grey, one has no colour matrices and no tuning files, because it has fewer than three channels"),
         (blind, FILES[1:5], "a channel receives almost no light from A"),
     ):
         save(camera, tmp_path / "camera.h5")

@@ -161,8 +161,8 @@ def test_a_white_far_from_training_is_reported_as_by_l3_render(table: Path, tmp_
 
 def test_a_prefix_begins_symbols_of_c_source_alone(table: Path, tmp_path: Path, refused: Refused) -> None:
     for wrong in ("9eyes", "my eye", "Eye", "e" * 32, ""):
-        assert "letter first" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", wrong)
-    assert "taken by the test program" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", "test")
+        assert "use a letter from a to z" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", wrong)
+    assert "reserved for the test program" in refused(2, "export", table, "-o", tmp_path / "o", "--prefix", "test")
     assert "--prefix applies only to C source" in refused(
         2, "export", table, "-o", tmp_path / "o", "--to", "folder", "--prefix", "eye"
     )

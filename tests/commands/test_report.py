@@ -32,7 +32,7 @@ from tests.helpers.calls import L3, Refused
             ["Pictures", "Camera", "Training set", "Table", "Evaluation", "History"],
             "Mean ΔE00 over 1 frame: ours ",
         ),
-        (["camera", "camera"], ["Camera", "History"], "1 artifact,"),
+        (["camera", "camera"], ["Camera", "History"], "1 artifact."),
     ],
 )
 def test_a_report_shows_what_it_is_given(

@@ -72,7 +72,7 @@ def test_the_page_holds_every_section_and_stands_alone(page: Path) -> None:
         "Photon transfer",
         "Measured against predicted",
         "Choice of the smoothing",
-        "Levels",
+        "Raw levels",
         "Chromaticities of the targets",
         "Patches by site",
         "Noise gain",
@@ -128,7 +128,8 @@ def test_figures_are_those_of_the_artifacts(page: Path, stages: Path, l3: L3) ->
     camera = load(CameraModel, stages / "camera.h5")
     assert f"{tidy(camera.gain, 5)} DN/e⁻" in text
     table = load(TransformTable, stages / "table.h5")
-    assert f"{len(table.first.samples)} classes of 5 × 5 patches; {(table.first.samples > 0).sum()} were trained" in text
+    assert f"{len(table.first.samples)} classes of patches of 5 × 5 pixels" in text
+    assert f"{(table.first.samples > 0).sum()} classes were trained" in text
     _, out, _ = l3("evaluate", stages / "table.h5", stages / "unseen.h5", "--json")
     mean = float(re.search(r'"ours": {\s*"mean_delta_e": ([0-9.]+)', out[out.index('"mean"') :])[1])  # type: ignore[index]
     assert f"Mean ΔE00 over 4 frames: ours {mean:.2f} (" in text

@@ -181,7 +181,7 @@ def test_any_mosaic_gets_the_classes_and_outputs_of_the_reference(built: Built, 
 
 
 def test_words_of_smoothed_spectra_are_refused() -> None:
-    with pytest.raises(InputFileError, match="smooths spectra, in floats"):
+    with pytest.raises(InputFileError, match="smooths spectra, which the C source computes in floats"):
         c_files(TABLES["smoothed spectra"](), "int16")
 
 
@@ -251,7 +251,7 @@ def test_numbers_do_not_follow_the_print_options_of_numpy() -> None:
 
 def test_transforms_beyond_short_words_are_refused() -> None:
     table = random_table([[0, 1], [1, 2]])
-    with pytest.raises(InputFileError, match="too large for words of 16 bits; export them as float32"):
+    with pytest.raises(InputFileError, match="too large for 16-bit words"):
         short_words(with_first(table, weights=table.first.weights * 1e6))
     zero = short_words(with_first(table, weights=table.first.weights * 0))
     assert not zero.whole.any()

@@ -113,7 +113,7 @@ def test_errors_are_those_of_the_patches(bayer: CameraModel) -> None:
     assert isinstance(table, Table)
     figure = figures.figures[0]
     assert figure.title == "Patches in frame 3, chart, A"
-    assert f"worst patch of ours is red with {colours.delta_e['ours'][14]:.2f}" in figure.finding
+    assert f"Largest ΔE00 of ours: red, {colours.delta_e['ours'][14]:.2f}" in figure.finding
     assert figure.svg.count("<rect") == 48
     fills = re.findall('fill="(#[0-9a-f]{6})"', figure.svg)
     assert [one == other for one, other in zip(fills[::2], fills[1::2], strict=True)] == [patch != 14 for patch in range(24)]
@@ -137,7 +137,7 @@ def test_charts_of_a_calibration_show_measured_next_to_predicted(
     fit = ChartFit(none, none, none + 64, none, none, lights, measured + 64, predicted + 64)
     figures = calibration_figures(bayer, fit)
     assert [figure.title for figure in figures] == [f"Chart under {light}" for light in lights[-drawn:]]
-    assert "worst of measured: blue" in figures[-1].finding
+    assert "Largest ΔE00 of measured: blue" in figures[-1].finding
     assert figures[-1].data is not None
     errors = np.array([float(row[3]) for row in figures[-1].data.rows])
     assert errors[12] > 1
