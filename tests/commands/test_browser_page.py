@@ -95,7 +95,7 @@ def test_a_frame_of_the_camera_is_what_l3_renders(pipeline: Path, tmp_path: Path
     tab.open(made)
     said = dropped(tab, dng)
     rows, columns = raw.values.shape
-    assert said.startswith(f"a.dng of some camera: {rows} × {columns} pixels in ")
+    assert said.startswith(f"a.dng from some camera: {rows} × {columns} pixels in ")
     assert tab.run("[canvas.hidden, canvas.width, canvas.height]") == [False, rows, columns]
     assert tab.run(SAVED) == "a.png"
     upright = tab.run("[...canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data]")
@@ -175,7 +175,7 @@ def test_forms_of_dng_are_read_as_by_l3(name: str, page: Path, tmp_path: Path, t
         np.testing.assert_array_equal(ours, ReferenceRenderer(table).labels(frame, layer))
     shown = Renderer(table, backend="reference").picture(frame, white="table")
     assert np.abs(picture.astype(int) - shown).max() <= 1
-    assert dropped(tab, dng).endswith("not carried out: OpcodeList2") == (name == "a gain map")
+    assert dropped(tab, dng).endswith("ignored: OpcodeList2") == (name == "a gain map")
 
 
 def test_the_white_that_a_file_states_is_shown_neutral(pipeline: Path, tmp_path: Path, tab: Browser) -> None:

@@ -1,15 +1,15 @@
 /* ---------------------------------------------------------------------------------------------------------------- classes */
 
-/* What the patches of a block say. */
+/* Statistics and class features of the patches around the pixels of a block. */
 typedef struct {
-    uint32_t level_sum[L3_BLOCK];               /* of the channel means, times 256 */
-    uint32_t variance_sum[L3_BLOCK];            /* of the channel variances, times 512 */
-    int32_t above_black[L3_CHANNELS][L3_BLOCK]; /* channel means above black, times 16 */
+    uint32_t level_sum[L3_BLOCK];               /* sum of the channel means, times 256 */
+    uint32_t variance_sum[L3_BLOCK];            /* sum of the channel variances, times 512 */
+    int32_t above_black[L3_CHANNELS][L3_BLOCK]; /* channel means above the black level, times 16 */
     uint32_t level[L3_BLOCK], chroma[L3_BLOCK], combination[L3_BLOCK];
-    uint16_t code[L3_BLOCK];                    /* bit c: channel c is saturated near the centre */
+    uint16_t code[L3_BLOCK];                    /* bit c: channel c is saturated near the centre of the patch */
 } Evidence;
 
-/* Let channel c have its say: sums and sums of squares of its pixels over the patches, and what goes with their count. */
+/* Adds the mean and the variance of channel c, computed from the sums, the sums of squares and the number of its pixels in each patch. */
 static void add_evidence(Evidence *restrict e, int c, const uint32_t *restrict sum, const uint32_t *restrict square,
                          const uint32_t *restrict count, const uint32_t *restrict mean_reciprocal,
                          const uint32_t *restrict variance_reciprocal) {
@@ -31,8 +31,8 @@ static void find_levels(Evidence *restrict e) {
     }
 }
 
-/* The chroma of the lowest score, the first of equals; where widths are not 0, at some sites the second where it is nearly as
- * low. */
+/* Finds the chroma with the lowest score. If several are equal, it is the first. With dither, some sites use the chroma with the second
+ * lowest score if the two scores are close. */
 static void find_chromas(Evidence *restrict e, const uint32_t *restrict sites) {
     int32_t least[L3_BLOCK], next[L3_BLOCK];
     uint32_t second[L3_BLOCK];
@@ -56,14 +56,14 @@ static void find_chromas(Evidence *restrict e, const uint32_t *restrict sites) {
     }
 }
 
-/* `spread` begins at the first column of the block's patches. */
+/* Finds the saturated channels near each pixel. `spread` begins at the first column of the patches. */
 static void find_codes(Evidence *restrict e, const uint16_t *restrict spread) {
     for (int i = 0; i < L3_BLOCK; i++) e->code[i] = 0;
     for (int j = L3_RADIUS - L3_SATURATION_RADIUS; j <= L3_RADIUS + L3_SATURATION_RADIUS; j++)
         for (int i = 0; i < L3_BLOCK; i++) e->code[i] = (uint16_t)(e->code[i] | spread[i + j]);
 }
 
-/* The class of pixel i of a block: the ordered product of site, level, contrast, combination and kind. */
+/* Combines site, level, contrast, combination and kind of pixel i of a block to its class. */
 static uint32_t class_of(const Evidence *e, int i, uint32_t site) {
     uint32_t contrast = 0;
     for (int edge = 0; edge < L3_CONTRASTS - 1; edge++) contrast += e->variance_sum[i] > l3_contrast_edges[edge][e->level[i]];
@@ -72,7 +72,7 @@ static uint32_t class_of(const Evidence *e, int i, uint32_t site) {
     return (((site * L3_LEVELS + e->level[i]) * L3_CONTRASTS + contrast) * L3_COMBINATIONS + e->combination[i]) * L3_KINDS + kind;
 }
 
-/* Classes of `width` pixels of row y from column x on, at most a block. */
+/* Computes the classes of `width` pixels of row y, starting at column x. `width` is at most L3_BLOCK. */
 static void label_block(const Statistics *s, ptrdiff_t span, int y, ptrdiff_t x, int width, int phase_row, int phase_column,
                         uint32_t *labels) {
     const int site_row = (y + phase_row) % L3_CFA_ROWS;
@@ -94,7 +94,7 @@ static void label_block(const Statistics *s, ptrdiff_t span, int y, ptrdiff_t x,
     for (int i = 0; i < width; i++) labels[i] = class_of(&e, i, sites[i]);
 }
 
-/* The mosaic, already padded -> labels (row, column) of the first layer. */
+/* Computes the classes of the first layer (row, column) from the padded mosaic. */
 static void label_mosaic(const Statistics *s, int rows, int columns, int phase_row, int phase_column, uint32_t *labels) {
     const ptrdiff_t span = padded_span(columns);
     lay_out_constants(s, phase_column);
@@ -102,7 +102,7 @@ static void label_mosaic(const Statistics *s, int rows, int columns, int phase_r
     for (ptrdiff_t p = 0; p < L3_CHANNELS * span; p++) s->sum[p] = s->square[p] = 0;
     for (int k = 0; k < rows + DIAMETER; k++) {
         slide_rows(s, k, span, phase_row, phase_column);
-        const int near = k - (L3_RADIUS - L3_SATURATION_RADIUS); /* saturation counts in fewer rows: the lowest came earlier */
+        const int near = k - (L3_RADIUS - L3_SATURATION_RADIUS); /* saturation is tested in fewer rows */
         if (near >= 0) saturate_row(s, near, span, phase_row, phase_column);
         if (k < DIAMETER) continue;
         const int y = k - DIAMETER;

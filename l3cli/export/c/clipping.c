@@ -1,13 +1,14 @@
 
-/* ----------------------------------------------------------------------------------------------------- plain clipped areas */
+/* --------------------------------------------------------------------------------------------------- uniform clipped areas */
 
 #define MAPS 4
 #define CLIP_BLOCKS(length, side) (((length) + (side) - 1) / (side))
 
-/* Blocks of whole periods of the array, and what replaces the outputs of plain ones in which channels clip. */
+/* Values of blocks of whole CFA periods. README.md ("Uniform clipped areas") contains the formulas. */
 typedef struct {
-    float *means; /* (block row, block column, channel + 1) shares of full scale, and the largest range; -1: does not count */
-    float *maps;  /* (block row, block column, map) share of the outputs that is replaced, and what is added to each */
+    float *means; /* (block row, block column, channel + 1) means as fractions of full scale, then the largest range of a channel,
+                     or -1 if the block is too dark or lacks a channel */
+    float *maps;  /* (block row, block column, MAPS) fraction of the outputs that is replaced, then the replacement of each output */
 } Clipping;
 
 static Clipping clipping_in(Room *room, int rows, int columns) {
@@ -23,7 +24,7 @@ static float smooth_step(float value, float low, float high) {
     return part * part * (3 - 2 * part);
 }
 
-/* Means and largest range of the block at (y, x) of the padded mosaic. */
+/* Computes the means and the largest range of block (y, x) of the padded mosaic. */
 static void measure_block(const uint16_t *padded, int y, int x, int rows, int columns, int phase_row, int phase_column, float *made) {
     const ptrdiff_t span = padded_span(columns);
     const int last_top = rows > L3_CLIP_ROWS ? rows - L3_CLIP_ROWS : 0, top = smaller(y * L3_CLIP_ROWS, last_top);
@@ -53,7 +54,7 @@ static void measure_block(const uint16_t *padded, int y, int x, int rows, int co
     made[L3_CHANNELS] = whole ? (float)widest / (L3_WHITE_LEVEL - L3_BLACK_LEVEL) : -1;
 }
 
-/* The grey that is taken for the brightness of signals (channel), a white being 1. */
+/* Estimates the brightness of signals (channel), of which some may be clipped. A white has a brightness of 1. */
 static float grey_level(const float *signal) {
     float total = 0, weights = 0, most = 0, every = 1;
     for (int c = 0; c < L3_CHANNELS; c++) {
@@ -67,7 +68,7 @@ static float grey_level(const float *signal) {
     return total / weights + every * (most - total / weights);
 }
 
-/* What channels add as far as they clip, times a factor. */
+/* Adds the contributions of clipped channels to the outputs, times a factor. */
 static void add_clipped(const float *signal, float factor, float *added) {
     for (int c = 0; c < L3_CHANNELS; c++) {
         const float weight = factor * smooth_step(signal[c], L3_CLIP_BEGINS, L3_CLIP_CLIPS);
@@ -80,7 +81,7 @@ static void add_clipped(const float *signal, float factor, float *added) {
     }
 }
 
-/* What becomes of the block at (y, x) -> map. */
+/* Computes the fraction and the replacement of block (y, x). */
 static void map_block(const float *means, int y, int x, int rows, int columns, float *map) {
     const float *own = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
     float signal[L3_CHANNELS] = {0}, grey[L3_CHANNELS], brightest = 0, widest = 0;
@@ -109,14 +110,14 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
     add_clipped(grey, -plain, map + 1);
 }
 
-/* Block before the middle of the quad of a pixel, which may be -1, and the share of the next. */
+/* Returns the last block whose middle is before the middle of the pixel's 2 x 2 group, or -1. `share` is the weight of the next block. */
 static int block_before(int pixel, int side, float *share) {
     const int place = 2 * (pixel / 2 * 2 + 1) + side;
     *share = (float)(place % (2 * side)) / (float)(2 * side);
     return place / (2 * side) - 1;
 }
 
-/* Outputs of plain areas where channels clip are replaced. */
+/* Replaces the outputs of uniform areas in which channels clip. */
 static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                             L3Output *outputs) {
     const int down = CLIP_BLOCKS(rows, L3_CLIP_ROWS), across = CLIP_BLOCKS(columns, L3_CLIP_COLUMNS);

@@ -4,9 +4,10 @@
 #define BLOCK 4
 #define BLOCKS(length) (((length) + BLOCK - 1) / BLOCK)
 
-/* Means of 4 x 4 pixels of the planes, (plane, block row, block column): as they are, and after a step and the next. */
+/* Blocks (plane, block row, block column): means of 4 x 4 pixels of the planes. */
 typedef struct {
-    float *before, *softened[2];
+    float *before;      /* before the first step */
+    float *softened[2]; /* after even and after odd steps */
 } CoarseChroma;
 
 static CoarseChroma coarse_in(Room *room, int rows, int columns) {
@@ -19,7 +20,7 @@ static CoarseChroma coarse_in(Room *room, int rows, int columns) {
 
 static int least_of(int a, int b) { return a < b ? a : b; }
 
-/* Planes -> blocks, the outermost pixels repeated where there is none. */
+/* Averages planes over blocks. The outermost pixels are repeated outside the frame. */
 static void average_planes(const int32_t *restrict from, int rows, int columns, float *restrict to) {
     for (int s = 0; s < 3; s++, from += (ptrdiff_t)rows * columns)
         for (int y = 0; y < BLOCKS(rows); y++)
@@ -33,7 +34,7 @@ static void average_planes(const int32_t *restrict from, int rows, int columns, 
             }
 }
 
-/* Blocks -> their means over 3 x 3 blocks that far from each other, of those alike. */
+/* Replaces each block with the mean of similar blocks among 3 x 3 blocks, which are 2^step blocks from each other. */
 static void soften_blocks(const float *restrict from, int step, int rows, int columns, float *restrict to) {
     const ptrdiff_t plane = (ptrdiff_t)rows * columns;
     const int spacing = 1 << step;
@@ -64,7 +65,7 @@ static void soften_blocks(const float *restrict from, int step, int rows, int co
         }
 }
 
-/* What the steps change of the blocks of a plane, at a pixel between blocks; beyond the frame nothing. */
+/* Interpolates the difference between the blocks after and before all steps at a pixel. The difference is 0 outside the frame. */
 static float change_at(const float *restrict before, const float *restrict after, int y, int x, int rows, int columns) {
     float change = 0;
     for (int n = 0; n < 4; n++) {
@@ -77,7 +78,7 @@ static float change_at(const float *restrict before, const float *restrict after
     return change;
 }
 
-/* Outputs of a last layer get what the steps change of the chroma of its planes. */
+/* Adds the changes of the two chroma planes to the first and the third output. */
 static void add_coarse_chroma(const CoarseChroma *c, const int32_t *planes, int rows, int columns, L3Output *outputs) {
     const int block_rows = BLOCKS(rows), block_columns = BLOCKS(columns);
     const ptrdiff_t pixels = (ptrdiff_t)rows * columns, blocks = (ptrdiff_t)block_rows * block_columns;

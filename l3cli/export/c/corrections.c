@@ -1,5 +1,5 @@
 
-/* The padded mosaic and its classes -> outputs of the first layer, which the last one corrects: added to what that made. */
+/* Computes the outputs of the first layer from the padded mosaic, and adds them to the corrections that the last layer computed. */
 static void add_first_outputs(const Ring *ring, size_t ring_values, const uint16_t *restrict padded, int rows, int columns,
                               const uint32_t *restrict labels, L3Output *restrict outputs) {
     const ptrdiff_t span = padded_span(columns), pixels = (ptrdiff_t)rows * columns;

@@ -2,8 +2,8 @@
 #pragma GCC diagnostic pop
 #endif
 
-/* The combinations of the features' values, of one block: `rows` is the first row and column of its patches. Windows stand from top to
- * bottom: those of equal rows share the sums down their columns. */
+/* Finds the combination of feature values for each pixel of a block. `rows` points to the first row and column of the patches. The
+ * windows are sorted from top to bottom, and consecutive windows with the same rows share their column sums. */
 static void find_combinations(const uint16_t *rows, ptrdiff_t span, const uint32_t *restrict level,
                               uint32_t *restrict combination) {
     int32_t sum[L3_WINDOW_SUMS][L3_BLOCK], down[L3_BLOCK + L3_PATCH];

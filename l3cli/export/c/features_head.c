@@ -1,8 +1,8 @@
 /* --------------------------------------------------------------------------------------------------------------- features */
 
-/* Each function gives the value of a feature from sums over its windows, as README.md says. */
+/* Each function computes the value of a feature from sums over windows. README.md contains the formulas. */
 #ifdef __GNUC__
 #pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wunused-parameter" /* a feature need not read the level, or any constant */
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* some features use neither the level nor constants */
 #endif
 

@@ -1,16 +1,17 @@
-/* --------------------------------------------------------------------------------------------------------- words of outputs */
+/* ----------------------------------------------------------------------------------------------------------- float outputs */
 
+/* Returns output + by. */
 static inline L3Output changed(L3Output output, float by) { return output + by; }
 
 #ifdef L3_WHITE_SLOPE
-/* X, Y and Z of a pixel, `apart` from one another, that is brighter than the clipped white. */
+/* Fades the outputs of a pixel that is brighter than the clipped white. The distance between X, Y and Z in memory is `apart`. */
 static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
     const float luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - white[1]) / white[1], faded = over < 1 ? over : 1;
     for (int o = 0; o < 3; o++) output[o * apart] = white[1] / luminance * (1 - faded) * output[o * apart] + faded * white[o];
 }
 #endif
 
-/* What the last layer reads, as it lies in a ring. */
+/* Ring buffer of the values that the last layer reads. */
 typedef struct {
     float *value;
 } Ring;
@@ -24,7 +25,7 @@ static Ring ring_in(Room *room, uint64_t values) {
 static inline void keep(const Ring *ring, size_t at, int32_t value) { ring->value[at] = (float)value - L3_VALUE_OFFSET; }
 static inline void keep_nothing(const Ring *ring, size_t at) { ring->value[at] = 0; }
 
-/* Sum of products, in sixteen parts that do not wait for one another. */
+/* Sum of products, in sixteen independent partial sums, so that compilers can vectorise the loop. */
 static inline float dot(const float *restrict a, const float *restrict b, int taps) {
     float part[16] = {0}, eight[8], four[4];
     for (int t = 0; t < taps; t += 16)
@@ -34,17 +35,17 @@ static inline float dot(const float *restrict a, const float *restrict b, int ta
     return (four[0] + four[2]) + (four[1] + four[3]);
 }
 
-/* What taps behind the patch add to an output. */
+/* Contribution of the taps that follow the patch to an output. */
 typedef float Behind;
 
-/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at] and what is behind it. */
+/* Computes an output of the patch that begins at ring[at]. `output` is class * L3_OUTPUTS + number of the output. */
 static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, Behind behind) {
     return dot(ring->value + at, l3_last_weights + output * L3_LAST_TAPS, L3_LAST_TAPS) + l3_last_intercept[output] + behind;
 }
 
 #if L3_RATIO_TAPS
 
-/* What is behind the patch. */
+/* Value of a tap that follows the patch. */
 typedef float Chroma;
 
 static inline Chroma quotient(int64_t part, int64_t whole) { return (float)part / (float)whole; }

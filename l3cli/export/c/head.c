@@ -1,16 +1,16 @@
-/* Raw mosaic -> classes -> outputs. Constants stand in l3_table.h, numbers in l3_table.c, words and formulas in README.md.
+/* Computes classes and outputs from a raw mosaic. l3_table.h contains the constants, l3_table.c the arrays, and README.md the formulas.
  *
- * Read from top to bottom: borders, statistics of neighbourhoods, classes, transforms, l3_render. Class decisions are integer
- * arithmetic of 32 bits, so every processor takes the same ones. Loops over pixels run over whole blocks of L3_BLOCK, a multiple of
- * the CFA's columns, so that constants that alternate along a row are plain arrays and compilers vectorise every loop.
+ * The order of this file is: borders, statistics of patches, classes, transforms, l3_render. Classes are computed with 32-bit integers
+ * and are therefore the same on every processor. Loops over pixels process whole blocks of L3_BLOCK pixels. L3_BLOCK is a multiple of
+ * the columns of the CFA. Constants that alternate along a row can therefore be stored as arrays, and compilers vectorise every loop.
  *
- * Right shifts of negative numbers are arithmetic, as on all compilers that we know. */
+ * Right shifts of negative numbers must be arithmetic, as in all common compilers. */
 #include "l3.h"
 
-#define DIAMETER (2 * L3_RADIUS)                   /* rows, or columns, of padding in all */
-#define SPREAD (2 * L3_SATURATION_RADIUS + 1)      /* rows and columns in which saturation counts */
+#define DIAMETER (2 * L3_RADIUS)                   /* number of padding rows (or columns) on both sides together */
+#define SPREAD (2 * L3_SATURATION_RADIUS + 1)      /* number of rows (or columns) in which saturation is tested */
 #define SITES (L3_CFA_ROWS * L3_CFA_COLUMNS)
-#define MASKS (L3_BLOCK + L3_CFA_COLUMNS)          /* so that a block can be read from any phase on */
+#define MASKS (L3_BLOCK + L3_CFA_COLUMNS)          /* length of a mask, from which a block can be read at any CFA phase */
 
 static int smaller(int a, int b) { return a < b ? a : b; }
 static int clamped(int value, int least, int most) { return value < least ? least : value > most ? most : value; }
@@ -18,7 +18,7 @@ static int modulo(int value, int period) { return (value % period + period) % pe
 
 /* ---------------------------------------------------------------------------------------------------------------- borders */
 
-/* Which of `length` samples stands where sample `wanted` is missing: the one of equal phase nearest the mirror image. */
+/* Returns the index of the sample that replaces sample `wanted`: the sample with the same CFA phase nearest to the mirror image. */
 static int mirrored(int wanted, int length, int period) {
     if (length < period) return clamped(wanted, 0, length - 1);
     int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
@@ -30,7 +30,7 @@ static int mirrored(int wanted, int length, int period) {
 
 static uint16_t within_range(uint32_t dn) { return (uint16_t)(dn < L3_MOST_DN ? dn : L3_MOST_DN); }
 
-/* raw (row, column) -> padded (row + DIAMETER, span): L3_RADIUS more pixels on every side, zeros behind each row. */
+/* Copies the mosaic with L3_RADIUS additional pixels on every side. `span` is the length of a padded row, which ends with zeros. */
 static void pad_mosaic(const uint16_t *restrict raw, int rows, int columns, ptrdiff_t span, uint16_t *restrict padded) {
     for (int r = 0; r < rows + DIAMETER; r++) {
         const uint16_t *restrict from = raw + (ptrdiff_t)mirrored(r - L3_RADIUS, rows, L3_CFA_ROWS) * columns;
@@ -46,7 +46,7 @@ static void pad_mosaic(const uint16_t *restrict raw, int rows, int columns, ptrd
 
 /* -------------------------------------------------------------------------------------------------------------- workspace */
 
-/* The workspace is dealt out in pieces of whole 64 bytes; without a base they are only counted. */
+/* Divides the workspace into arrays whose sizes are multiples of 64 bytes. If `base` is NULL, only the size is computed. */
 typedef struct {
     unsigned char *base;
     uint64_t used; /* bytes */
@@ -58,21 +58,21 @@ static void *take(Room *room, uint64_t count, uint64_t bytes) {
     return room->base ? room->base + (size_t)at : NULL;
 }
 
-/* Columns of the blocks that hold a row, and of the padded rows that they read. */
+/* Number of columns in all blocks of a row, and length of a padded row. */
 static ptrdiff_t whole_blocks(int columns) { return (columns + (ptrdiff_t)L3_BLOCK - 1) / L3_BLOCK * L3_BLOCK; }
 static ptrdiff_t padded_span(int columns) { return whole_blocks(columns) + L3_BLOCK; }
 
 typedef struct {
-    uint16_t *padded;    /* (row + DIAMETER, span) the mosaic with its borders, DN */
-    uint16_t *zeros;     /* (span) the rows that leave the first patches */
-    uint32_t *sum;       /* (channel, span) sums of v = DN >> L3_SHIFT down the patch */
-    uint32_t *square;    /* (channel, span) sums of v * v */
-    uint16_t *saturated; /* (SPREAD, span) bit c: this pixel is of channel c and saturated; the latest rows in any order */
-    uint16_t *spread;    /* (span) all of these rows together */
-    uint32_t *member;    /* (channel, CFA row, MASKS) all bits where a pixel is of the channel */
+    uint16_t *padded;    /* (row + DIAMETER, span) padded mosaic, DN */
+    uint16_t *zeros;     /* (span) stands for the rows above the first patches */
+    uint32_t *sum;       /* (channel, span) sums of v = DN >> L3_SHIFT over the rows of the patch */
+    uint32_t *square;    /* (channel, span) sums of v * v over the rows of the patch */
+    uint16_t *saturated; /* (SPREAD, span) bit c: the pixel belongs to channel c and is saturated; ring of the latest rows */
+    uint16_t *spread;    /* (span) bitwise or of these rows */
+    uint32_t *member;    /* (channel, CFA row, MASKS) all bits set if the pixel belongs to the channel */
     uint16_t *bit;       /* (CFA row, MASKS) 1 << channel */
-    uint32_t *count, *mean, *variance; /* (CFA row, channel, L3_BLOCK) of the pixels of a block: taps of the channel, and the
-                                          reciprocals that go with them */
+    uint32_t *count, *mean, *variance; /* (CFA row, channel, L3_BLOCK) number of taps of the channel in the patch of each pixel of a
+                                          block, and the reciprocals for mean and variance */
 } Statistics;
 
 static Statistics statistics_in(Room *room, int rows, int columns) {
@@ -92,7 +92,7 @@ static Statistics statistics_in(Room *room, int rows, int columns) {
     return s;
 }
 
-/* The constants that alternate along a row, laid out as the blocks read them. */
+/* Repeats the constants of the CFA along a row, so that a block can read them in sequence. */
 static void lay_out_constants(const Statistics *s, int phase_column) {
     for (int row = 0; row < L3_CFA_ROWS; row++) {
         for (int i = 0; i < MASKS; i++) s->bit[row * MASKS + i] = (uint16_t)(1u << l3_cfa[row][i % L3_CFA_COLUMNS]);
@@ -112,7 +112,7 @@ static void lay_out_constants(const Statistics *s, int phase_column) {
 
 /* -------------------------------------------------------------------------------------------------- sums over the patches */
 
-/* One block of one channel's column sums: the entering row is added, the leaving one is taken off. */
+/* Updates the column sums of one channel in one block: adds the entering row and subtracts the leaving row. */
 static void slide(uint32_t *restrict sum, uint32_t *restrict square, const uint16_t *restrict entering,
                   const uint32_t *restrict entering_member, const uint16_t *restrict leaving,
                   const uint32_t *restrict leaving_member) {
@@ -124,7 +124,7 @@ static void slide(uint32_t *restrict sum, uint32_t *restrict square, const uint1
     }
 }
 
-/* Let padded row k into the column sums of all channels, and row k - L3_PATCH out. */
+/* Adds padded row k to the column sums of all channels, and subtracts row k - L3_PATCH. */
 static void slide_rows(const Statistics *s, int k, ptrdiff_t span, int phase_row, int phase_column) {
     const uint16_t *entering = s->padded + k * span, *leaving = k < L3_PATCH ? s->zeros : entering - L3_PATCH * span;
     const int in_row = modulo(k - L3_RADIUS + phase_row, L3_CFA_ROWS);
@@ -138,7 +138,7 @@ static void slide_rows(const Statistics *s, int k, ptrdiff_t span, int phase_row
     }
 }
 
-/* Which channels padded row k has saturated where, kept for SPREAD rows. */
+/* Marks the saturated pixels of padded row k in the ring of the latest SPREAD rows. */
 static void saturate_row(const Statistics *s, int k, ptrdiff_t span, int phase_row, int phase_column) {
     const uint16_t *restrict row = s->padded + k * span;
     const uint16_t *restrict bit = s->bit + modulo(k - L3_RADIUS + phase_row, L3_CFA_ROWS) * MASKS
@@ -151,7 +151,7 @@ static void saturate_row(const Statistics *s, int k, ptrdiff_t span, int phase_r
         }
 }
 
-/* The latest SPREAD of these rows together. */
+/* Combines the latest SPREAD rows with a bitwise or. */
 static void spread_saturation(const Statistics *s, ptrdiff_t span) {
     uint16_t *restrict to = s->spread;
     for (ptrdiff_t p = 0; p < span; p++) to[p] = 0;
@@ -163,7 +163,8 @@ static void spread_saturation(const Statistics *s, ptrdiff_t span) {
 
 #define RUN (L3_PATCH < 3 ? L3_PATCH : 3)
 
-/* Sums over the L3_PATCH columns from each of a block on: runs of three columns are shared, the columns left over follow. */
+/* Adds L3_PATCH column sums, starting at each column of a block. Sums of three columns are computed once and shared. The remaining
+ * columns are added individually. */
 static void add_across(const uint32_t *restrict column, uint32_t *restrict total) {
     uint32_t run[L3_BLOCK + L3_PATCH];
     for (int i = 0; i < L3_BLOCK + L3_PATCH - RUN; i++) {

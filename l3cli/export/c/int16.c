@@ -1,15 +1,15 @@
-/* --------------------------------------------------------------------------------------------------------- words of outputs */
+/* ---------------------------------------------------------------------------------------------------------- 16-bit outputs */
 
-/* An output, `by` of its unit more. */
+/* Adds `by`, in the output unit, to an output. */
 static inline L3Output changed(L3Output output, float by) {
     const float steps = by * (1 << L3_OUTPUT_FRACTION);
     return (L3Output)clamped(output + (int)(steps < 0 ? steps - 0.5f : steps + 0.5f), -L3_OUTPUT_TOP, L3_OUTPUT_TOP);
 }
 
 #ifdef L3_WHITE_SLOPE
-#define ONE (1 << 15) /* a factor of 1 */
+#define ONE (1 << 15) /* a factor of 1 in fixed point */
 
-/* X, Y and Z of a pixel, `apart` from one another, that is brighter than the clipped white. */
+/* Fades the outputs of a pixel that is brighter than the clipped white. The distance between X, Y and Z in memory is `apart`. */
 static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Output white[3]) {
     const int32_t limit = white[1], luminance = output[apart], over = L3_WHITE_SLOPE * (luminance - limit);
     const int32_t faded = over < limit ? over * ONE / limit : ONE;
@@ -20,8 +20,8 @@ static inline void fade_to_white(L3Output *output, ptrdiff_t apart, const L3Outp
 }
 #endif
 
-/* What the last layer reads, as it lies in a ring: value - L3_VALUE_OFFSET = high * 2^L3_SPLIT + low, both of 16 bits, so that no
- * sum of products leaves 32. Without a split there is no low. */
+/* Ring buffer of the values that the last layer reads. Value - L3_VALUE_OFFSET = high * 2^L3_SPLIT + low. Both parts have 16 bits, so
+ * that the sums of products fit 32 bits. If L3_SPLIT is 0, there is no low part. */
 typedef struct {
     int16_t *high, *low;
 } Ring;
@@ -50,13 +50,13 @@ static inline int32_t dot(const int16_t *restrict a, const int16_t *restrict b) 
     return sum;
 }
 
-/* What taps behind the patch add to a sum of products. */
+/* Contribution of the taps that follow the patch to a sum of products. */
 typedef int32_t Behind;
 
-/* The output numbered class * L3_OUTPUTS + output, of the patch that begins at ring[at] and what is behind it. */
+/* Computes an output of the patch that begins at ring[at]. `output` is class * L3_OUTPUTS + number of the output. */
 static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, Behind behind) {
     const int16_t *weights = l3_last_weights + output * L3_LAST_TAPS;
-    const int32_t rest = l3_last_rest[output]; /* of the largest weight, beyond 16 bits */
+    const int32_t rest = l3_last_rest[output]; /* excess of the largest weight over 16 bits */
     const ptrdiff_t its = at + l3_last_tap[output];
     int32_t sum = dot(ring->high + at, weights) + rest * ring->high[its] + l3_last_intercept[output] + behind;
     if (L3_SPLIT > 0) sum += (dot(ring->low + at, weights) + rest * ring->low[its]) >> L3_SPLIT;
@@ -66,7 +66,7 @@ static inline L3Output output_of(const Ring *ring, ptrdiff_t at, size_t output, 
 
 #if L3_RATIO_TAPS
 
-/* What is behind the patch. */
+/* Value of a tap that follows the patch. */
 typedef int32_t Chroma;
 
 static inline Chroma quotient(int64_t part, int64_t whole) { return (int32_t)(part / whole); }

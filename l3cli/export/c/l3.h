@@ -1,7 +1,7 @@
-/* Raw mosaic -> classes -> outputs, by the transform table in l3_table.c. README.md says what the numbers mean.
+/* Renders raw mosaics with the transform table in l3_table.c. README.md explains the inputs and outputs.
  *
- * C99. No allocation, no globals that change, no library but <stddef.h> and <stdint.h>: all memory is the caller's, and any
- * number of threads may render at once, each in a workspace of its own. */
+ * The source is C99. It allocates no memory, has no mutable global variables, and includes only <stddef.h> and <stdint.h>. Several threads
+ * can render at the same time if each has its own workspace. */
 #ifndef L3_H
 #define L3_H
 
@@ -14,18 +14,18 @@
 extern "C" {
 #endif
 
-#define L3_MOST_PIXELS 65535 /* rows, and columns, of a frame */
+#define L3_MOST_PIXELS 65535 /* maximum number of rows and maximum number of columns of a frame */
 
-/* Bytes of the workspace that a frame needs; 0 if no frame of this size can be rendered. */
+/* Returns the size of the workspace for a frame in bytes, or 0 if frames of this size cannot be rendered. */
 size_t l3_workspace_bytes(int rows, int columns);
 
-/* Renders one frame. Returns 0, or -1 and writes nothing if a size or phase cannot be.
+/* Renders one frame. Returns 0 on success. If the size or the phase is invalid, returns -1 and writes nothing.
  *
- * raw        (row, column) DN, with the black level and white level of l3_table.h
+ * raw        (row, column) raw values in DN, with the black level and the white level of l3_table.h
  * phase_row, phase_column   CFA row and column of the first pixel
- * workspace  l3_workspace_bytes(rows, columns) bytes, aligned as malloc aligns; what it holds does not matter
- * labels     (layer, row, column): the class of each pixel in each of L3_LAYERS layers
- * outputs    (output, row, column): L3_OUTPUTS planes of L3Output, in steps of 2^-L3_OUTPUT_FRACTION */
+ * workspace  l3_workspace_bytes(rows, columns) bytes, aligned as by malloc; need not be initialised
+ * labels     (layer, row, column) receives the class of each pixel in each of the L3_LAYERS layers
+ * outputs    (output, row, column) receives L3_OUTPUTS planes, in steps of 2^-L3_OUTPUT_FRACTION of the output unit */
 int l3_render(const uint16_t *raw, int rows, int columns, int phase_row, int phase_column, void *workspace, uint32_t *labels,
               L3Output *outputs);
 

@@ -1,5 +1,5 @@
 
-/* Plain areas where channels clip are as this table's classes leave them. */
+/* This table does not replace the outputs of uniform clipped areas. */
 typedef struct {
     int nothing;
 } Clipping;

@@ -1,5 +1,5 @@
 
-/* Chroma of this table's last layer is that of its windows. */
+/* This table does not use coarse chroma. */
 typedef struct {
     int nothing;
 } CoarseChroma;

@@ -1,4 +1,4 @@
-/* Outputs of this table stay as its layers make them. */
+/* This table does not smooth spectra. */
 typedef struct {
     int nothing;
 } Spectra;

@@ -1,9 +1,9 @@
 /* ------------------------------------------------------------------------------------------------------------- transforms */
 
-/* Patches are dot products of L3_LAST_TAPS values one behind the other. So the latest rows lie in a ring column by column: padded
- * column p's padded row k lies at ring[p * L3_PATCH + k], and the patch of column x of row y begins at ring[x * L3_PATCH + y]. One
- * row on, every patch moves by one value, and the new pixel of column p falls where column p + 1 kept the row that is needed no
- * more. */
+/* A transform is a dot product of L3_LAST_TAPS consecutive values. The latest rows are therefore stored column by column: the value of
+ * padded row k and padded column p is ring[p * L3_PATCH + k], and the patch of row y and column x begins at ring[x * L3_PATCH + y]. In
+ * the next row, every patch begins one value later. The new value of column p overwrites the oldest value of column p + 1, which is
+ * no longer needed. */
 typedef struct {
     Statistics statistics;
     Ring ring;
@@ -18,7 +18,7 @@ static Workspace workspace_in(Room *room, int rows, int columns) {
     return w;
 }
 
-/* The padded mosaic -> labels -> outputs. */
+/* Computes classes and outputs from the padded mosaic. */
 static void render_layers(const Workspace *w, int rows, int columns, int phase_row, int phase_column, uint32_t *restrict labels,
                           L3Output *restrict outputs) {
     const ptrdiff_t span = padded_span(columns), pixels = (ptrdiff_t)rows * columns;

@@ -1,18 +1,19 @@
-/* Outputs -> sRGB. No library: a code is the number of thresholds that a linear value reaches, of which no bin holds two. */
+/* Converts outputs to an 8-bit sRGB picture, without a mathematical library. The 8-bit value is the number of thresholds that a linear
+ * value reaches. A table of bins, of which none contains two thresholds, makes the search fast. */
 #include "l3_picture.h"
 
-#define STEP (1.0f / (float)(1 << L3_OUTPUT_FRACTION)) /* of an output */
+#define STEP (1.0f / (float)(1 << L3_OUTPUT_FRACTION)) /* step of an output */
 
 #define NOISE $noise /* relative difference of luminance that noise can cause near clipped pixels */
 
 #define BINS $bins
 
-/* The least linear value that is shown by codes 1 ... 255, and one that none reaches. */
+/* Lowest linear value of the 8-bit values 1 ... 255, followed by a threshold that no value reaches. */
 static const float threshold[256] = {
 $thresholds
 };
 
-/* The code of the least value of each bin. */
+/* 8-bit value at the lower end of each bin. */
 static const uint8_t first_code[BINS] = {
 $codes
 };
@@ -23,7 +24,7 @@ const L3White l3_white = {
     {$matrix},
 };
 
-/* The nearest whole number, of two the even one. */
+/* Rounds to the nearest integer, and halves to even. */
 static uint16_t rounded(double value) {
     const uint16_t nearest = (uint16_t)(value + 0.5);
     return (uint16_t)(nearest - (nearest - value == 0.5 && nearest % 2 == 1));
@@ -41,7 +42,7 @@ void l3_balance(const uint16_t *raw, int rows, int columns, int phase_row, int p
         }
 }
 
-/* A number that orders as its float does. */
+/* Converts a float to an integer that has the same order. */
 static uint32_t ordered(float value) {
     const union { float value; uint32_t bits; } same = {value};
     return same.bits & 0x80000000u ? ~same.bits : same.bits | 0x80000000u;
@@ -52,9 +53,9 @@ static float unordered(uint32_t order) {
     return same.value;
 }
 
-#define DIGIT 11 /* bits of an order that a pass decides */
+#define DIGIT 11 /* number of bits that a pass determines */
 
-/* The value of `rank`, from 0, among `count`. */
+/* Returns the value with the given rank, counted from 0, of `count` values. */
 static float ranked(const L3Output *values, ptrdiff_t count, uint32_t rank) {
     uint32_t prefix = 0, decided = 0;
     for (int shift = 32 - DIGIT; decided != UINT32_MAX; shift = shift > DIGIT ? shift - DIGIT : 0) {
@@ -71,7 +72,7 @@ static float ranked(const L3Output *values, ptrdiff_t count, uint32_t rank) {
     return unordered(prefix);
 }
 
-/* Whether a pixel lies near a clipped one. */
+/* Whether there is a clipped pixel near a pixel. */
 static int near_clipped(const uint16_t *raw, int rows, int columns, int y, int x) {
     const int radius = L3_SATURATION_RADIUS;
     for (int r = y > radius ? y - radius : 0; r <= y + radius && r < rows; r++)
@@ -106,9 +107,9 @@ static uint8_t code_of(float linear) {
     return (uint8_t)(code + (linear >= threshold[code]));
 }
 
-/* Colours outside of sRGB, linear, are brought inside along lines of constant hue, as l3cli/physics/gamut.py describes. */
-static const float cones[3][3] = {$cones}; /* OkLab's cone responses from linear sRGB */
-static const float back[3][3] = {$linear}; /* its inverse */
+/* Colours outside the sRGB gamut are moved into the gamut along lines of constant hue. l3cli/physics/gamut.py describes the method. */
+static const float cones[3][3] = {$cones}; /* from linear sRGB to the cone responses of OkLab */
+static const float back[3][3] = {$linear}; /* from cone responses to linear sRGB */
 static const float lightness_of[3] = {$lightness};
 static const float luminance_of[3] = {$y};
 
@@ -118,7 +119,7 @@ static float smaller(float a, float b) { return a < b ? a : b; }
 
 static float larger(float a, float b) { return a > b ? a : b; }
 
-/* x^(1/3) of a positive x, by Newton's iteration for x^(-1/3). */
+/* Computes x^(1/3) for x > 0 with Newton's iteration for x^(-1/3). */
 static float cube_root(float x) {
     union { float value; uint32_t bits; } y = {x};
     y.bits = UINT32_C(0x54a2fa8c) - y.bits / 3;
@@ -126,7 +127,7 @@ static float cube_root(float x) {
     return x * (y.value * y.value);
 }
 
-/* Towards the grey of the same lightness until no value is negative. */
+/* Reduces the chroma at constant lightness until no value is negative. */
 static void less_chromatic(float linear[3]) {
     float chroma[3], squares[3], cubes[3], lowest = 0, least = 1;
     for (int c = 0; c < 3; c++) chroma[c] = sum(cones[c], linear);
@@ -156,7 +157,7 @@ static void less_chromatic(float linear[3]) {
     for (int p = 0; p < 3; p++) linear[p] = sum(back[p], cubes);
 }
 
-/* Darkened until no value is above 1, or clipped the nearer to white the colour is. */
+/* Limits values to 1 by a mixture of darkening and clipping. The brighter the colour, the more it is clipped. */
 static void darker(float linear[3], float most) {
     const float luminance = larger(smaller(sum(luminance_of, linear), 1), 0), square = luminance * luminance;
     for (int p = 0; p < 3; p++) {

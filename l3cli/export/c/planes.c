@@ -1,25 +1,26 @@
 /* ------------------------------------------------------------------------------------------------- transforms to planes */
 
-/* A layer that another follows makes three planes in whole numbers of 32 bits, from values and weights of 16, so that the classes
- * of the next layer are the same on every processor.
+/* Every layer except the last computes three planes as 32-bit integers from 16-bit values and 16-bit weights. The classes of the next
+ * layer are therefore the same on every processor.
  *
- * Patches are dot products of values one behind the other. So the latest rows lie in a ring column by column: with S values a pixel
- * (1 of the mosaic, 3 of planes) and windows of side P, padded column p's padded row k lies at ring[(p * P + k) * S], and the patch
- * of column x of row y begins at ring[(x * P + y) * S]. One row on, every patch moves by S values, and the new pixel of column p
- * falls where column p + 1 kept the row that is needed no more. Taps are filled up to whole sixteens by weights of zero. */
+ * A transform is a dot product of consecutive values. The latest rows are therefore stored column by column. Let S be the number of
+ * values per pixel (1 in the mosaic, 3 in planes) and P the side of the window. The values of padded row k and padded column p begin at
+ * ring[(p * P + k) * S], and the patch of row y and column x begins at ring[(x * P + y) * S]. In the next row, every patch begins S
+ * values later. The new values of column p overwrite the oldest values of column p + 1, which are no longer needed. The taps are padded
+ * with zero weights to a multiple of 16. */
 
-/* A layer's weights (class, plane, tap), intercepts (class, plane) and binary points (class). */
 typedef struct {
-    const int16_t *weights;
-    const int32_t *intercept;
-    const uint8_t *fraction;
+    const int16_t *weights;   /* (class, plane, tap) */
+    const int32_t *intercept; /* (class, plane) */
+    const uint8_t *fraction;  /* (class) number of fractional bits */
 } FixedPoint;
 
 static inline int32_t to_plane(int32_t sum, int fraction) {
     return clamped((sum + (1 << fraction >> 1)) >> fraction, -L3_PLANE_TOP, L3_PLANE_TOP);
 }
 
-/* One row: patches (x) `step` values apart -> planes (plane, pixel), whose pixels lie `pixels` apart. */
+/* Computes one row of the planes. `step` is the distance between the patches of neighbouring columns in memory, and `pixels` the distance
+ * between planes. */
 static inline void fixed_point_row(const int16_t *restrict patches, ptrdiff_t step, int taps, const FixedPoint *fixed,
                                    const uint32_t *restrict labels, int columns, ptrdiff_t pixels, int32_t *restrict planes) {
     for (int x = 0; x < columns; x++) {
@@ -39,7 +40,7 @@ static inline void fixed_point_row(const int16_t *restrict patches, ptrdiff_t st
     }
 }
 
-/* The padded mosaic and its classes -> planes (plane, row, column). */
+/* Computes the planes (plane, row, column) of the first layer from the padded mosaic and the classes. */
 static void mosaic_to_planes(const uint16_t *restrict padded, int16_t *restrict ring, size_t ring_values, int rows, int columns,
                              const uint32_t *restrict labels, int32_t *restrict planes) {
     static const FixedPoint fixed = {l3_weights, l3_intercept, l3_fraction};
@@ -54,17 +55,17 @@ static void mosaic_to_planes(const uint16_t *restrict padded, int16_t *restrict 
     }
 }
 
-/* The column that stands where column `wanted` of a plane is missing. */
+/* Returns the column that replaces column `wanted` of a plane. */
 static inline int mirrored_column(int wanted, int columns) {
     return wanted >= 0 && wanted < columns ? wanted : mirrored(wanted, columns, 1);
 }
 
-/* Planes as a layer reads them that another follows: coarser, so that they fit 16 bits. */
+/* Reduces the resolution of a plane to 16 bits, for all layers except the last. */
 static int16_t coarse(int32_t plane) {
     return (int16_t)clamped((plane + (1 << L3_COARSE >> 1)) >> L3_COARSE, -L3_COARSE_TOP, L3_COARSE_TOP);
 }
 
-/* Planes and classes of a layer -> planes of the next. */
+/* Computes the planes for the next layer from the planes and the classes of a layer. */
 static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict from, int16_t *restrict ring, size_t ring_values,
                              int rows, int columns, const uint32_t *restrict labels, int32_t *restrict planes) {
     const FixedPoint fixed = {layer->fixed_weights, layer->fixed_intercept, layer->fraction};
@@ -87,7 +88,7 @@ static void planes_to_planes(const L3PlaneLayer *layer, const int32_t *restrict 
 
 #if L3_RATIO_TAPS
 
-/* Sums (plane, padded column) of planes down the window of a row. */
+/* Adds the rows of the window around a row. The result is (plane, padded column). */
 static void sum_columns(const int32_t *restrict from, int radius, int row, int rows, int columns, int32_t *restrict sums) {
     const int span = columns + 2 * radius;
     const ptrdiff_t pixels = (ptrdiff_t)rows * columns;
@@ -105,7 +106,7 @@ static void sum_columns(const int32_t *restrict from, int radius, int row, int r
     }
 }
 
-/* Chroma of the pixel in column x, whose Y is `luminance`, as light and shade would make it of the sums over its window. */
+/* Computes the colour-ratio taps of the pixel in column x from the sums over its window. `luminance` is the Y of the pixel. */
 static inline void shaded_chroma(const int32_t *restrict sums, int side, int x, int columns, int32_t luminance,
                                  Chroma chroma[L3_RATIO_TAPS]) {
     const int span = columns + side - 1, count = side * side;
@@ -119,8 +120,9 @@ static inline void shaded_chroma(const int32_t *restrict sums, int side, int x, 
 
 #if L3_RATIO_TAPS > 2
 
-/* Differences from the pixel itself of the chroma of those of its window that are like it, on average. Likeness has 17 bits, so that
- * sums of its squares times differences, which are the smaller, the larger it is, stay within 64. */
+/* Computes the bilateral-chroma taps: the mean difference between the chroma of similar pixels in the window and the chroma of the pixel
+ * itself. The likeness has 17 bits. The larger the likeness, the smaller the difference, so the sums of likeness^2 times difference fit
+ * 64 bits. */
 static void bilateral_change(const int32_t *restrict from, int side, int row, int x, int rows, int columns,
                              Chroma chroma[2]) {
     const ptrdiff_t pixels = (ptrdiff_t)rows * columns;
@@ -152,7 +154,7 @@ static void bilateral_change(const int32_t *restrict from, int side, int row, in
 
 #endif
 
-/* Planes and classes of the last layer -> outputs (output, row, column). */
+/* Computes the outputs (output, row, column) from the planes and the classes of the last layer. */
 static void planes_to_outputs(const L3PlaneLayer *layer, const int32_t *restrict from, const Ring *ring, size_t ring_values,
                               int32_t *restrict sums, int rows, int columns, const uint32_t *restrict labels,
                               L3Output *restrict outputs) {

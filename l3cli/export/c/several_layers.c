@@ -4,10 +4,10 @@ typedef struct {
     Statistics statistics;
     Gradients gradients;
     size_t ring_values;
-    int16_t *fixed_ring; /* of layers before the last */
-    Ring ring;           /* of the last */
-    int32_t *planes[2];  /* (plane, row, column) that a layer reads, and that it makes */
-    int32_t *sums;       /* (plane, padded column) of what the last layer reads, down a window */
+    int16_t *fixed_ring; /* ring buffer of all layers except the last */
+    Ring ring;           /* ring buffer of the last layer */
+    int32_t *planes[2];  /* (plane, row, column) planes that a layer reads and planes that it writes, in turn */
+    int32_t *sums;       /* (plane, padded column) sums over the rows of the window in the last layer */
     CoarseChroma coarse;
     Clipping clipping;
 } Workspace;
@@ -28,7 +28,7 @@ static Workspace workspace_in(Room *room, int rows, int columns) {
     return w;
 }
 
-/* The padded mosaic -> labels and planes, layer by layer -> outputs. */
+/* Computes the classes and planes of one layer after the other from the padded mosaic, and finally the outputs. */
 static void render_layers(const Workspace *w, int rows, int columns, int phase_row, int phase_column, uint32_t *labels,
                           L3Output *outputs) {
     const ptrdiff_t pixels = (ptrdiff_t)rows * columns;

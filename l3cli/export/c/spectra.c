@@ -1,16 +1,17 @@
 /* ---------------------------------------------------------------------------------------------------------------- spectra */
 
-#define REACHED (L3_SPECTRAL_WINDOW / 2) /* rows, or columns, on every side of a pixel */
+#define REACHED (L3_SPECTRAL_WINDOW / 2) /* number of rows (or columns) of the window on each side of a pixel */
 #define NEIGHBOURS (L3_SPECTRAL_WINDOW * L3_SPECTRAL_WINDOW)
 
-/* Rows of the frame as the layers have made them, row r in place r % L3_SPECTRAL_WINDOW, with REACHED mirrored columns on both
- * sides: what is smoothed is written over them. */
+/* Copies of the latest rows of the outputs, because the smoothed rows overwrite the outputs. Row r is at index r % L3_SPECTRAL_WINDOW. It
+ * has REACHED mirrored columns on both sides. */
 typedef struct {
-    ptrdiff_t span;
-    float *made;          /* (L3_SPECTRAL_WINDOW, output, span) */
+    ptrdiff_t span;       /* length of a row with the mirrored columns */
+    float *made;          /* (L3_SPECTRAL_WINDOW, output, span) outputs before smoothing */
     float *brightness;    /* (L3_SPECTRAL_WINDOW, span) mean of the outputs */
-    float *weight;        /* (NEIGHBOURS, column) what the neighbours of a row's pixels count */
-    float *share, *kept;  /* (column) one by their sum; brightness by the mean of theirs */
+    float *weight;        /* (NEIGHBOURS, column) weights of the neighbours of each pixel of a row */
+    float *share;         /* (column) 1 / sum of the weights */
+    float *kept;          /* (column) brightness of the pixel / weighted mean brightness of the neighbours */
 } Spectra;
 
 static Spectra spectra_in(Room *room, int columns) {
@@ -85,7 +86,7 @@ static void smooth_row(const Spectra *s, int row, int rows, int columns, int out
     }
 }
 
-/* Every pixel takes the mean spectrum of those of like brightness about it, and keeps its own brightness. */
+/* Replaces the spectrum of each pixel with the mean spectrum of neighbours of similar brightness. The brightness does not change. */
 static void smooth_spectra(const Spectra *s, int rows, int columns, float *outputs) {
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
     for (int row = 0; row < rows; row++) {

@@ -1,22 +1,22 @@
-/* ------------------------------------------------------------------------------------------------ what later layers read */
+/* ------------------------------------------------------------------------------------------- gradients of the planes */
 
-#define REACH 3  /* pixels beyond a plane that the class at its edge reads */
-#define WINDOW 5 /* rows of gradients that it weighs */
-#define TOGETHER 32 /* pixels that go down a tree side by side */
+#define REACH 3  /* number of pixels outside the frame that influence the class of a pixel at the edge */
+#define WINDOW 5 /* number of rows of gradients that influence a class */
+#define TOGETHER 32 /* number of pixels for which a tree is evaluated at the same time */
 enum {
     XX, YY, XY, CHROMA_XX, CHROMA_YY, ALONG_FIRST, ALONG_SECOND, CHROMA_BEND_XX, CHROMA_BEND_YY,
     BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y, BEND_X, BEND_Y, QUANTITIES
 };
 
-/* Rows of what the classes of later layers decide by. Columns of planes have a margin of REACH pixels, those of gradients of
- * REACH - 1; rows lie in rings of WINDOW. */
+/* Rows of the quantities from which the classes of later layers are computed. Rows of planes have a margin of REACH pixels on each side,
+ * and rows of gradients a margin of REACH - 1. The latest WINDOW rows are stored in rings. */
 typedef struct {
-    ptrdiff_t span;      /* values of a row */
+    ptrdiff_t span;      /* length of a row */
     int32_t *plane;      /* (plane, WINDOW, span) */
     int32_t *factor, *shift; /* (span) scale of the gradients of the latest row */
-    int32_t *quantity;   /* (QUANTITIES, WINDOW, span) gradients of the latest rows, and products of them */
-    int32_t *down;       /* (span) one of these, weighed over the rows */
-    int32_t *weighed;    /* (L3_TESTS, span) such sums over whole windows */
+    int32_t *quantity;   /* (QUANTITIES, WINDOW, span) gradients of the latest rows, and their products */
+    int32_t *down;       /* (span) weighted sum of a quantity over the rows of the window */
+    int32_t *weighed;    /* (L3_TESTS, span) weighted sums over whole windows */
 } Gradients;
 
 static Gradients gradients_in(Room *room, int columns) {
@@ -35,7 +35,7 @@ static Gradients gradients_in(Room *room, int columns) {
 static int32_t *plane_row(const Gradients *g, int plane, int k) { return g->plane + (plane * WINDOW + k % WINDOW) * g->span; }
 static int32_t *quantity_row(const Gradients *g, int q, int k) { return g->quantity + (q * WINDOW + k % WINDOW) * g->span; }
 
-/* Padded row k of a plane into its ring. */
+/* Copies padded row k of a plane to its ring. */
 static void read_plane(const Gradients *g, const int32_t *planes, int plane, int k, int rows, int columns) {
     const int32_t *restrict from = planes + ((ptrdiff_t)plane * rows + mirrored(k - REACH, rows, 1)) * columns;
     int32_t *restrict to = plane_row(g, plane, k);
@@ -46,7 +46,7 @@ static void read_plane(const Gradients *g, const int32_t *planes, int plane, int
     }
 }
 
-/* Factor and shift of the gradients of padded row k, by the classes of the first layer. */
+/* Finds factor and shift of the gradients of padded row k from the classes of the first layer. */
 static void read_scale(const Gradients *g, const L3PlaneLayer *layer, const uint32_t *first_labels, int k, int rows, int columns) {
     const uint32_t *restrict from = first_labels + (ptrdiff_t)mirrored(k - REACH, rows, 1) * columns;
     int32_t *restrict factor = g->factor, *restrict shift = g->shift;
@@ -57,13 +57,13 @@ static void read_scale(const Gradients *g, const L3PlaneLayer *layer, const uint
     }
 }
 
-/* A difference of a plane's pixels in units of what noise makes of it, within a size of `top`. */
+/* Converts the difference between two pixels of a plane to units of its noise, limited to +-top. */
 static inline int32_t scaled(int32_t difference, int32_t factor, int32_t shift, int32_t top) {
     const int32_t value = (difference * factor) >> shift, below = value < top ? value : top;
     return below > -top ? below : -top;
 }
 
-/* Sums of a quantity over 5 x 5, weights the products of 1 2 3 2 1; the rows end with k. */
+/* Weighted sums of a quantity over 5 x 5 pixels, with the weights 1 2 3 2 1 in both directions. The last row is k. */
 static void weigh_wide(const Gradients *g, int q, int k, int columns, int32_t *restrict to) {
     const int32_t *restrict a = quantity_row(g, q, k - 4), *restrict b = quantity_row(g, q, k - 3);
     const int32_t *restrict c = quantity_row(g, q, k - 2), *restrict d = quantity_row(g, q, k - 1);
@@ -73,7 +73,7 @@ static void weigh_wide(const Gradients *g, int q, int k, int columns, int32_t *r
     for (int x = 0; x < columns; x++) to[x] = down[x] + 2 * down[x + 1] + 3 * down[x + 2] + 2 * down[x + 3] + down[x + 4];
 }
 
-/* Sums over 3 x 3 from column x + `first` on, weights the products of 1 2 1, of three rows. */
+/* Weighted sums over 3 x 3 pixels of the rows a, b and c, with the weights 1 2 1 in both directions. The first column is x + first. */
 static void weigh_near(const Gradients *g, const int32_t *restrict a, const int32_t *restrict b, const int32_t *restrict c, int first,
                        int columns, int32_t *restrict to) {
     int32_t *restrict down = g->down;
@@ -81,11 +81,11 @@ static void weigh_near(const Gradients *g, const int32_t *restrict a, const int3
     for (int x = 0; x < columns; x++) to[x] = down[x] + 2 * down[x + 1] + down[x + 2];
 }
 
-/* All bits where a class of the first layer says so (types of l3_table.h), else none. */
+/* Returns all bits if a bit of a word in `gradient` is set (see L3PlaneLayer in l3_table.h), otherwise 0. */
 static inline int32_t where(uint32_t word, int bit) { return -(int32_t)(word >> bit & 1); }
 static inline int32_t negated(int32_t value, int32_t mask) { return (value ^ mask) - mask; }
 
-/* The class of a pixel of a later layer from what its rule tells apart where nothing is saturated. */
+/* Returns the class of a pixel in a later layer. `structure` is its structure or leaf, which is used unless a pixel nearby is saturated. */
 static inline uint32_t plane_class(const L3PlaneLayer *layer, uint32_t first_label, uint32_t structure) {
     const uint32_t first = layer->first_class[first_label];
     return first & L3_DECIDED ? first - L3_DECIDED : first + structure;
@@ -93,7 +93,7 @@ static inline uint32_t plane_class(const L3PlaneLayer *layer, uint32_t first_lab
 
 /* -------------------------------------------------------------------------------------------------------------- structure */
 
-/* Gradients of luminance about padded row k - 1, and their products, as row k of the rings. */
+/* Computes the products of the luminance gradients at padded row k - 1, and stores them as row k of the rings. */
 static void luminance_products(const Gradients *g, int k, int columns) {
     const int32_t *restrict above = plane_row(g, L3_LUMINANCE, k - 2), *restrict here = plane_row(g, L3_LUMINANCE, k - 1);
     const int32_t *restrict below = plane_row(g, L3_LUMINANCE, k), *restrict factor = g->factor, *restrict shift = g->shift;
@@ -105,10 +105,10 @@ static void luminance_products(const Gradients *g, int k, int columns) {
     }
 }
 
-/* Strength and direction of the edge at a pixel (README.md, "Structure") from its structure tensor. */
+/* Computes strength and direction of the edge at a pixel from the structure tensor (see "Structure" in README.md). */
 static inline uint32_t structure_of(const L3Structure *rule, int32_t xx, int32_t yy, int32_t xy, uint32_t word) {
     const int32_t a = negated((xx - yy) >> 6, where(word, L3_TURN)), b = negated(xy >> 5, where(word, L3_TURN + 1));
-    const uint32_t trace = (uint32_t)xx + (uint32_t)yy; /* up to 2^32, as what follows */
+    const uint32_t trace = (uint32_t)xx + (uint32_t)yy; /* unsigned, like the following values, because it can exceed 2^31 */
     const uint32_t width = (uint32_t)(a < 0 ? -a : a), height = (uint32_t)(b < 0 ? -b : b);
     uint32_t strength = 0, direction = b > 0 ? (a > 0 ? 1u : 3u) : (a > 0 ? 7u : 5u);
     for (int s = 0; s < rule->strengths; s++) strength += trace > rule->strength_edges[s];

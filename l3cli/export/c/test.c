@@ -1,6 +1,6 @@
-/* Without arguments: compares with test_labels.bin and test_outputs.bin what l3_render makes of test_raw.bin; ends with 1 if a class
- * differs, a float by more than two millionths of the largest output, or a word by more than one from the output rounded. With ROWS
- * COLUMNS: times frames of that size, filled with the test mosaic. */
+/* Without arguments, the program renders test_raw.bin and compares the results with test_labels.bin and test_outputs.bin. It exits with 1
+ * if a class differs, if a float differs by more than 2e-6 of the largest output, or if a 16-bit output differs by more than 1 from the
+ * rounded output. With the arguments ROWS COLUMNS, it measures the time to render frames of this size, filled with the test mosaic. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -12,15 +12,15 @@
 
 static void *room(size_t bytes) {
     void *memory = malloc(bytes);
-    if (memory == NULL) fprintf(stderr, "no memory\n"), exit(2);
+    if (memory == NULL) fprintf(stderr, "not enough memory\n"), exit(2);
     return memory;
 }
 
-/* A whole file of `bytes` bytes. */
+/* Reads a file of `bytes` bytes. */
 static unsigned char *read_file(const char *name, size_t bytes) {
     unsigned char *content = room(bytes);
     FILE *file = fopen(name, "rb");
-    if (file == NULL || fread(content, 1, bytes, file) != bytes) fprintf(stderr, "%s is missing or short\n", name), exit(2);
+    if (file == NULL || fread(content, 1, bytes, file) != bytes) fprintf(stderr, "%s is missing or too short\n", name), exit(2);
     fclose(file);
     return content;
 }
@@ -29,7 +29,7 @@ static uint32_t word(const unsigned char *at) {
     return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
 }
 
-/* A little-endian float of IEEE-754, on whatever processor. */
+/* Reads a little-endian IEEE 754 float, on any processor. */
 static double number(const unsigned char *at) {
     const union { uint32_t bits; float value; } same = {word(at)};
     return (double)same.value;
@@ -45,7 +45,7 @@ static uint16_t *test_mosaic(void) {
 
 static double size_of(double value) { return value < 0 ? -value : value; }
 
-#if L3_OUTPUT_FRACTION > 0 /* words: what the reference's output is as one */
+#if L3_OUTPUT_FRACTION > 0 /* 16-bit outputs: converts the output of the reference to steps */
 #define TOLERANCE(largest) (1.0 + 0 * (largest))
 static double in_steps(double output) {
     const double steps = output * (1 << L3_OUTPUT_FRACTION) + (output < 0 ? -0.5 : 0.5);
@@ -73,7 +73,7 @@ static int compare(void) {
         most = difference > most ? difference : most;
         largest = size_of(expected) > largest ? size_of(expected) : largest;
     }
-    printf("classes that differ: %lu of %lu; largest difference of an output: %.2g of %.2g\n", differing,
+    printf("classes that differ: %lu of %lu; largest difference of an output: %.2g (largest output: %.2g)\n", differing,
            (unsigned long)(L3_LAYERS * PIXELS), most, largest);
     free(raw), free(labels), free(outputs), free(label), free(output), free(workspace);
     return differing > 0 || !(most <= TOLERANCE(largest));
@@ -81,7 +81,7 @@ static int compare(void) {
 
 static int measure(int rows, int columns) {
     const size_t bytes = l3_workspace_bytes(rows, columns), pixels = (size_t)rows * (size_t)columns;
-    if (rows < 1 || columns < 1 || bytes == 0) return fprintf(stderr, "no such frame\n"), 2;
+    if (rows < 1 || columns < 1 || bytes == 0) return fprintf(stderr, "frames of this size cannot be rendered\n"), 2;
     uint16_t *test = test_mosaic(), *raw = room(pixels * sizeof *raw);
     uint32_t *label = room(L3_LAYERS * pixels * sizeof *label);
     L3Output *output = room(L3_OUTPUTS * pixels * sizeof *output);
@@ -95,7 +95,7 @@ static int measure(int rows, int columns) {
         const double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
         fastest = seconds < fastest ? seconds : fastest;
     }
-    printf("%d x %d: %.1f ms a frame on one core, the fastest of %d; workspace %.1f MB\n", columns, rows, 1e3 * fastest, FRAMES,
+    printf("%d x %d: %.1f ms per frame on one core (fastest of %d); workspace %.1f MB\n", columns, rows, 1e3 * fastest, FRAMES,
            (double)bytes / 1e6);
     free(test), free(raw), free(label), free(output), free(workspace);
     return 0;

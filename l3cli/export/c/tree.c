@@ -1,6 +1,6 @@
 /* ------------------------------------------------------------------------------------------------------------------- tree */
 
-/* Gradients and bends of luminance about a padded row, and their products. */
+/* Computes the first differences (slopes) and second differences (bends) of the luminance in a padded row, and their products. */
 static void luminance_slopes(const int32_t *restrict above, const int32_t *restrict here, const int32_t *restrict below,
                              const int32_t *restrict factor, const int32_t *restrict shift, int columns, int32_t *restrict slope_x,
                              int32_t *restrict slope_y, int32_t *restrict bend_x, int32_t *restrict bend_y, int32_t *restrict xx,
@@ -16,7 +16,7 @@ static void luminance_slopes(const int32_t *restrict above, const int32_t *restr
     }
 }
 
-/* Products of the gradients of chroma, and with those of luminance. */
+/* Computes the products of the chroma gradients with each other and with the luminance gradients. */
 static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restrict u_here, const int32_t *restrict u_below,
                           const int32_t *restrict v_above, const int32_t *restrict v_here, const int32_t *restrict v_below,
                           const int32_t *restrict factor, const int32_t *restrict shift, const int32_t *restrict slope_x,
@@ -39,7 +39,7 @@ static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restri
     }
 }
 
-/* Those of the planes about padded row k - 1, as row k of the rings. */
+/* Computes these quantities for padded row k - 1, and stores them as row k of the rings. */
 static void plane_products(const Gradients *g, int k, int columns) {
     int32_t *row[QUANTITIES];
     for (int q = 0; q < QUANTITIES; q++) row[q] = quantity_row(g, q, k);
@@ -55,7 +55,7 @@ static inline int32_t size_of(int32_t value) { return negated(value, value >> 31
 static inline int32_t larger_of(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline float squared_with_sign(int32_t value) { return (float)(value * size_of(value)); }
 
-/* The sums that the tests of a row need: over 5 x 5 of the first nine quantities, then over 3 x 3. */
+/* Computes the weighted sums for the tests of a row: the first nine quantities over 5 x 5 pixels, and others over 3 x 3 pixels. */
 static void weigh_row(const Gradients *g, int k, int columns) {
     for (int q = XX; q <= CHROMA_BEND_YY; q++) weigh_wide(g, q, k, columns, g->weighed + q * g->span);
     static const int near[] = {XX, YY, BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y};
@@ -67,14 +67,15 @@ static void weigh_row(const Gradients *g, int k, int columns) {
                    g->weighed + (15 + plane) * g->span);
 }
 
-/* Of TOGETHER pixels of a row. */
+/* Numerators and denominators of TOGETHER pixels of a row, and the orientation of each pixel: masks with all bits set, or 0. */
 typedef struct {
     float numerator[L3_TESTS][TOGETHER], denominator[4][TOGETHER];
-    int32_t transposed[TOGETHER], across[TOGETHER], down[TOGETHER]; /* how they are turned: all bits, or none */
+    int32_t transposed[TOGETHER], across[TOGETHER], down[TOGETHER];
 } TreeEvidence;
 
-/* Numerators and denominators of every test (README.md, "Tree") from column x on, each pixel's in the orientation that its site is
- * learned in: columns and rows change places, and signs. Rounding to float is the only one: IEEE-754's. */
+/* Computes the numerators and denominators of all tests (see "Tree" in README.md), starting at column x. Each pixel is evaluated in the
+ * orientation in which its site was trained: rows and columns may be exchanged, and their signs may change. The conversion to float is
+ * the only rounding. */
 static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restrict e) {
     const ptrdiff_t n = g->span;
     const int32_t *restrict sum = g->weighed + x, *restrict bend_x = quantity_row(g, BEND_X, k - 2) + x + 2;
@@ -122,15 +123,15 @@ static void find_evidence(const Gradients *g, int k, int x, TreeEvidence *restri
     }
 }
 
-/* Number of the lowest bit that is set; 32 of none. */
+/* Returns the number of the lowest bit that is set, or 32 if no bit is set. */
 static inline uint32_t lowest_bit(uint32_t bits) {
-    uint32_t v = ~bits & (bits - 1); /* ones below it */
+    uint32_t v = ~bits & (bits - 1); /* all bits below the lowest bit */
     v = v - (v >> 1 & 0x55555555u);
     v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
     return ((v + (v >> 4)) & 0x0f0f0f0fu) * 0x01010101u >> 24;
 }
 
-/* What is left after the tests of a group. No test waits for another, none is a branch. */
+/* Finds the leaves or parts that remain after all tests of a group. The tests are independent of each other and need no branches. */
 static void rule_out(const TreeEvidence *e, const L3Tree *tree, int group, uint32_t left[restrict TOGETHER]) {
     for (int i = 0; i < TOGETHER; i++) left[i] = UINT32_MAX;
     for (uint32_t t = tree->start[group]; t < tree->start[group + 1]; t++) {
@@ -165,7 +166,8 @@ static void find_leaves(const TreeEvidence *e, const L3Tree *tree, uint32_t leaf
     }
 }
 
-/* Labels of the row whose sums have been weighed last; `first_labels` are its own. Sums behind its last column are of anything. */
+/* Computes the classes of the row for which the sums were computed last. `first_labels` are its classes in the first layer. The sums
+ * after the last column are undefined and not used. */
 static void label_row(const Gradients *g, const L3PlaneLayer *layer, int k, int columns, const uint32_t *first_labels,
                       uint32_t *labels) {
     for (int x = 0; x < columns; x += TOGETHER) {
