@@ -82,7 +82,7 @@ def test_a_camera_that_was_accepted_although_it_falls_short_states_it(pipeline: 
     save(replace(camera, fit=replace(camera.fit, chart=chart, noise=noise)), tmp_path / "camera.h5")
     assert l3("report", tmp_path / "camera.h5", "-o", tmp_path / "report.html")[0] == 0
     text = (tmp_path / "report.html").read_text()
-    assert "The model is not reliable: channel g is predicted with" in text
+    assert "The model is not reliable: the validation of channel g has R²" in text
     assert "No white frame saturates" in text
     assert " Below the lines: 1 saturated point." in text
     assert l3("report", pipeline / "camera.h5", "-o", tmp_path / "sound.html")[0] == 0
