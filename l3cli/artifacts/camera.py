@@ -1,4 +1,4 @@
-"""The camera model. Calibration writes camera models, and simulation reads them (docs/method.md#camera-model)."""
+"""The camera model, which calibration writes and simulation reads (docs/method.md#camera-model)."""
 
 import dataclasses
 import functools
@@ -15,29 +15,34 @@ from l3cli.physics import lens, spectra
 from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
-DEFECTS = ("hot", "dead", "row", "column")  # kinds of defective pixels; in the last two, a whole line is defective
-MAX_SHADING = 16.0  # largest gain; the pixel receives a sixteenth of the light in the middle of the frame
-MAX_COLOUR_SHADING = 0.5  # largest relative difference between a channel's gain and the mean of all channels
+DEFECTS = (
+    "hot",
+    "dead",
+    "row",
+    "column",
+)  # types of defective pixels; "row" and "column" mean that a whole line is defective
+MAX_SHADING = 16.0  # largest gain of a flat field
+MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
 MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # smallest exposure time and largest gain of a channel, relative to the camera
-MAX_CHANNELS = 16  # a saturation code has one bit per channel, in 16 bits
+MAX_CHANNELS = 16  # because a saturation code has one bit per channel, in 16 bits
 MAX_CFA = 8  # largest number of rows or columns of the super-pixel
 MAX_BITS = 16  # largest bit depth of raw values
-ROUNDING = 1e-6  # a quantum efficiency may exceed 1 by this much, because of rounding
+ROUNDING = 1e-6  # amount by which a quantum efficiency may exceed 1 because of rounding
 MAX_WAVELENGTHS = 10_000  # largest number of samples in a spectrum
-QUANTISATION = 1 / 12  # DN², variance of rounding to whole DN
+QUANTISATION = 1 / 12  # DN²; variance that rounding to whole DN adds
 
 
 def sensitivity_threshold(read_noise: Any, gain: Any) -> Any:
     """Return the absolute sensitivity threshold of EMVA 1288 in e-: the signal at which the signal-to-noise ratio is 1.
 
-    `read_noise` is in e-, `gain` in DN/e-; both may be arrays.
+    `read_noise` is in e- and `gain` in DN/e-. Both may be arrays.
     """
     return np.sqrt(read_noise**2 + QUANTISATION / gain**2) + 0.5
 
 
 @dataclass(frozen=True)
 class DefectMap:
-    """Defective pixels, whose values do not depend on the light."""
+    """Defective pixels, whose values are not used."""
 
     position: NDArray[np.int64] = data(
         "int64", "bad_pixel", "coordinate", unit="pixel", doc="row and column of each defective pixel, without repetition"
@@ -46,19 +51,19 @@ class DefectMap:
 
     def __post_init__(self) -> None:
         if self.position.ndim != 2 or self.position.shape[1] != 2 or self.position.min(initial=0) < 0:
-            raise ValueError("defects: position must be rows and columns from 0")
+            raise ValueError("defects: position must contain rows and columns, counted from 0")
         if len(np.unique(self.position, axis=0)) < len(self.position):
-            raise ValueError("defects: a pixel is listed twice")
+            raise ValueError("defects: position contains a pixel twice")
         if odd := sorted(set(self.pixel_kind) - set(DEFECTS)):
-            raise ValueError(f'defects: "{odd[0]}" is not a kind of pixel; known are {", ".join(DEFECTS)}')
+            raise ValueError(f'defects: pixel_kind contains "{odd[0]}"; known types are {", ".join(DEFECTS)}')
 
 
 @dataclass(frozen=True)
 class FlatField:
     """Gain that corrects shading, so that the image of an evenly lit white target becomes uniform.
 
-    Each channel has gains of its own, relative to the middle of the frame. They are stored on a grid that covers the whole
-    sensor, and are interpolated linearly between grid lines.
+    Each channel has separate gains, relative to the middle of the frame. They are stored on a grid that covers the whole
+    sensor, and are interpolated linearly between the grid lines.
     """
 
     grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="rows of the grid lines", coordinate=True)
@@ -72,24 +77,29 @@ class FlatField:
     def __post_init__(self) -> None:
         for name, lines in (("grid_row", self.grid_row), ("grid_col", self.grid_col)):
             if not (lines.size > 1 and (np.diff(lines) > 0).all()):
-                raise ValueError(f"flat field: {name} must be two lines or more that increase")
+                raise ValueError(f"flat field: {name} must contain at least two increasing values")
         gain = self.shading_gain
         if not (gain.size and gain.min() >= 1 / MAX_SHADING and gain.max() <= MAX_SHADING):
-            raise ValueError(f"flat field: gains must lie in {1 / MAX_SHADING:g}…{MAX_SHADING:g}; are the whites even?")
+            raise ValueError(
+                f"flat field: the gains must be between {1 / MAX_SHADING:g} and {MAX_SHADING:g}; are the white frames "
+                "evenly lit?"
+            )
         if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MAX_COLOUR_SHADING:
             raise ValueError(
-                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the others; are the whites even?"
+                f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean of all channels; are "
+                "the "
+                "white frames evenly lit?"
             )
 
     def covers(self, rows: int, cols: int) -> bool:
-        """Return whether the grid extends from the first to the last pixel of a sensor."""
+        """Return whether the grid extends from the first pixel to the last pixel of a sensor."""
         ends = (*self.grid_row[[0, -1]], *self.grid_col[[0, -1]])
         return bool(np.allclose(ends, (0, rows - 1, 0, cols - 1), rtol=0, atol=0.5))
 
 
 @dataclass(frozen=True)
 class Readout:
-    """Exposure time and gain of each channel. Channels with the same filter may differ in exposure time and gain."""
+    """Exposure time and gain of each channel. Even channels with the same filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
         "float64", "channel", doc="exposure time, relative to that of the frame, which is the longest"
@@ -103,17 +113,17 @@ class Readout:
     def __post_init__(self) -> None:
         exposure, gain, first = self.channel_exposure, self.channel_gain, self.same_filter
         if not (exposure.min() >= MIN_EXPOSURE and exposure.max() == 1.0):
-            raise ValueError(f"exposures of channels must lie in {MIN_EXPOSURE:g}…1, and the longest be 1")
+            raise ValueError(f"channel_exposure must be between {MIN_EXPOSURE:g} and 1, and its largest value must be 1")
         if not (gain.min() >= 1.0 and gain.max() <= MAX_GAIN):
-            raise ValueError(f"gains of channels must lie in 1…{MAX_GAIN:g}")
+            raise ValueError(f"channel_gain must be between 1 and {MAX_GAIN:g}")
         if not (self.channel_read_noise.min() >= 0 and np.isfinite(self.channel_read_noise).all()):
-            raise ValueError("read noise of channels must not be negative")
+            raise ValueError("channel_read_noise must be finite and must not be negative")
         if not ((first >= 0) & (first <= np.arange(first.size))).all() or not (first[first] == first).all():
-            raise ValueError("same_filter must name, for each channel, the first channel with its filter")
+            raise ValueError("same_filter must contain, for each channel, the first channel with the same filter")
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light for each channel, relative to the channel with the largest product of exposure and gain."""
+        """DN per unit of light for each channel, divided by the largest value. It is the product of exposure and gain."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 
@@ -131,11 +141,11 @@ class Noise:
 
     def __post_init__(self) -> None:
         if not (min(dataclasses.astuple(self)) >= 0 and self.well_capacity > 0):
-            raise ValueError("noise figures must not be negative, and the well capacity must be above zero")
+            raise ValueError("noise values must not be negative, and the well capacity must be positive")
 
     @property
     def temporal(self) -> float:
-        """Variance, in e-², of the dark noise that differs from frame to frame: the read noise."""
+        """Variance, in e-², of the dark noise that differs between frames, which is the read noise."""
         return self.read_noise**2
 
     @property
@@ -146,9 +156,9 @@ class Noise:
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Changes of the noise relative to the calibrated camera: another analog gain, and a temporal filter.
+    """Changes of the noise relative to the calibrated camera: a different analog gain, and a temporal filter.
 
-    The filter leaves the fraction `noise_left` of the variance of the temporal noise.
+    After the filter, the fraction `noise_left` of the temporal noise variance remains.
     """
 
     gain: float = data("float64", doc="analog gain, relative to the camera's", default=1.0)
@@ -156,13 +166,13 @@ class NoiseScale:
 
     def __post_init__(self) -> None:
         if not self.gain > 0:
-            raise ValueError(f"analog gain is {self.gain:g}, not above zero")
+            raise ValueError(f"the analog gain is {self.gain:g}, but must be positive")
         if not self.noise_left > 0:
-            raise ValueError(f"noise_left is {self.noise_left:g}, not above zero")
+            raise ValueError(f"noise_left is {self.noise_left:g}, but must be positive")
 
     @property
     def shot(self) -> float:
-        """Ratio of the shot-noise variance, in DN², to the shot-noise variance of the calibrated camera."""
+        """Shot-noise variance in DN², divided by the shot-noise variance of the calibrated camera."""
         return self.gain * self.noise_left
 
     def __str__(self) -> str:
@@ -173,7 +183,7 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class AnalogGains:
-    """Further analog gains of a camera, and its read noise at each of them (docs/method.md#gains)."""
+    """Additional analog gains of a camera, and the read noise at each of these gains (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
         "float64", "analog_gain", doc="analog gain, relative to the camera's", coordinate=True
@@ -184,16 +194,18 @@ class AnalogGains:
     def __post_init__(self) -> None:
         gain = self.analog_gain
         if not ((gain > 0).all() and (np.diff(gain) > 0).all() and (gain != 1).all()):
-            raise ValueError("analog gains must be above zero and increase; leave out 1, which is the camera's own gain")
+            raise ValueError(
+                "analog gains must be positive and increase, and must not contain 1, the gain of the camera itself"
+            )
         if not (self.gain_read_noise >= 0).all():
-            raise ValueError("read noise at an analog gain must not be negative")
+            raise ValueError("the read noise at an analog gain must not be negative")
         if not self.iso >= 0:
-            raise ValueError(f"the ISO speed is {self.iso:g}, below zero")
+            raise ValueError(f"the ISO speed is {self.iso:g}, but must not be negative")
 
 
 @dataclass(frozen=True)
 class Optics:
-    """The lens (docs/method.md#optics). Its transmittance is included in the responsivity of the camera."""
+    """The lens (docs/method.md#optics). The responsivity of the camera includes the transmittance of the lens."""
 
     focal_length: float = data("float64", unit="m", doc="focal length")
     f_number: float = data("float64", unit="1", doc="focal length / aperture diameter")
@@ -202,45 +214,48 @@ class Optics:
     def __post_init__(self) -> None:
         close = self.object_distance != 0 and self.object_distance <= self.focal_length
         if not (self.focal_length > 0 and self.f_number > 0) or close:
-            raise ValueError("focal length and f-number must be above zero, the object farther than the focal length")
+            raise ValueError(
+                "focal length and f-number must be positive, and the object distance must be larger than the focal length"
+            )
 
     @property
     def image_distance(self) -> float:
-        """Distance in m from lens to sensor when the object is in focus."""
+        """Distance in m between lens and sensor if the object is in focus."""
         return lens.image_distance(self.focal_length, self.object_distance)
 
     @property
     def irradiance_per_radiance(self) -> float:
-        """Ratio of sensor irradiance to scene radiance on the axis, in sr, from the camera equation.
-
-        See docs/method.md#optics.
-        """
+        """Ratio of sensor irradiance to scene radiance on the optical axis, in sr (docs/method.md#optics)."""
         return lens.irradiance_per_radiance(self.f_number, lens.magnification(self.focal_length, self.object_distance))
 
 
 def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_level: float) -> None:
     """Raise ValueError if the size, the bit depth or the levels (DN) of a sensor are impossible."""
     if not (rows > 0 and cols > 0 and rows * cols <= most_pixels() and 1 <= bits <= MAX_BITS):
-        given = f"the sensor has {rows} rows, {cols} columns and {bits} bits"
-        raise ValueError(f"{given}; each must be above zero, with at most {most_pixels()} pixels and {MAX_BITS} bits")
+        sensor = f"the sensor has {rows} rows, {cols} columns and {bits} bits"
+        raise ValueError(f"{sensor}; all must be positive, with at most {most_pixels()} pixels and {MAX_BITS} bits")
     if not 0 <= black_level < white_level <= 2**bits - 1:
-        raise ValueError(f"black level {black_level:g} and white level {white_level:g} do not lie in 0…{2**bits - 1}")
+        raise ValueError(
+            f"the black level is {black_level:g} and the white level {white_level:g}; they must increase and be between "
+            "0 and "
+            f"{2**bits - 1}"
+        )
 
 
 def check_cfa(cfa: NDArray[np.uint8], channels: tuple[str, ...]) -> None:
     """Raise ValueError if the super-pixel is empty or too large, or if it refers to a channel that does not exist."""
     if not (cfa.size > 0 and max(cfa.shape) <= MAX_CFA and 0 < len(channels) <= MAX_CHANNELS):
-        raise ValueError(f"cfa must be at most {MAX_CFA}×{MAX_CFA} of at most {MAX_CHANNELS} channels")
+        raise ValueError(f"cfa must have at most {MAX_CFA}×{MAX_CFA} sites and at most {MAX_CHANNELS} channels")
     if cfa.max() >= len(channels):
-        raise ValueError(f"cfa names channel {cfa.max()}, but there are {len(channels)}")
+        raise ValueError(f"cfa contains the channel index {cfa.max()}, but there are only {len(channels)} channels")
 
 
 def check_wavelengths(wavelength: NDArray[np.float64]) -> None:
-    """Raise ValueError unless wavelengths (nm) increase and are plausible for light."""
+    """Raise ValueError unless the wavelengths (nm) increase and are plausible for light."""
     if not (1 < wavelength.size <= MAX_WAVELENGTHS and (np.diff(wavelength) > 0).all()):
-        raise ValueError(f"wavelength must be 2 to {MAX_WAVELENGTHS} increasing values")
+        raise ValueError(f"wavelength must contain 2 to {MAX_WAVELENGTHS} increasing values")
     if not (wavelength[0] > 0 and wavelength[-1] <= spectra.LONGEST_NM):
-        raise ValueError(f"wavelength must lie in 0…{spectra.LONGEST_NM} nm")
+        raise ValueError(f"wavelength must be between 0 and {spectra.LONGEST_NM} nm")
 
 
 @dataclass(frozen=True, repr=False)
@@ -250,42 +265,48 @@ class CameraModel(Artifact):
     Attributes
     ----------
     name : str
+        Name of the camera.
     rows, cols : int
         Size of the sensor in pixels.
     pixel_pitch : float
-        Distance of pixel centres in m.
+        Distance between pixel centres in m.
     bits : int
-        Depth of the analog-digital converter.
+        Bit depth of the analog-to-digital converter.
     channels : tuple of str
+        Names of the channels.
     cfa : ndarray, (cfa_row, cfa_col)
         Index of the channel at each site of the super-pixel.
     wavelength : ndarray, (wavelength,)
-        Grid of the responsivities in nm.
+        Wavelengths of the responsivities in nm.
     responsivity : ndarray, (channel, wavelength)
-        Quantum efficiency in e-/photon, including lens, filters and fill factor. Relative, with a peak of 1, unless
-        `absolute`.
+        Quantum efficiency in e-/photon, including lens, filters and fill factor. If `absolute` is false, relative
+        responsivities with a peak of 1.
     responsivity_band : ndarray, (channel, wavelength)
-        Half width of the 95 % band of `responsivity`; 0 if not measured.
+        Half width of the 95 % confidence band of `responsivity`, or 0 if it was not measured.
+    absolute : bool
+        Whether `responsivity` is a quantum efficiency.
     gain : float
         Conversion gain in DN/e-.
     black_level, white_level : float
-        Mean value in the dark and value at saturation, in DN.
+        Mean value in the dark, and value at saturation, in DN.
     fixed_pattern_seed : int
         Seed of the camera's PRNU and DSNU maps.
     noise : Noise
+        Noise of the sensor.
     optics : Optics
+        The lens.
     declared : tuple of str
-        Quantities that calibration took from a data sheet instead of measuring them.
+        Quantities that were read from a data sheet instead of measured.
     fit : Fit or None
-        Measurements and residuals; None if the camera comes from a recipe.
+        Measurements and residuals of the calibration. None if the camera is described by a recipe.
     defects : DefectMap or None
-        None if defects have not been searched for.
+        Defective pixels. None if they have not been searched for.
     flat_field : FlatField or None
-        None if shading was not measured.
+        Correction of shading. None if shading was not measured.
     readout : Readout or None
-        None if all channels have the same exposure time and gain.
+        Exposure time and gain of each channel. None if they are the same for all channels.
     gains : AnalogGains or None
-        None if the read noise is assumed to be the same at all gains.
+        Read noise at other analog gains. None if the read noise is assumed to be the same at all gains.
     noise_left : float
         Fraction of the temporal noise variance that remains after a temporal filter. `under` sets it. It is not stored.
     """
@@ -336,13 +357,15 @@ class CameraModel(Artifact):
         check_cfa(self.cfa, self.channels)
         check_wavelengths(self.wavelength)
         if not (self.pixel_pitch > 0 and self.gain > 0 and self.responsivity.max() > 0 and self.fixed_pattern_seed >= 0):
-            raise ValueError("pixel_pitch, gain and peak responsivity must be above zero, fixed_pattern_seed not negative")
+            raise ValueError(
+                "pixel_pitch, gain and peak responsivity must be positive, and fixed_pattern_seed must not be negative"
+            )
         if self.absolute and not self.responsivity.max() <= 1.0 + ROUNDING:
-            raise ValueError(f"its peak quantum efficiency is {self.responsivity.max():.4g}, which cannot exceed 1")
+            raise ValueError(f"the peak quantum efficiency is {self.responsivity.max():.4g}, but cannot exceed 1")
         if self.defects and (self.defects.position >= (self.rows, self.cols)).any():
-            raise ValueError(f"defects lie beyond the {self.rows}×{self.cols} pixels")
+            raise ValueError(f"defects are outside the {self.rows}×{self.cols} pixels of the sensor")
         if self.flat_field and not self.flat_field.covers(self.rows, self.cols):
-            raise ValueError(f"the grid of the flat field is not that of {self.rows}×{self.cols} pixels")
+            raise ValueError(f"the flat field does not cover the {self.rows}×{self.cols} pixels of the sensor")
 
     @property
     def summary(self) -> str:
@@ -351,13 +374,13 @@ class CameraModel(Artifact):
 
     @property
     def full_scale(self) -> float:
-        """Number of electrons between the black and the white level."""
+        """Number of electrons between the black level and the white level."""
         return (self.white_level - self.black_level) / self.gain
 
     def at_gain(self, gain: float) -> "CameraModel":
-        """Return the camera at another analog gain.
+        """Return the camera at a different analog gain.
 
-        The levels stay the same. The read noise is interpolated between the known gains, with its square linear in 1/gain²
+        The levels stay the same. The read noise is interpolated between the known gains. Its square is linear in 1/gain²
         (docs/method.md#gains).
 
         Parameters
@@ -384,20 +407,24 @@ class CameraModel(Artifact):
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed, relative to the camera's gain, or None if either ISO speed is unknown."""
+        """Return the analog gain at an ISO speed, relative to the gain of this camera, or None if either ISO speed is
+        unknown.
+        """
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
     def under(self, noise: NoiseScale) -> "CameraModel":
-        """Return a copy of the camera at the analog gain and with the remaining noise of `noise`."""
+        """Return a copy of the camera with the analog gain and the remaining noise of a noise scale."""
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the channel (row, col) of each pixel in a frame of this shape. The first pixel is CFA site (0, 0)."""
+        """Return the channel of each pixel in a frame of this shape, whose first pixel has the CFA site (0, 0)."""
         return tiled(self.cfa, shape)
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light for each channel, relative to the most sensitive channel. All are 1 without a `readout`."""
+        """DN per unit of light for each channel, relative to the most sensitive channel. Without a `readout`, all values
+        are 1.
+        """
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 
     @property
@@ -407,9 +434,9 @@ class CameraModel(Artifact):
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength), such that W @ radiance gives the mean photo-electrons per second of exposure.
+        """Matrix that converts radiance to photo-electrons per second of exposure, with the shape (channel, wavelength).
 
-        Radiance is in photons/s/sr/m²/nm (docs/method.md#sensor).
+        The radiance is in photons/s/sr/m²/nm (docs/method.md#sensor).
         """
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
@@ -418,16 +445,18 @@ class CameraModel(Artifact):
 
     @property
     def signal_weights(self) -> NDArray[np.float64]:
-        """W (channel, wavelength), such that `gain` · W @ radiance gives the mean signal in DN per second of exposure.
+        """Matrix that converts radiance to DN/`gain` per second of exposure, with the shape (channel, wavelength).
 
-        Radiance is in photons/s/sr/m²/nm. W differs from `electron_weights` if channels have gains of their own.
+        The radiance is in photons/s/sr/m²/nm. The matrix differs from `electron_weights` if channels have different
+        gains.
         """
         weights = self.electron_weights
         return weights if self.readout is None else weights * self.readout.channel_gain[:, None]
 
     @functools.cached_property
     def saturation_exposure(self) -> float:
-        """Luminance × exposure time, in cd s/m², at which a perfect white under D65 just fills the brightest channel.
+        """Luminance × exposure time, in cd s/m², at which a perfect white under D65 just saturates the most sensitive
+        channel.
 
         Raises
         ------
@@ -440,39 +469,40 @@ class CameraModel(Artifact):
         exposure = self.full_scale / electrons if electrons > 0 else np.inf
         if not exposure <= LARGEST_VALUE:
             raise InputFileError(
-                f"camera {self.name}: {exposure:.3g} cd s/m² of daylight fill a pixel; check responsivity, pitch, f-number"
+                f"camera {self.name}: a pixel saturates only at {exposure:.3g} cd s/m² of daylight; check the responsivity, "
+                "the pixel pitch and the f-number"
             )
         return exposure
 
     @property
     def output_unit(self) -> float:
-        """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for the camera.
+        """Luminance × exposure time, in cd s/m², that corresponds to an output of 1 in tables for this camera.
 
-        It is the saturation exposure. If the sensitivities of channels differ by more than a factor of four, it is instead a
-        quarter of the exposure that fills the least sensitive channel (docs/method.md#exposures).
+        It is the saturation exposure. If the sensitivities of the channels differ by more than a factor of 4, it is a
+        quarter of the exposure that saturates the least sensitive channel (docs/method.md#exposures).
         """
         return self.saturation_exposure * max(1.0, 0.25 / float(self.sensitivity.min()))
 
     def dark_signal(self, exposure: float | None) -> float:
         """Return the mean dark signal above black, in DN, after `exposure` seconds (docs/method.md#dark-current).
 
-        The result is 0 if the exposure time is None.
+        If the exposure time is None, the result is 0.
         """
         return 0.0 if exposure is None else self.gain * self.noise.dark_current * exposure
 
     def noise_variance(
         self, signal: NDArray[np.floating], dark: float = 0.0, channel: NDArray[np.integer] | None = None
     ) -> NDArray[np.floating]:
-        """Return the noise variance of pixels, in DN², including quantisation noise (docs/method.md#noise).
+        """Return the noise variance of pixels in DN², including quantisation noise (docs/method.md#noise).
 
         Parameters
         ----------
         signal : ndarray
             Mean signal above black in DN, in a frame that `RawFrame.at_levels` has rescaled.
         dark : float
-            Dark signal in DN that has been subtracted from the frame.
+            Dark signal, in DN, that was subtracted from the frame.
         channel : ndarray of int, optional
-            Channel of each pixel; see `noise_terms`.
+            Channel of each pixel, as in `noise_terms`.
         """
         constant, linear, quadratic = self.noise_terms(dark, channel)
         signal = np.maximum(signal, 0.0)
@@ -481,31 +511,34 @@ class CameraModel(Artifact):
     def noise_terms(self, dark: float = 0.0, channel: NDArray[np.integer] | None = None) -> tuple[Any, Any, float]:
         """Return the coefficients of the noise variance as a polynomial in the signal above black.
 
-        They apply to frames from which the mean dark signal has been subtracted, and whose remaining range has been
-        stretched to full scale. The shot noise and the nonuniformity of the dark signal are still in these frames.
+        The coefficients apply to frames from which the mean dark signal was subtracted, and whose remaining range was
+        stretched to full scale. These frames still contain the shot noise and the nonuniformity of the dark signal.
         `noise_left` scales the temporal noise, but not the quantisation noise.
 
         Parameters
         ----------
         dark : float
-            Dark signal, in DN, that a channel with the full exposure time and the gain `gain` has.
+            Dark signal, in DN, of a channel with the full exposure time and the gain `gain`.
         channel : ndarray of int, optional
-            Channel of each pixel. It matters if channels differ in exposure time or gain. [default: a channel with the full
-            exposure time and the gain `gain`]
+            Channel of each pixel. It is needed if channels differ in exposure time or gain. [default: a channel with the
+            full exposure time and the gain `gain`]
 
         Returns
         -------
         constant, linear, quadratic
-            In DN², DN and 1. If channels differ, the first two are arrays with the shape of `channel`.
+            Coefficients in DN², DN and 1. If channels differ, the first two are arrays with the shape of `channel`.
 
         Raises
         ------
         ValueError
-            If dark current alone fills a pixel.
+            If the dark current alone saturates a pixel.
         """
         noise, left, span = self.noise, self.noise_left, self.white_level - self.black_level
         if not dark < span:
-            raise ValueError(f"dark current alone fills a pixel of camera {self.name}: {dark:.4g} DN of {span:.4g}")
+            raise ValueError(
+                f"dark current alone saturates the pixels of camera {self.name}: it adds {dark:.4g} DN to a range of "
+                f"{span:.4g} DN"
+            )
         stretch, prnu = span / (span - dark), noise.prnu**2
         gain: Any = self.gain
         temporal: Any = noise.temporal

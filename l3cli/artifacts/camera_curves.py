@@ -1,4 +1,4 @@
-"""Responsivities in a camera recipe: sums of Gaussians, or a CSV file of relative curves or quantum efficiencies."""
+"""Responsivities in a camera recipe: sums of Gaussians, or a CSV file with relative curves or quantum efficiencies."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,17 +16,18 @@ from l3cli.recipes.toml import Positive, Recipe
 from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable, gaps, known_as, without_noise
 
-WIDEST_GAP = 20.0  # nm between samples of measured curves
-CUT_OFF = 0.05  # fraction of a channel's peak; a curve that ends higher within the visible range was cut off
+WIDEST_GAP = 20.0  # nm; largest distance between the samples of measured curves
+CUT_OFF = 0.05  # a curve is cut off if it ends in the visible range at a value above this fraction of its peak
 VISIBLE = 420.0, 680.0  # nm
-RELATIVE_PEAK = 1e-3  # curves whose peak is this close to 1 are relative, that is, divided by their peak
-MIN_PEAK = 1e-3  # lowest peak quantum efficiency of a camera
+RELATIVE_PEAK = 1e-3  # if the peak of the curves differs from 1 by less, the curves are assumed to be relative
+MIN_PEAK = 1e-3  # lowest plausible peak quantum efficiency of a camera
 Array = NDArray[np.float64]
 
 
 class Gaussian(Recipe):
-    """One asymmetric Gaussian of a responsivity: peak · exp(−½((λ−centre)/sigma)²), with one sigma on each side of the
-    centre.
+    """An asymmetric Gaussian in a responsivity: peak · exp(−½((λ−centre)/sigma)²).
+
+    `sigma_nm` applies below the centre, and `sigma_above_nm`, if it is set, above the centre.
     """
 
     peak: float
@@ -36,20 +37,21 @@ class Gaussian(Recipe):
 
 
 class ResponsivityRecipe(Recipe):
-    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; default for a file: its own grid
-    # quantum efficiency in e-/photon at the peak of all curves, including lens and filters; default for a file: its values
+    wavelength_nm: tuple[float, float, float] | None = None  # first, last, step; default for a file: its wavelengths
+    # highest peak of the quantum efficiencies in e-/photon, including lens and filters; default for a file: its values
     peak_efficiency: Positive | None = None
-    gaussians: dict[str, list[Gaussian]] | None = None  # channel → sum of Gaussians
-    file: str | None = None  # CSV: wavelength in nm, one column per channel, by name or in the order of cfa.channels
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → its column, if the names differ
-    per_energy: bool = False  # the curves are per watt, not per photon
+    gaussians: dict[str, list[Gaussian]] | None = None  # Gaussians of each channel, which are added
+    # CSV file with the wavelength in nm and one column per channel, found by name or in the order of cfa.channels
+    file: str | None = None
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # column of each channel, if the names differ
+    per_energy: bool = False  # whether the curves are per watt instead of per photon
 
 
 def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [responsivity], apart from numbers out of range and the content of files."""
+    """Yield the faults of [responsivity], except for numbers out of range and the content of files."""
     if (declared.gaussians is None) == (declared.file is None):
         yield fault(
-            "give either responsivity.gaussians or responsivity.file",
+            "set either responsivity.gaussians or responsivity.file",
             *(f"responsivity.{key}" for key in ("gaussians", "file") if getattr(declared, key) is not None),
             "responsivity",
         )
@@ -57,31 +59,39 @@ def curve_faults(declared: ResponsivityRecipe, channels: Sequence[str]) -> Itera
         first, last, step = declared.wavelength_nm
         key = "responsivity.wavelength_nm"
         if not (0 < first < last and step > 0):
-            yield fault(f"{key} must be first < last with a positive step", key)
+            message = (
+                f"{key} is [{first:g}, {last:g}, {step:g}]; write [first, last, step] with 0 < first < last and step > 0"
+            )
+            yield fault(message, key)
         elif (last - first) / step >= MAX_WAVELENGTHS or last > spectra.LONGEST_NM:
-            yield fault(f"{key} may have at most {MAX_WAVELENGTHS} values, up to {spectra.LONGEST_NM} nm", key)
+            yield fault(
+                f"{key} is [{first:g}, {last:g}, {step:g}]; at most {MAX_WAVELENGTHS} wavelengths up to "
+                f"{spectra.LONGEST_NM} nm are allowed",
+                key,
+            )
     yield from column_faults(declared.columns, channels, "responsivity.columns")
     if declared.gaussians is None:
         return
     if declared.columns:
-        yield fault("responsivity.columns only apply to responsivity.file; leave them out", "responsivity.columns")
+        yield fault("responsivity.columns applies only to responsivity.file; remove it", "responsivity.columns")
     for key in ("wavelength_nm", "peak_efficiency"):
         if getattr(declared, key) is None:
-            yield fault(f"missing key `{key}` in [responsivity], which gaussians need", f"responsivity.{key}")
+            message = f"missing key `{key}` in [responsivity], which is required for gaussians"
+            yield fault(message, f"responsivity.{key}")
     if set(channels) != set(declared.gaussians):
-        what = differences(declared.gaussians, channels)
-        message = f"responsivity.gaussians and cfa.channels differ: {what}"
+        difference = differences(declared.gaussians, channels)
+        message = f"responsivity.gaussians and cfa.channels differ: {difference}"
         yield fault(message, "responsivity.gaussians", "cfa.channels")
 
 
 def column_faults(columns: Mapping[str, str], channels: Sequence[str], key: str) -> Iterator[Fault]:
-    """Yield the faults of a mapping from channels to columns, which is at `key` in the recipe."""
+    """Yield the faults of a mapping from channels to columns. `key` is the key of this mapping in the recipe."""
     if odd := sorted({known_as(name, channels) for name in columns} - set(channels)):
         yield fault(f'{key}: "{odd[0]}" is not a channel; {suggestion(odd[0], channels)}', key)
 
 
 def differences(names: Iterable[str], channels: Sequence[str]) -> str:
-    """Return in words how `names` differ from the channels."""
+    """Describe how `names` differ from the names of the channels."""
     odd = sorted(set(names) - set(channels))
     if odd:
         return f'"{odd[0]}" is not a channel; {suggestion(odd[0], channels)}'
@@ -94,15 +104,16 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     Parameters
     ----------
     declared : ResponsivityRecipe
-        A recipe without `curve_faults`.
+        A section [responsivity] without `curve_faults`.
     channels : sequence of str
+        Names of the channels.
     folder : Path
-        Folder that the recipe's file name is relative to.
+        Folder of the recipe, to which the file name in the recipe is relative.
 
     Returns
     -------
     wavelength : ndarray, (wavelength,)
-        In nm.
+        Wavelengths in nm.
     efficiency : ndarray, (channel, wavelength)
         Quantum efficiency in e-/photon.
 
@@ -130,14 +141,14 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
 
 
 def curve_table(declared: ResponsivityRecipe, channels: Sequence[str], folder: Path) -> CurveTable:
-    """Return the curves of the channels from a recipe's file; InputFileError if the file lacks one."""
+    """Read the curves of the channels from the file of a recipe. Raises InputFileError if a curve is missing."""
     assert declared.file is not None
     table = read_table(folder / declared.file).channel_columns(channels, declared.columns)
     return replace(table, values=without_noise(table.values))
 
 
 def _grid(declared: ResponsivityRecipe) -> Array | None:
-    """Return the wavelengths that a recipe asks for, in nm, or None for those of its file."""
+    """Return the wavelengths that a recipe specifies, in nm, or None if it specifies none."""
     if declared.wavelength_nm is None:
         return None
     first, last, step = declared.wavelength_nm
@@ -145,47 +156,47 @@ def _grid(declared: ResponsivityRecipe) -> Array | None:
 
 
 def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[str]) -> None:
-    """Raise InputFileError unless the curves of a file cover the visible range, without gaps and without negative values."""
+    """Raise InputFileError unless the curves cover the visible range, without gaps and without negative values."""
     grid, curves = table.wavelength, table.values
     missing = gaps(grid, curves, WIDEST_GAP)
     if grid.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
-        raise InputFileError(f"{table.path} has a gap{where}; sample the curves at least every {WIDEST_GAP:g} nm")
+        raise InputFileError(f"{table.path} has a gap{where}; the curves need a sample at least every {WIDEST_GAP:g} nm")
     if wavelength is not None and (wavelength[0] >= grid[-1] or wavelength[-1] <= grid[0]):
         raise InputFileError(
-            f"{table.path} has {grid[0]:g}…{grid[-1]:g} nm, but responsivity.wavelength_nm asks for "
-            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; correct one of them"
+            f"{table.path} covers {grid[0]:g}…{grid[-1]:g} nm, but responsivity.wavelength_nm is "
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; correct the file or the key"
         )
     for name, curve in zip(channels, curves, strict=True):
         if curve.min() < 0 or curve.max() <= 0:
-            what = "negative values" if curve.min() < 0 else "no light at all"
-            raise InputFileError(f"{table.path}: channel {name} has {what}; give its response at each wavelength")
+            fault = "contains negative values" if curve.min() < 0 else "is zero at all wavelengths"
+            raise InputFileError(f"{table.path}: the curve of channel {name} {fault}; correct the file")
         for end, cut in ((0, grid[0] > VISIBLE[0]), (-1, grid[-1] < VISIBLE[1])):
             if cut and curve[end] > CUT_OFF * curve.max():
                 raise InputFileError(
-                    f"{table.path} ends at {grid[end]:g} nm where channel {name} still has {curve[end] / curve.max():.0%} "
-                    "of its peak; give 400–700 nm"
+                    f"{table.path} ends at {grid[end]:g} nm, where the curve of channel {name} is still at "
+                    f"{curve[end] / curve.max():.0%} of its peak; add data for 400–700 nm"
                 )
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """Return the quantum efficiencies that a file states, averaged over the steps of a grid."""
+    """Return the quantum efficiencies in a file, averaged over the wavelength steps of a grid."""
     efficiency = table.efficiencies(per_energy)
     peak = float(efficiency.max())
     if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):
         raise InputFileError(
-            f'{table.path}: its peak quantum efficiency is {peak:.4g}, which cannot exceed 1; write "(%)" after the names '
-            "of the columns if it is percent, or give responsivity.peak_efficiency"
+            f'{table.path}: the peak quantum efficiency is {peak:.4g}, but cannot exceed 1; write "(%)" after the column '
+            "names if the values are percentages, or set responsivity.peak_efficiency"
         )
     if abs(peak - 1) < RELATIVE_PEAK and not any(table.units):
         raise InputFileError(
-            f"{table.path}: the curves peak at 1, as relative ones do; give responsivity.peak_efficiency, or their unit, "
-            '"(e-/photon)", after the names of the columns'
+            f"{table.path} seems to contain relative curves, because their peak is 1; set responsivity.peak_efficiency, or "
+            'write the unit "(e-/photon)" after the column names'
         )
     if not MIN_PEAK <= peak <= 1 + ROUNDING:
         raise InputFileError(
-            f"{table.path}: its peak quantum efficiency is {peak:.4g}, which no camera has; correct the unit of the "
-            "columns, or give responsivity.peak_efficiency"
+            f"{table.path}: the peak quantum efficiency is {peak:.4g}, which is implausible; correct the unit of the "
+            "columns, or set responsivity.peak_efficiency"
         )
     return np.asarray(spectra.average(efficiency, table.wavelength, wavelength), np.float64)
 
@@ -200,7 +211,9 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:
-    """Return the full width at half maximum of a curve, in nm, or None if it does not fall that far on both sides."""
+    """Return the full width at half maximum of a curve in nm, or None if the curve does not fall to half its peak on
+    both sides.
+    """
     peak, half = int(curve.argmax()), curve.max() / 2
     below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)
     if not (below.size and above.size):

@@ -33,25 +33,25 @@ from l3cli.recipes.load import load_recipe, parse_recipe
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Seed, parse_toml, read_text
 from l3cli.spectra.table import CurveTable
 
-UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # unit of a value → suffix of its key
+UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a key, by the unit of its value
 MAX_READ_NOISE_E = 1e4
 MAX_ISO = 1e7
-PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # values beyond are probably in another unit
-PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # assumed if only a raw file of a camera is known
-MAX_PRNU = 0.2  # a sensor with more cannot be corrected
+PITCHES_UM, MIN_F_NUMBER, MIN_FOCAL_MM = (0.1, 1000.0), 0.5, 0.05  # other values probably have a wrong unit
+PITCH_UM, FOCAL_MM, F_NUMBER = 5.0, 50.0, 4.0  # values that are assumed if only a raw file of the camera is available
+MAX_PRNU = 0.2  # larger PRNU cannot be corrected
 Bits = Annotated[int, msgspec.Meta(ge=1, le=MAX_BITS)]
 ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Readout of a channel that differs from the others."""
+    """Readout of a channel whose exposure, gain or read noise differs from the defaults."""
 
-    like: str | None = None  # a channel with the same filter, whose responsivity applies
-    # exposure time relative to the frame's, which is the longest
+    like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
+    # exposure time, relative to the exposure time of the frame, which is the longest
     exposure: Annotated[float, msgspec.Meta(ge=MIN_EXPOSURE, le=1)] = 1.0
-    # conversion gain relative to sensor.gain_dn_per_e, which is the lowest
+    # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest gain
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
-    read_noise_e: ReadNoise | None = None  # at that gain; default: noise.read_noise_e
+    read_noise_e: ReadNoise | None = None  # read noise at the gain of the channel; default: noise.read_noise_e
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
@@ -66,21 +66,25 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
             message = f'channel.{name}.like: "{one.like}" is not a channel of cfa.channels; {suggestion(one.like, channels)}'
             yield fault(message, like)
         elif one.like == name or (one.like in channel and channel[one.like].like is not None):
-            yield fault(f'channel.{name}.like: "{one.like}" has no responsivity of its own; name one that has', like)
+            message = f'channel.{name}.like is "{one.like}", which has no curve; write the name of a channel with a curve'
+            yield fault(message, like)
         elif channels.index(one.like) > (channels.index(name) if name in channels else len(channels)):
-            yield fault(f"channel.{name}.like: list {one.like} before {name} in cfa.channels", like, "cfa.channels")
+            message = f'channel.{name}.like is "{one.like}"; write "{one.like}" before "{name}" in cfa.channels'
+            yield fault(message, like, "cfa.channels")
     if channel and channels and max(channel.get(name, ChannelRecipe()).exposure for name in channels) < 1:
-        message = "no channel has the exposure 1; give exposures relative to the longest, which is the frame's"
+        message = "no channel has the exposure 1; write exposures relative to the longest exposure, which is 1"
         yield fault(message, *(("channel", name, "exposure") for name in channel))
 
 
 def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> list[str]:
-    """Return, for each channel, the name of the channel that states its responsivity."""
+    """Return, for each channel, the name of the channel whose responsivity applies."""
     return [(channel[name].like if name in channel else None) or name for name in channels]
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """Return the [channel.NAME] tables that describe a readout, without read noise and without channels at the defaults."""
+    """Return the sections [channel.NAME] that describe a readout, without read noise and without channels that have the
+    defaults.
+    """
     if readout is None:
         return {}
     rows = zip(channels, readout.same_filter, readout.channel_exposure, readout.channel_gain, strict=True)
@@ -104,9 +108,9 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout of a recipe without `channel_faults`, or None if all channels are read alike.
+    """Return the readout of a recipe without `channel_faults`, or None if the recipe has no [channel.NAME].
 
-    `read_noise`, in e-, applies to channels that do not state their own.
+    `read_noise`, in e-, applies to channels without a `read_noise_e`.
     """
     if not channel:
         return None
@@ -125,8 +129,8 @@ class SensorRecipe(Recipe):
     pixel_pitch_um: Positive
     bits: Bits
     black_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: a full well gives the white level, or the top of the bits
-    white_level_dn: float | None = None  # default: the lower of well and converter
+    gain_dn_per_e: Positive | None = None  # default: the gain with which a full well reaches the white level
+    white_level_dn: float | None = None  # default: raw value of a full well, or the largest value of the converter if lower
     fixed_pattern_seed: Seed = 0
 
 
@@ -138,7 +142,7 @@ class CfaRecipe(Recipe):
 
 
 class NoiseRecipe(Recipe):
-    """Noise of the sensor at sensor.gain_dn_per_e."""
+    """Noise of the sensor at the gain sensor.gain_dn_per_e."""
 
     well_capacity_e: Positive
     read_noise_e: NotNegative = 0.0
@@ -154,27 +158,31 @@ def noise_of(recipe: NoiseRecipe) -> Noise:
 
 
 def noise_recipe(noise: Noise) -> NoiseRecipe:
-    """Return the recipe that declares a noise, the inverse of `noise_of`."""
+    """Return the recipe section that declares a noise. It is the inverse of `noise_of`."""
     return NoiseRecipe(**{key: getattr(noise, name) for name, key in noise_keys().items()})
 
 
 def noise_keys() -> dict[str, str]:
-    """Return the key of each field of Noise in recipes: its name, and a suffix for its unit."""
+    """Return the recipe key of each field of Noise, which is the name of the field with a suffix for its unit."""
     return {name: f"{name}{UNIT_SUFFIXES[spec.unit]}" for name, spec in declared(Noise) if isinstance(spec, Spec)}
 
 
 class GainRecipe(Recipe):
-    """Read noise at further analog gains (docs/method.md#gains)."""
+    """Read noise at additional analog gains (docs/method.md#gains)."""
 
-    iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0: not known
+    iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0 if unknown
     # gains, relative to sensor.gain_dn_per_e, at which the read noise is known
     gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
-    read_noise_e: tuple[ReadNoise, ...] = ()  # at each of these gains; replaces read_noise_before_e
-    read_noise_before_e: NotNegative | None = None  # before the amplifier; the rest of noise.read_noise_e comes after it
+    read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each of these gains
+    # read noise that arises before the amplifier, instead of gains and read_noise_e; the rest of noise.read_noise_e arises
+    # after the amplifier
+    read_noise_before_e: NotNegative | None = None
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Return the analog gains of a recipe without `gain_faults`. `read_noise`, in e-, is that at sensor.gain_dn_per_e."""
+    """Return the analog gains of a recipe without `gain_faults`. `read_noise` is the read noise at sensor.gain_dn_per_e,
+    in e-.
+    """
     if recipe is None:
         return None
     known = dict(zip(recipe.gains, recipe.read_noise_e, strict=True))
@@ -190,18 +198,21 @@ def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None
 def gain_faults(recipe: GainRecipe, read_noise: float) -> Iterator[Fault]:
     """Yield the faults of [gain] for a camera with this read noise in e-."""
     if len(recipe.gains) != len(recipe.read_noise_e):
-        message = f"gain.gains has {len(recipe.gains)} values, gain.read_noise_e {len(recipe.read_noise_e)}"
-        yield fault(f"{message}; give one read noise per gain", "gain.read_noise_e", "gain.gains")
+        message = f"gain.gains has {len(recipe.gains)} values, but gain.read_noise_e has {len(recipe.read_noise_e)}"
+        yield fault(f"{message}; write one read noise per gain", "gain.read_noise_e", "gain.gains")
     for gain in recipe.gains:
         if gain == 1 or recipe.gains.count(gain) > 1:
-            message = f"gain.gains: {gain:g} is listed twice, or is 1, for which noise.read_noise_e applies; leave it out"
-            yield fault(message, "gain.gains")
+            reason = "1, to which noise.read_noise_e applies" if gain == 1 else f"{gain:g} twice"
+            yield fault(f"gain.gains contains {reason}; remove this value", "gain.gains")
     before = recipe.read_noise_before_e
     if before is not None and recipe.gains:
-        message = "gain: give either read_noise_before_e, or gains with read_noise_e"
+        message = "[gain] contains read_noise_before_e and gains; set either read_noise_before_e, or gains and read_noise_e"
         yield fault(message, "gain.read_noise_before_e", "gain.gains")
     elif before is not None and before > read_noise:
-        message = f"gain.read_noise_before_e is {before:g}, more than noise.read_noise_e of {read_noise:g}"
+        message = (
+            f"gain.read_noise_before_e is {before:g}, but must not exceed noise.read_noise_e, which is {read_noise:g}; "
+            "decrease gain.read_noise_before_e"
+        )
         yield fault(message, "gain.read_noise_before_e")
 
 
@@ -221,7 +232,7 @@ def optics_of(recipe: OpticsRecipe) -> Optics:
 
 
 def optics_recipe(optics: Optics) -> OpticsRecipe:
-    """Return the recipe that declares some optics, the inverse of `optics_of`."""
+    """Return the recipe section that declares the optics. It is the inverse of `optics_of`."""
     return OpticsRecipe(
         focal_length_mm=round(optics.focal_length * 1e3, 9),
         f_number=optics.f_number,
@@ -240,29 +251,29 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a readout of their own
-    gain: GainRecipe | None = None  # further analog gains of the whole sensor
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a different readout
+    gain: GainRecipe | None = None  # additional analog gains of the whole sensor
 
 
 class PhaseRecipe(Recipe):
-    """The camera of another recipe, with its array starting at another pixel."""
+    """The camera of another recipe with a shifted colour filter array."""
 
     title: ClassVar[str] = CameraRecipe.title
 
     name: str
-    base: str  # path of the other recipe, relative to this one
-    phase: tuple[CountOrNone, CountOrNone]  # row and column of the base's array at which this array starts
+    base: str  # path of the other recipe, relative to this recipe
+    phase: tuple[CountOrNone, CountOrNone]  # row and column in the array of the base at which this array starts
 
 
 def load_camera(path: Path) -> CameraModel:
-    """Return the camera model in an artifact (.h5) or described by a camera recipe (.toml)."""
+    """Read a camera model from an artifact (.h5), or make one from a camera recipe (.toml)."""
     if path.suffix == ".toml":
         return camera_from_recipe(*read_recipe(path))
     return load(CameraModel, path)
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads: the given file, the base of a recipe, and the recipe's file of curves."""
+    """Return the files that `load_camera` reads: the file itself and, for recipes, the base and the file of curves."""
     if path.suffix != ".toml":
         return [path]
     recipe, whole = read_recipe(path)
@@ -271,7 +282,7 @@ def camera_files(path: Path) -> list[Path]:
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
-    """Return the curves in the file that a camera recipe names, or None if there is no such file."""
+    """Return the curves in the file that a camera recipe specifies, or None if there is no such file."""
     if path.suffix != ".toml":
         return None
     recipe, whole = read_recipe(path)
@@ -281,18 +292,26 @@ def curves_in_file(path: Path) -> CurveTable | None:
 
 
 def columns_left_out(path: Path) -> str | None:
-    """Return a note on the columns in a recipe's file of curves that match no channel, or None if all match."""
+    """Return a note about the columns in a recipe's file of curves that do not match a channel, or None if all match."""
     curves = curves_in_file(path)
     return None if curves is None else curves.note
 
 
 def _filters(recipe: CameraRecipe) -> list[str]:
-    """Return the channels that state a responsivity of their own."""
+    """Return the channels that have their own responsivity."""
     return list(dict.fromkeys(filters_of(recipe.channel, recipe.cfa.channels)))
 
 
 def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
-    """Return a camera recipe, and the file with its numbers: `path` itself, or the base that it names."""
+    """Read a camera recipe. If it has a base, the result is the recipe of the base with a shifted array.
+
+    Returns
+    -------
+    recipe : CameraRecipe
+        The complete recipe.
+    path : Path
+        The file that contains the numbers, which is `path` itself or its base.
+    """
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
         return parse_recipe(text, CameraRecipe, name), path
@@ -301,7 +320,10 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
     base = load_recipe(whole, CameraRecipe)
     period, (row, col) = parse_cfa(base.cfa, str(whole)).shape, variant.phase
     if row >= period[0] or col >= period[1]:
-        raise RecipeError(f"{path}: phase is [{row}, {col}], outside of the {period[0]}×{period[1]} array of {whole}")
+        raise RecipeError(
+            f"{path}: phase is [{row}, {col}], but the array of {whole} has only {period[0]}×{period[1]} sites; write a row "
+            "and a column of this array, counted from 0"
+        )
     lines = [line.split() for line in base.cfa.pattern]
     pattern = [" ".join(line[col:] + line[:col]) for line in lines[row:] + lines[:row]]
     cfa = CfaRecipe(base.cfa.channels, pattern)
@@ -309,20 +331,21 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
 
 
 def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
-    """Return the camera model that a recipe describes.
+    """Make the camera model that a recipe describes.
 
     Parameters
     ----------
     recipe : CameraRecipe
+        A complete recipe.
     path : Path
-        The recipe's file. File names in the recipe are relative to it, and messages name it.
+        File of the recipe. File names in the recipe are relative to its folder, and messages contain its name.
 
     Raises
     ------
     RecipeError
-        If the recipe describes no possible camera.
+        If the recipe does not describe a possible camera.
     InputFileError
-        If its file of curves is missing or unusable.
+        If the file of curves is missing or unusable.
     """
     refuse_first(camera_faults(recipe), path)
     sensor, noise = recipe.sensor, recipe.noise
@@ -380,7 +403,9 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def white_level(recipe: CameraRecipe) -> float:
-    """Return the DN of a saturated pixel: as declared, or the lower of well capacity and converter."""
+    """Return the raw value of a saturated pixel: the declared value, or the lower of well capacity and converter
+    maximum.
+    """
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
         return sensor.white_level_dn
@@ -391,17 +416,9 @@ def white_level(recipe: CameraRecipe) -> float:
 
 
 def gain_of(recipe: CameraRecipe) -> float:
-    """Return the conversion gain of a recipe in DN/e-.
+    """Return the conversion gain of a recipe without faults in DN/e-.
 
-    Parameters
-    ----------
-    recipe : CameraRecipe
-        A camera recipe without faults.
-
-    Returns
-    -------
-    float
-        The gain that it states, or the gain at which a full well gives the white level.
+    If the recipe does not declare a gain, the result is the gain with which a full well reaches the white level.
     """
     if recipe.sensor.gain_dn_per_e is not None:
         return recipe.sensor.gain_dn_per_e
@@ -412,53 +429,61 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
     """Yield a fault if a fraction is greater than `most`."""
     if value > most:
         percent = f"; {value:g} % is {value / 100:g}" if value <= 100 * most else ""
-        yield fault(f"{key} is {value:g}; give a fraction of at most {most:g}{percent}", key)
+        yield fault(f"{key} is {value:g}; write a fraction of at most {most:g}{percent}", key)
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield a fault for each length that seems to be in another unit, and for an object closer than the focal length."""
+    """Yield a fault for each length that seems to have a wrong unit, and for an object that is closer than the focal
+    length.
+    """
     least, most = PITCHES_UM
     if not least <= pitch_um <= most:
         meant = next(
             (f"; did you mean {pitch_um * each:g}?" for each in (1e3, 1e6, 1e-3) if least <= pitch_um * each <= most), ""
         )
-        message = f"sensor.pixel_pitch_um is {pitch_um:g}, and must lie in {least:g}…{most:g} µm{meant}"
+        message = f"sensor.pixel_pitch_um is {pitch_um:g}, but must be between {least:g} and {most:g} µm{meant}"
         yield fault(message, "sensor.pixel_pitch_um")
     focal, f_number = optics.focal_length_mm, optics.f_number
     if focal < MIN_FOCAL_MM:
         message = f"optics.focal_length_mm is {focal:g} mm; did you mean {focal * 1000:g}?"
         yield fault(message, "optics.focal_length_mm")
     if f_number < MIN_F_NUMBER:
-        yield fault(f"optics.f_number is {f_number:g}; no lens in air is below {MIN_F_NUMBER}", "optics.f_number")
+        message = f"optics.f_number is {f_number:g}, but a lens in air has at least {MIN_F_NUMBER}; correct the f-number"
+        yield fault(message, "optics.f_number")
     if 0 < optics.object_distance_m <= focal * 1e-3:
-        message = "optics.object_distance_m is less than the focal length; give 0 for infinity"
+        message = (
+            f"optics.object_distance_m is {optics.object_distance_m:g} m, which is not larger than the focal length; "
+            "write 0 "
+            "for infinity"
+        )
         yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 
 
 def cfa_faults(cfa: CfaRecipe) -> Iterator[Fault]:
-    """Yield the faults of an array: rows of different lengths, too large a super-pixel, unknown channels."""
+    """Yield the faults of a colour filter array: rows of different lengths, too many sites, unknown channels."""
     rows = [row.split() for row in cfa.pattern]
     even = bool(rows and rows[0]) and all(len(row) == len(rows[0]) for row in rows)
     if not even:
-        message = "the rows of cfa.pattern must name equally many channels, separated by spaces"
+        message = "the rows of cfa.pattern have different lengths; write the same number of channel names in each row"
         yield fault(message, "cfa.pattern")
     elif len(rows) > MAX_CFA or len(rows[0]) > MAX_CFA:
-        yield fault(f"cfa.pattern is larger than {MAX_CFA}×{MAX_CFA}", "cfa.pattern")
+        message = f"cfa.pattern has {len(rows)}×{len(rows[0])} sites, but at most {MAX_CFA}×{MAX_CFA} are allowed"
+        yield fault(message, "cfa.pattern")
     if len(cfa.channels) > MAX_CHANNELS or len(set(cfa.channels)) != len(cfa.channels):
-        yield fault(f"cfa.channels must be at most {MAX_CHANNELS} different names", "cfa.channels")
+        yield fault(f"cfa.channels must contain at most {MAX_CHANNELS} different names", "cfa.channels")
     used = {channel for row in rows for channel in row}
     if even and used != set(cfa.channels):
-        message = f"cfa.channels and cfa.pattern do not name the same channels: {differences(used, cfa.channels)}"
+        message = f"cfa.channels and cfa.pattern contain different channels: {differences(used, cfa.channels)}"
         yield fault(message, "cfa.pattern", "cfa.channels")
 
 
 def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
-    """Return the channel index (cfa_row, cfa_col) of each site of the super-pixel.
+    """Return the channel index of each site of a colour filter array, with the shape (cfa_row, cfa_col).
 
     Raises
     ------
     RecipeError
-        If the array has `cfa_faults`; the message begins with `name`.
+        If the array has `cfa_faults`. The message begins with `name`.
     """
     refuse_first(cfa_faults(cfa), name)
     rows = [row.split() for row in cfa.pattern]
@@ -466,23 +491,26 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
 
 
 def known_arrays() -> dict[str, CfaRecipe]:
-    """Return the colour filter arrays of the camera recipes that come with l3, by name."""
+    """Return the colour filter arrays of the camera recipes that l3 includes, by the name of the recipe."""
     found = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known_recipes("cameras").items()}
     arrays = {name: recipe.get("cfa", {}) for name, recipe in found.items()}
     return {name: CfaRecipe(**cfa) for name, cfa in arrays.items() if {"channels", "pattern"} <= cfa.keys()}
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by that of its base, for the history; "" for an artifact."""
+    """Return the text of a recipe, followed by the text of its base, for the history. For an artifact, the text is
+    empty.
+    """
     if path.suffix != ".toml":
         return ""
     return "\n".join(read_text(file) for file in dict.fromkeys([path, read_recipe(path)[1]]))
 
 
 def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield everything that is wrong with a camera recipe or its file of curves."""
+    """Yield all faults of a camera recipe and its file of curves."""
     if source.path.suffix != ".toml":
-        yield fault("a camera recipe must have the suffix .toml; rename the file to NAME.toml", "name")
+        message = f'{source.path.name} does not have the suffix ".toml" of a camera recipe; rename the file to NAME.toml'
+        yield fault(message, "name")
     if isinstance(recipe, PhaseRecipe):
         return
     wrong = list(camera_faults(recipe))

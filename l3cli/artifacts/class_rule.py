@@ -1,6 +1,6 @@
-"""The stored class rule. Only this module splits and joins class indices (docs/method.md#classes).
+"""The stored class rule of the first layer. Only this module converts between feature values and class indices.
 
-l3cli/classes explains the numbers, with one module per feature.
+docs/method.md#classes defines the classes, and each module in l3cli/classes explains the numbers of one feature.
 """
 
 import math
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import check, data, group
 
-MAX_COMBINATIONS = 4096  # combinations of values of the features
-MAX_WINDOW_TAPS = 4096  # in all windows of the features; sums of 12-bit values are then exact in float32
-CLASS_BITS = 12  # classes are decided by the upper 12 bits of a value, so that 32-bit sums are exact
-CHROMA_SCALE = 1 << 10  # scale of the chroma weights; sums over 16 channels then stay within 32 bits
+MAX_COMBINATIONS = 4096  # largest number of combinations of the values of additional features
+MAX_WINDOW_TAPS = 4096  # largest number of taps in all windows, so that sums of 12-bit values are exact in float32
+CLASS_BITS = 12  # classes depend on the upper 12 bits of a value only, so that 32-bit sums are exact
+CHROMA_SCALE = 1 << 10  # scale of the chroma weights, with which sums over 16 channels fit into 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
 
 
 class Window(NamedTuple):
-    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a feature reads."""
+    """A rectangle of a patch whose values are added to, or subtracted from, one of the sums that a feature needs."""
 
     sum: int  # index of the sum
     top: int
@@ -33,22 +33,22 @@ class Window(NamedTuple):
 
 
 class Feature(NamedTuple):
-    """A feature that a recipe adds to the basic ones, such as the direction, as the class rule holds it."""
+    """An additional feature, such as the direction, as the class rule stores it."""
 
-    name: str  # key in the recipe, and name of its module
+    name: str  # key in the class recipe, and name of the module
     size: int  # number of values that the feature can have
-    windows: tuple[Window, ...]  # windows that its sums consist of; sums are numbered from 0
-    constants: NDArray[np.int32]  # what its formula reads besides the sums and the level
+    windows: tuple[Window, ...]  # windows of the sums, which are numbered from 0
+    constants: NDArray[np.int32]  # constants in the formula of the feature
 
     @property
     def sums(self) -> int:
-        """Number of sums that the feature reads."""
+        """Number of sums that the feature needs."""
         return 1 + max((window.sum for window in self.windows), default=-1)
 
 
 @dataclass(frozen=True)
 class StoredFeatures:
-    """The features that a recipe adds to level, contrast, saturation and chroma, as they are stored, in order."""
+    """The additional features of a class rule in the form of arrays, as they are stored. Their order matters."""
 
     names: tuple[str, ...] = data("str", "feature", doc="names of the features, as in the recipe")
     sizes: NDArray[np.int64] = data("int64", "feature", doc="number of values of each feature")
@@ -65,7 +65,7 @@ class StoredFeatures:
 
     @classmethod
     def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
-        """Return features in their stored form."""
+        """Convert features to arrays."""
         windows = np.array([window for feature in features for window in feature.windows], np.int64)
         return cls(
             tuple(feature.name for feature in features),
@@ -78,7 +78,7 @@ class StoredFeatures:
 
     @cached_property
     def unpacked(self) -> tuple[Feature, ...]:
-        """The features, unpacked."""
+        """The features as objects."""
         rows = [Window(*row) for row in self.windows.tolist()]
         window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
         return tuple(
@@ -92,23 +92,23 @@ class StoredFeatures:
         )
 
     def check(self, patch: int) -> None:
-        """Raise ValueError if these cannot be features of patches of side `patch`."""
+        """Raise ValueError if the arrays do not describe features of patches with this side."""
         if not self.names or len(set(self.names)) != len(self.names):
-            raise ValueError("names of features must be there, each once")
+            raise ValueError("names of features must not be empty, and must differ from each other")
         if (self.sizes < 1).any() or math.prod(self.sizes.tolist()) > MAX_COMBINATIONS:
-            raise ValueError(f"sizes of features must be positive, and at most {MAX_COMBINATIONS} together")
+            raise ValueError(f"sizes of features must be positive, and their product must be at most {MAX_COMBINATIONS}")
         counts = ((self.window_counts, len(self.windows)), (self.constant_counts, len(self.constants)))
         if any((count < 0).any() or count.sum() != length for count, length in counts):
-            raise ValueError("the features have other numbers of windows or constants than are counted")
+            raise ValueError("the counts of windows or constants do not agree with the stored windows or constants")
         if self.windows.shape[1] != len(Window._fields):
             raise ValueError(f"windows has {self.windows.shape[1]} fields, not {len(Window._fields)}")
         number, top, left, rows, columns, sign = self.windows.T
         inside = (top >= 0) & (left >= 0) & (rows >= 1) & (columns >= 1) & (np.abs(sign) == 1)
         inside &= (top <= patch - rows) & (left <= patch - columns) & (number >= 0) & (number < len(number))
         if not inside.all():
-            raise ValueError("windows must lie within the patch, with the sign 1 or −1")
+            raise ValueError("windows must lie within the patch and have the sign 1 or −1")
         if (rows * columns).sum() > MAX_WINDOW_TAPS:
-            raise ValueError(f"windows hold more than {MAX_WINDOW_TAPS} taps")
+            raise ValueError(f"windows contain more than {MAX_WINDOW_TAPS} taps")
 
 
 class ClassPlace(NamedTuple):
@@ -117,21 +117,21 @@ class ClassPlace(NamedTuple):
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
-    combination: Any  # number of the combination of the features' values; 0 without features
+    combination: Any  # number of the combination of the values of additional features; 0 without additional features
     kind: Any  # chroma if nothing is saturated, otherwise chromas − 1 + saturation case
 
 
 @dataclass(frozen=True)
 class ClassRule:
-    """The integer rule that decides the class of a pixel from its patch (docs/method.md#classes).
+    """The integer rule that determines the class of a pixel from its patch (docs/method.md#classes).
 
     The index of a class is
 
         (((site · levels + level) · contrasts + contrast) · combinations + combination) · kinds + kind
 
-    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated, and otherwise
-    chromas − 1 + saturation case. The combination numbers the values of the features that a recipe adds to level, contrast,
-    saturation and chroma. Without such features it is 0.
+    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated. Otherwise
+    the kind is chromas − 1 + saturation case. The combination is a number for the values of all additional features,
+    which a recipe adds to level, contrast, saturation and chroma. Without additional features, the combination is 0.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -177,28 +177,35 @@ class ClassRule:
     def __post_init__(self) -> None:
         check(self)
         if not 1 <= len(self.chroma_weights) <= MAX_CHROMAS or np.abs(self.chroma_weights).max() > 2 * CHROMA_SCALE:
-            raise ValueError(f"chroma_weights must be 1…{MAX_CHROMAS} rows within ±{2 * CHROMA_SCALE}")
+            raise ValueError(
+                f"chroma_weights must have 1 to {MAX_CHROMAS} rows, with values from −{2 * CHROMA_SCALE} to "
+                f"{2 * CHROMA_SCALE}"
+            )
         if self.patch % 2 == 0 or not 1 <= self.patch <= MAX_PATCH:
-            raise ValueError(f"patch is {self.patch}, not an odd number up to {MAX_PATCH}")
+            raise ValueError(f"patch is {self.patch}, but must be an odd number from 1 to {MAX_PATCH}")
         if (np.diff(self.level_edges.astype(np.int64)) <= 0).any():
-            raise ValueError("level_edges do not increase: more levels than values")
+            raise ValueError("level_edges do not increase, because there are more levels than values")
         if not 0 <= self.saturation_radius <= self.patch // 2 or self.saturation < 0:
-            raise ValueError("saturation must not be negative, its radius not larger than the patch's")
+            raise ValueError(
+                "saturation must not be negative, and saturation_radius must not exceed the radius of the patch"
+            )
         if self.contrast_edges.shape[1] != self.levels:
-            raise ValueError(f"contrast_edges has {self.contrast_edges.shape[1]} levels, level_edges make {self.levels}")
+            raise ValueError(
+                f"contrast_edges has {self.contrast_edges.shape[1]} levels, but level_edges defines {self.levels} levels"
+            )
         if not 0 <= self.spared_cases < max(self.cases, 1):
-            raise ValueError(f"spared_cases is {self.spared_cases}, beyond the {self.cases - 1} saturation cases")
+            raise ValueError(f"spared_cases is {self.spared_cases}, but there are only {self.cases - 1} saturation cases")
         if self.features:
             self.features.check(self.patch)
 
     def check_fits(self, channels: int, bits: int) -> None:
         """Raise ValueError if the rule does not fit a camera with this number of channels and bits."""
         if not 0 <= self.shift <= bits <= self.shift + CLASS_BITS:
-            raise ValueError(f"{bits} bits shifted by {self.shift} leave more than {CLASS_BITS}")
+            raise ValueError(f"{bits}-bit values shifted by {self.shift} bits have more than {CLASS_BITS} bits")
         if self.channels != channels:
-            raise ValueError(f"chroma_weights is for {self.channels} channels")
+            raise ValueError(f"chroma_weights has {self.channels} channels, but the camera has {channels}")
         if len(self.case_of_code) != 2**channels:
-            raise ValueError(f"case_of_code has {len(self.case_of_code)} codes for {channels} channels")
+            raise ValueError(f"case_of_code has {len(self.case_of_code)} codes, but {channels} channels need {2**channels}")
 
     @property
     def radius(self) -> int:
@@ -222,7 +229,7 @@ class ClassRule:
 
     @property
     def lost_cases(self) -> int:
-        """Number of saturation cases in which a filter is lost, plus one for all others."""
+        """Number of saturation cases in which all channels of some filter clip, plus one for all other cases."""
         return self.cases - self.spared_cases
 
     @property
@@ -235,12 +242,12 @@ class ClassRule:
 
     @property
     def feature_list(self) -> tuple[Feature, ...]:
-        """The features that the recipe adds, in order."""
+        """The additional features, in order."""
         return self.features.unpacked if self.features else ()
 
     @cached_property
     def windows(self) -> tuple[Window, ...]:
-        """The windows of all features, with their sums numbered from the first feature to the last."""
+        """The windows of all additional features. Their sums are numbered from the first feature to the last."""
         numbered: list[Window] = []
         first = 0
         for feature in self.feature_list:
@@ -250,17 +257,17 @@ class ClassRule:
 
     @property
     def window_sums(self) -> int:
-        """Number of sums that the features read."""
+        """Number of sums that all additional features need."""
         return sum(feature.sums for feature in self.feature_list)
 
     @property
     def combinations(self) -> int:
-        """Number of combinations of values of the features."""
+        """Number of combinations of the values of additional features."""
         return math.prod(feature.size for feature in self.feature_list)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Number of levels, contrasts, combinations of features, and kinds."""
+        """Number of levels, contrasts, combinations of additional features, and kinds."""
         return self.levels, self.contrasts, self.combinations, self.kinds
 
     @property
@@ -268,14 +275,15 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Return class indices from the values of the features, integers or arrays. Without `site` the index counts within a
-        site.
+        """Return class indices from the values of the features, which are integers or arrays.
+
+        Without `site`, the result is an index among the classes of one site.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the values of the features of classes, from an index or an array of indices."""
+        """Return the values of the features of classes, given an index or an array of indices."""
         rest, kind = divmod(index, self.kinds)
         rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
@@ -283,14 +291,14 @@ class ClassRule:
         return ClassPlace(site, level, contrast, combination, kind)
 
     def join_features(self, values: Any) -> Any:
-        """Return the combination of the features' values from the value of each, in order."""
+        """Return the number of the combination of the values of all additional features, which are given in order."""
         combined: Any = 0
         for feature, value in zip(self.feature_list, values, strict=True):
             combined = combined * feature.size + value
         return combined
 
     def split_features(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each feature, in order, from their combination."""
+        """Return the value of each additional feature, in order, given the number of their combination."""
         values = []
         for feature in reversed(self.feature_list):
             combined, value = divmod(combined, feature.size)
@@ -298,31 +306,38 @@ class ClassRule:
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Return indices among the classes of all sites from indices within a site."""
+        """Convert indices among the classes of one site to indices among the classes of all sites."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Return indices within a site from indices among the classes of all sites."""
+        """Convert indices among the classes of all sites to indices among the classes of one site."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Return the slice of a site's classes among those of all sites."""
+        """Return the range of a site's classes among the classes of all sites."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Reshape values (class, …) of one site or of all to (site, level, contrast, combination, kind, …)."""
+        """Reshape values with the shape (class, …) to (site, level, contrast, combination, kind, …).
+
+        The classes are those of one site or of all sites.
+        """
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kind of pixels from their chroma and saturation case. The case decides unless it is 0."""
+        """Return the kind of pixels, given their chroma and saturation case. It depends on the chroma only if the case
+        is 0.
+        """
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
         """Return the saturation case of kinds. It is 0 if nothing is saturated and the kind is a chroma."""
-        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # kinds may be unsigned, so never below zero
+        return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # avoids negative values, as kinds may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation case of kinds, counted without `spared_cases`: 0 where no filter is lost."""
+        """Return the saturation case of kinds, numbered from 1 after the spared cases, or 0 if no filter has lost all
+        its channels.
+        """
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 
     def kinds_of(self, case: int) -> slice | int:

@@ -1,7 +1,7 @@
-"""Conditions of a transform table: transforms for single lights (docs/method.md#several-lights), and for frames with more or
-less noise than the camera's (docs/method.md#noise-sets).
+"""Conditions of a transform table: transforms for single illuminants, and for frames with different noise.
 
-All conditions share the class rules, except that class edges follow the noise.
+docs/method.md#several-lights and docs/method.md#noise-sets describe them. All conditions use the same class rules, but
+some class edges depend on the noise.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,19 @@ class SceneLight:
 
     def __post_init__(self) -> None:
         if not self.white_point[:3].min() > 0:
-            raise ValueError(f"white_point of {self.name} must be above zero")
+            raise ValueError(f"white_point of {self.name} must be positive")
 
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """The parts of the class rules that depend on the noise: edges of classes, and the noise in coarse chroma."""
+    """The parts of the class rules that depend on the noise: class edges, scales of gradients and the noise in coarse
+    chroma.
+    """
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
     constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; empty without features")
     gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
-    coarse_chroma: CoarseChroma | None = group(default=None)  # of the last layer; None: as in the table
+    coarse_chroma: CoarseChroma | None = group(default=None)  # noise in the last layer; None: as in the table
 
     @classmethod
     def of(cls, first: MosaicLayer, later: Sequence[PlaneLayer]) -> "NoiseEdges":
@@ -51,7 +53,7 @@ class NoiseEdges:
 
 @dataclass(frozen=True)
 class MosaicTransforms:
-    """Transforms of the first layer under a condition."""
+    """Transforms of the first layer for one condition."""
 
     weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
     intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
@@ -62,7 +64,7 @@ class MosaicTransforms:
 
 @dataclass(frozen=True)
 class PlaneTransforms:
-    """Transforms of a refinement layer under a condition."""
+    """Transforms of a refinement layer for one condition."""
 
     weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
     intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
@@ -74,33 +76,37 @@ class PlaneTransforms:
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers, learned for one light, for another noise than the camera's, or for both."""
+    """Transforms of all layers that were trained for one illuminant, for noise that differs from the camera's, or for
+    both.
+    """
 
     first: MosaicTransforms = group()
     later: tuple[PlaneTransforms, ...] = group(default=())
-    light: SceneLight | None = group(default=None)  # None: all lights of the training set
-    noise: NoiseScale | None = group(default=None)  # None: the camera's noise
-    edges: NoiseEdges | None = group(default=None)  # None: the edges of the table's rules
+    light: SceneLight | None = group(default=None)  # None: all illuminants of the training set
+    noise: NoiseScale | None = group(default=None)  # None: the noise of the camera
+    edges: NoiseEdges | None = group(default=None)  # None: the class edges of the table
 
     def __post_init__(self) -> None:
         check(self)
         if (self.noise is None) != (self.edges is None) or not (self.light or self.noise):
-            raise ValueError("a condition must have a light, or a scale of the noise and its edges")
+            raise ValueError("a condition must have an illuminant, or a noise scale with class edges")
 
     @classmethod
     def of(
         cls, first: MosaicLayer, later: Sequence[PlaneLayer], light: SceneLight | None, noise: NoiseScale | None
     ) -> "Condition":
-        """Return a condition from layers that were trained for it.
+        """Return a condition with the transforms of layers that were trained for it.
 
         Parameters
         ----------
         first : MosaicLayer
+            First layer.
         later : sequence of PlaneLayer
+            Refinement layers.
         light : SceneLight or None
             None for all illuminants of the training set.
         noise : NoiseScale or None
-            None for the camera's noise. Otherwise the condition also holds the edges of the layers' rules.
+            None for the noise of the camera. Otherwise the condition also contains the class edges of the layers.
         """
         return cls(
             MosaicTransforms(first.weights, first.intercept, first.samples),
@@ -111,17 +117,20 @@ class Condition:
         )
 
     def check_fits(self, place: str, later: Sequence[PlaneLayer], levels: int) -> None:
-        """Raise ValueError, naming `place`, unless the condition fits a table's refinement layers and number of levels."""
+        """Raise ValueError unless the condition fits a table with these refinement layers and this number of levels.
+
+        `place` is the name of the condition in the error message.
+        """
         if len(self.later) != len(later) or (self.edges and len(self.edges.gradients) != len(later)):
-            raise ValueError(f"{place} has {1 + len(self.later)} layers, the table {1 + len(later)}")
+            raise ValueError(f"{place} has {1 + len(self.later)} layers, but the table has {1 + len(later)}")
         for number, (ours, layer) in enumerate(zip(self.later, later, strict=True)):
             if ours.weights.shape != layer.weights.shape:
-                raise ValueError(f"{place}/later/{number} has transforms of other shapes than later/{number}")
+                raise ValueError(f"the transforms of {place}/later/{number} and later/{number} have different shapes")
         if self.edges and any(len(scale.gradient_factor) != levels for scale in self.edges.gradients):
-            raise ValueError(f"{place}/edges has gradients of other levels than the table")
+            raise ValueError(f"the gradients of {place}/edges and the table have different numbers of levels")
 
     def pictured(self, taken: list[int]) -> "Condition":
-        """Return the condition with some of its outputs, given by their indices. Refinement layers are kept as they are."""
+        """Return the condition with only the outputs that have the given indices. Refinement layers stay the same."""
         first = replace(self.first, weights=self.first.weights[:, taken], intercept=self.first.intercept[:, taken])
         light = self.light and replace(self.light, white_point=self.light.white_point[taken])
         return replace(self, first=first, light=light)

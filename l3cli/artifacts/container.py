@@ -1,10 +1,11 @@
-"""HDF5 files with a checksum, which cannot make HDF5 read other files.
+"""HDF5 files with a checksum that cannot make HDF5 read other files.
 
-The first 512 bytes, HDF5's user block, contain the SHA-256 of all bytes that follow. l3 compares a file with its digest
-before HDF5 opens it, because the library may crash on damaged metadata and its checksums cover only the values of datasets.
+The first 512 bytes are the user block of HDF5. They contain the SHA-256 of all bytes that follow. l3 compares a file
+with this digest before HDF5 opens the file, because the HDF5 library may crash on damaged metadata, and the checksums of
+HDF5 protect only the values of datasets.
 
-Links, external storage, virtual datasets and unknown filters let a file refer to other files or to plug-ins, so all are
-refused. So is a dataset that claims to be larger than its stored bytes can be.
+With links, external storage, virtual datasets and unknown filters, a file could refer to other files or to plug-ins. l3
+rejects all of them. l3 also rejects a dataset whose declared size is larger than its stored bytes allow.
 """
 
 import contextlib
@@ -29,17 +30,17 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of HDF5
 BLOCK = 512  # bytes of the user block, before the signature
 TITLE = b"l3 artifact, SHA-256 of the bytes after the first 512: "
 KNOWN_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-MAX_COMPRESSION = 1100  # deflate cannot compress further than 1032 : 1
-SMALL_BYTES = 4096  # datasets up to this size are not compared with their stored size
+MAX_COMPRESSION = 1100  # deflate cannot compress data by more than 1032 : 1
+SMALL_BYTES = 4096  # the declared size of smaller datasets is not compared with their stored size
 ENCODING = "utf-8"
 
 
 class _Sink(io.RawIOBase):
-    """The file object that HDF5 writes to.
+    """The file object to which HDF5 writes.
 
-    HDF5 crashes if a write fails, so errors are stored and raised after HDF5 has closed the file. Signals are held back,
-    too: an exception from within one of these methods would crash HDF5, or be swallowed together with the data to be
-    written.
+    HDF5 crashes if a write fails. Errors are therefore stored, and raised after HDF5 has closed the file. Signals are
+    delayed, because an exception inside one of these methods would crash HDF5, or would be ignored together with the
+    data to be written.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -89,7 +90,10 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Yield an HDF5 file open for writing; it gets its digest, and the name `path`, when the block ends without an error."""
+    """Yield a new HDF5 file for writing.
+
+    If the block ends without an error, the digest is written and the file gets the name `path`.
+    """
     with atomic_output(path) as temporary, open(temporary, "r+b", buffering=0) as raw:
         sink = _Sink(raw.fileno())
         with h5py.File(sink, "w", libver=("earliest", "v110"), track_order=False, userblock_size=BLOCK) as root:
@@ -100,66 +104,67 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 def seal(path: Path) -> None:
-    """Write the digest of an HDF5 file's current content into its user block."""
+    """Write the digest of the current content of an HDF5 file to its user block."""
     with open(path, "r+b", buffering=0) as raw:
         os.pwrite(raw.fileno(), _block(raw), 0)
 
 
 def check(path: Path, made_by: str) -> None:
-    """Compare a file with the digest that it carries.
+    """Compare a file with the digest in its user block.
 
     Parameters
     ----------
     path : Path
+        The file.
     made_by : str
         The command that writes such files, for messages.
 
     Raises
     ------
     InputFileError
-        If the file is no artifact, or differs from what was written.
+        If the file is not an artifact, or has changed since it was written.
     """
     try:
-        with open_regular(path, f"give the file written by {made_by}") as raw:
+        with open_regular(path, f"use a file written by {made_by}") as raw:
             head = raw.read(BLOCK + len(SIGNATURE))
             has_title = head.startswith(TITLE)
             if not has_title and SIGNATURE not in (head[: len(SIGNATURE)], head[BLOCK:]):
-                raise InputFileError(f"{path} is not an HDF5 file; give the file written by {made_by}")
+                raise InputFileError(f"{path} is not an HDF5 file; use a file written by {made_by}")
             if has_title and head[:BLOCK] == _block(raw):
                 return
     except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror}; give the file written by {made_by}") from error
-    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but not an l3 artifact, or damaged"
-    raise InputFileError(f"{path} {what}; copy it again, or make it again with {made_by}")
+        raise InputFileError(f"{path}: {error.strerror}; use a file written by {made_by}") from error
+    what = "is truncated or damaged (checksum)" if has_title else "is an HDF5 file but not an l3 artifact, or is damaged"
+    raise InputFileError(f"{path} {what}; copy the file again, or create it again with {made_by}")
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading; OSError if HDF5 cannot.
+    """Open an HDF5 file for reading. Raises OSError if HDF5 cannot open it.
 
-    No lock is requested: some network file systems refuse locks, and finished files are never changed in place.
+    The file is not locked, because some network file systems do not support locks, and finished files are never changed.
     """
     return h5py.File(path, "r", locking=False)
 
 
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
-    """Return the user block that belongs to the bytes after it."""
+    """Return the user block for the bytes that follow it."""
     raw.seek(BLOCK)
     digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()
     return (TITLE + digest).ljust(BLOCK - 1) + b"\n"
 
 
 def encoded(text: Any) -> NDArray[np.bytes_]:
-    """Return text, or an array of texts, as fixed-length bytes for HDF5.
+    """Convert a text, or an array of texts, to fixed-length bytes for HDF5.
 
-    Arrays have at least two bytes per text, because netCDF tools join arrays of single bytes into one text.
+    Arrays have at least two bytes per text, because netCDF tools would join an array of single bytes into one text.
     """
-    array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # file names need not be valid text
+    array = np.char.encode(np.asarray(text, dtype=str), ENCODING, "replace")  # file names may contain invalid characters
     length = max(array.dtype.itemsize, 2 if array.ndim else 1)
     return array.astype(h5py.string_dtype(ENCODING, length))
 
 
 def datasets(root: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield the name of every dataset stored below `root`, and the dataset. Soft and external links are skipped."""
+    """Yield the name and the dataset of every dataset below `root`. Soft and external links are skipped."""
     yield from _below(root, "", {root})
 
 
@@ -176,16 +181,14 @@ def _below(group: h5py.Group, prefix: str, seen: set[h5py.Group]) -> Iterator[tu
 
 
 def is_scale(dataset: h5py.Dataset) -> bool:
-    """Return whether a dataset is only a dimension scale, and not declared by an artifact. It is recognised by its
-    attributes.
-    """
+    """Return whether a dataset is only a dimension scale, and not declared by an artifact. Its attributes decide."""
     return "CLASS" in dataset.attrs and "axes" not in dataset.attrs
 
 
 class Stored(NamedTuple):
-    """How a dataset is stored."""
+    """The type, the size and the filters with which a dataset is stored."""
 
-    where: str  # its path in the file
+    where: str  # path of the dataset in the file
     shape: tuple[int, ...]
     dtype: np.dtype
     size: int  # bytes in the file
@@ -193,35 +196,35 @@ class Stored(NamedTuple):
 
     @property
     def filters(self) -> set[int]:
-        """Return the HDF5 numbers of the filters that the data pass through."""
+        """The HDF5 numbers of the filters that were applied to the data."""
         return {self.created.get_filter(index)[0] for index in range(self.created.get_nfilters())}
 
 
 def require_within_file(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Return how a dataset is stored.
+    """Check that the data of a dataset are stored in the file, and return their type and size.
 
     Raises
     ------
     InputFileError
-        If its data lie outside the file, or it claims more data than the file can hold.
+        If the data are in another file, or if the declared size is larger than the stored bytes allow.
     """
     where, created = (h5py.h5i.get_name(dataset) or b"").decode().lstrip("/"), dataset.get_create_plist()
     if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
-        raise InputFileError(f"{path}: dataset {where} lies in another file; give a file that contains it")
+        raise InputFileError(f"{path}: dataset {where} is stored in another file; use a file that contains the dataset")
     stored = Stored(where, dataset.shape, dataset.dtype, dataset.get_storage_size(), created)
     claimed = prod(stored.shape) * stored.dtype.itemsize
     if claimed > SMALL_BYTES + MAX_COMPRESSION * stored.size and stored.filters <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {where} claims more data than the file holds; make the file again")
+        raise InputFileError(f"{path}: dataset {where} is declared larger than its stored data allow; create the file again")
     return stored
 
 
 def require_readable(path: Path, dataset: h5py.h5d.DatasetID) -> Stored:
-    """Return how a dataset is stored, after checking that it can be read as a whole.
+    """Check that a whole dataset can be read, and return its type and size.
 
     Raises
     ------
     InputFileError
-        As from `require_within_file`, or if the dataset or a chunk exceeds the limit on inputs.
+        If `require_within_file` raises an error, or if the dataset or a chunk exceeds the size limit of inputs.
     """
     stored = require_within_file(path, dataset)
     chunk = stored.created.get_chunk() if stored.created.get_layout() == h5py.h5d.CHUNKED else ()

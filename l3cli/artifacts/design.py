@@ -1,4 +1,6 @@
-"""Scene moments, which describe scenes independently of the array; and designs, arrays with their predicted errors."""
+"""Artifacts of the design of colour filter arrays. Scene moments describe scenes independently of the array. Designs
+contain arrays and their predicted errors.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -12,22 +14,25 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.physics.mosaic import array_rows
 
-SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z, and X, Y, Z blurred as the eye blurs chroma
+SHARP, SOFT = slice(0, 3), slice(3, 6)  # targets: X, Y, Z without and with the blur of chroma in human vision
 WEIGHTINGS = ("seen", "linear")
-SIDE = 7  # pixels, side of the neighbourhood from which errors are predicted
+SIDE = 7  # pixels; side of the neighbourhood from which errors are predicted
 KINDS = (("plain", "edge"), ("dark", "middle", "bright"), ("neutral", "orange", "green", "blue", "magenta"))
-GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # of patches, by contrast, level and hue of their centre
+GROUPS = tuple(map(" ".join, itertools.product(*KINDS)))  # groups of patches by contrast, brightness and hue of the centre
 TIE = 0.02  # errors that differ by less than this fraction count as equal
 Rows = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]  # headings and rows of a table
 
 
 @dataclass(frozen=True)
 class LightMoments:
-    """Second moments of patches and targets under one light, summed over all patches.
+    """Second moments of patches and targets under one illuminant, summed over all patches.
 
-    The spectrum of each tap is given by `terms` coefficients. An entry of the moments is a coefficient of one of the SIDE ×
-    SIDE taps (tap by tap), or one of the targets at the centre: X, Y, Z relative to white, the same blurred, and the
-    coefficients of the scene in front of the lens.
+    The spectrum of each tap is described by `terms` coefficients. The entries of the moments are, in this order:
+
+    1. the coefficients of the SIDE × SIDE taps, tap by tap;
+    2. X, Y, Z at the centre, relative to white;
+    3. the same X, Y, Z with blurred chroma;
+    4. the coefficients of the scene at the centre, without the blur of the lens.
     """
 
     illuminant: str = data("str", doc="name of the illuminant")
@@ -52,7 +57,7 @@ class LightMoments:
         check(self)
         entries = self.mean.shape[-1] + SOFT.stop + self.terms
         if self.moment.shape[-2:] != (entries, entries) or not self.patches.sum() > 0:
-            raise ValueError("the shape of the moments does not fit their taps, targets and terms")
+            raise ValueError("the shape of the moments does not agree with the number of taps, targets and terms")
 
     @property
     def terms(self) -> int:
@@ -61,7 +66,9 @@ class LightMoments:
 
 @dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of scenes behind a lens and a pixel, whatever the filters (docs/arrays.md#which-array)."""
+    """Second moments of scenes behind a lens and a pixel, which do not depend on any filters
+    (docs/arrays.md#which-array).
+    """
 
     kind: ClassVar[str] = "scene moments"
     made_by: ClassVar[str] = '"l3 design moments"'
@@ -75,12 +82,12 @@ class SceneMoments(Artifact):
         super().__post_init__()
         fit = [each.patches.size == len(GROUPS) and each.mean.shape[-1] == SIDE**2 * each.terms for each in self.light]
         if not (fit and all(fit) and self.pixel_pitch > 0 and self.f_number > 0):
-            raise ValueError("the groups or patches of these moments are not those of this l3; gather the moments again")
+            raise ValueError("the scene moments were computed by another version of l3; compute the moments again")
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """One array whose filters were tuned, with the errors before and after."""
+    """An array whose filters were tuned, with its errors before and after tuning."""
 
     pattern: str = data("str", doc="the array, as rows of filter names")
     parameters: NDArray[np.float64] = data(
@@ -97,14 +104,17 @@ class Tuned:
     )
 
     def words(self, levels: Sequence[str]) -> list[str]:
-        """Return one sentence on the tuned filters, and one per level on how much they reduce the error."""
+        """Return a sentence about the tuned filters, and a sentence about the reduction of the error at each level."""
         rows = zip(self.tuned_filters, self.parameters, strict=True)
         filters = ", ".join(
             f"{name} {centre:.0f} nm σ {sigma:.0f} nm peak {peak:.2f}" for name, (centre, sigma, peak) in rows
         )
         gains = zip(levels, self.before, self.after, self.bayer, strict=True)
-        lines = [f"{level}: {old:.3f} → {new:.3f}; Bayer of the tuned filters {own:.3f}." for level, old, new, own in gains]
-        return [f"filters of {self.pattern}, tuned: {filters}.", *lines]
+        lines = [
+            f"{level}: {old:.3f} → {new:.3f}; Bayer array with the tuned filters: {own:.3f}."
+            for level, old, new, own in gains
+        ]
+        return [f"tuned filters of {self.pattern}: {filters}.", *lines]
 
 
 @dataclass(frozen=True)
@@ -124,17 +134,18 @@ class Truth:
     digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
-        """Return Spearman's rank correlation of the predicted errors with a measured metric at a level.
+        """Return Spearman's rank correlation between the predicted errors and a measured metric at one level.
 
-        A metric in dB is converted to a relative error first.
+        A metric in dB is first converted to a relative error.
         """
         expected, measured = (np.argsort(np.argsort(each)) for each in self._logarithms(level, figure))
         return float(np.corrcoef(expected, measured)[0, 1])
 
     def in_order(self, level: int, figure: int = 0) -> float:
-        """Return the fraction of pairs of arrays that prediction and measurement rank alike.
+        """Return the fraction of pairs of arrays that prediction and measurement rank in the same order.
 
-        Only pairs that differ by more than TIE in both count. The result is NaN if there are none.
+        Only pairs count whose predicted errors and measured errors both differ by more than TIE. If there is no such
+        pair, the result is NaN.
         """
         one, other = np.triu_indices(len(self.trained), 1)
         expected, measured = (each[one] - each[other] for each in self._logarithms(level, figure))
@@ -142,7 +153,7 @@ class Truth:
         return float((expected * measured > 0)[differ].mean()) if differ.any() else float("nan")
 
     def table(self, levels: Sequence[str]) -> Rows:
-        """Return headings and rows that compare the predicted with the measured errors of the trained arrays."""
+        """Return headings and rows that compare the predicted and the measured errors of the trained arrays."""
         headings = (*(f"{level}\n{what}" for level in levels for what in ("predicted", "ΔE00")), "array")
         both = np.stack([self.expected, self.measured[..., 0]], axis=-1).reshape(len(self.trained), -1)
         return headings, tuple(
@@ -150,32 +161,35 @@ class Truth:
         )
 
     def agreement(self, levels: Sequence[str]) -> list[str]:
-        """Return one sentence per level on how well the prediction ranks the arrays, for each metric."""
+        """Return a sentence for each level about how well the prediction ranks the arrays, for each metric."""
         if len(self.trained) == 1:
-            return ["One array has no rank."]
+            return ["A single array cannot be ranked."]
         lines = []
         for place, level in enumerate(levels):
             shares = [self.in_order(place, number) for number in range(len(self.figures))]
             pairs = [f" ({share:.0%})" if np.isfinite(share) else "" for share in shares]
             ranks = [f"{each} {self.correlation(place, n):.2f}{pairs[n]}" for n, each in enumerate(self.figures)]
-            lines.append(f"{level}: rank correlation (pairs beyond {TIE:.0%} in order) {', '.join(ranks)}.")
+            lines.append(
+                f"{level}: rank correlation (pairs in the right order, if they differ by more than {TIE:.0%}): "
+                f"{', '.join(ranks)}."
+            )
         return lines
 
     def _logarithms(self, level: int, figure: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the logarithms (trained) of predicted and of measured errors."""
+        """Return the logarithms of the predicted errors and of the measured errors, with one value per array."""
         measured = self.measured[:, level, figure]
         of_decibels = -measured * (np.log(10) / 20)
         return np.log(self.expected[:, level]), of_decibels if self.figures[figure].endswith("psnr") else np.log(measured)
 
 
 def overall(errors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the geometric mean (…) over the levels of errors (…, level)."""
+    """Return the geometric mean of errors over the levels, which are the last axis."""
     return np.asarray(np.exp(np.log(np.maximum(errors, 1e-12)).mean(axis=-1)))
 
 
 @dataclass(frozen=True, repr=False)
 class Design(Artifact):
-    """Arrays that can be built from a library of filters, best first, with their predicted errors."""
+    """Arrays that can be built from a library of filters, with their predicted errors. The best array comes first."""
 
     kind: ClassVar[str] = "design"
     made_by: ClassVar[str] = '"l3 design"'
@@ -217,7 +231,7 @@ class Design(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (self.patterns and -1 <= self.bayer < len(self.patterns) and self.error.min(initial=0) >= 0):
-            raise ValueError("a design needs arrays, and errors that are not negative")
+            raise ValueError("a design must contain arrays, and errors must not be negative")
 
     @property
     def summary(self) -> str:
@@ -225,35 +239,42 @@ class Design(Artifact):
 
     @property
     def predicted(self) -> NDArray[np.float64]:
-        """Predicted error (candidate, level), mean over patches."""
+        """Mean predicted error over all patches, with the shape (candidate, level)."""
         return np.asarray(np.einsum("clg,lg->cl", self.error, self.share))
 
     @property
     def score(self) -> NDArray[np.float64]:
-        """Predicted error (candidate), geometric mean over the levels."""
+        """Geometric mean of the predicted error of each array over the levels."""
         return overall(self.predicted)
 
     @property
     def winner(self) -> tuple[str, NDArray[np.float64]]:
-        """The best array, as rows of names, and its filters (filter, wavelength): the tuned ones if they are better."""
+        """The best array, as rows of filter names, and the quantum efficiency of its filters.
+
+        If the tuned filters have a lower error, the result contains them.
+        """
         if self.tuned is not None and overall(self.tuned.after) < self.score[0]:
             return self.tuned.pattern, self.tuned.tuned_efficiency
         return self.patterns[0], self.efficiency
 
     def best(self, most: int) -> list[int]:
-        """Return the indices of the best arrays, at most `most`, and of the Bayer array."""
+        """Return the indices of the best arrays, at most `most`, and the index of the best Bayer array."""
         return list(dict.fromkeys([*range(min(most, len(self.patterns))), *([self.bayer] if self.bayer >= 0 else [])]))
 
     @property
     def caption(self) -> str:
-        """Caption of `table`."""
-        ties = f"=: within {TIE:.0%} of the best"
-        return f"{self.tried} arrays, predicted error ({self.unit}); {ties}; to Bayer of the same filters"
+        """Caption of the table of arrays."""
+        ties = f"=: at most {TIE:.0%} worse than the best array"
+        return (
+            f"{self.tried} arrays, predicted error ({self.unit}); {ties}; changes from the Bayer array with the same filters"
+        )
 
     def table(self, most: int) -> Rows:
-        """Return headings and rows: the best arrays and the Bayer array, with ranks, errors and their change from Bayer.
+        """Return headings and rows with the rank, the errors and the change from Bayer of the best arrays and the Bayer
+        array.
 
-        A rank marked "=" is a tie with the best. Changes compare an array with the best Bayer array of the same filters.
+        A rank marked with "=" is a tie with the best array. The changes are relative to the best Bayer array with the
+        same filters.
         """
         headings = ("", *self.levels, *(f"{level}\nto Bayer" for level in self.levels), "array")
         rows = []
@@ -267,7 +288,9 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """One sentence per level: which array beats the Bayer array, by how much, and which part is due to its filters."""
+        """A sentence for each level: the best array, how much better it is than the Bayer array, and how much of that is
+        due to filters.
+        """
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
             best, rival = int(errors.argmin()), self.patterns[self.bayer]
@@ -275,28 +298,31 @@ class Design(Artifact):
             if self.bayer < 0:
                 lines.append(f"{level}: {self.patterns[best]}, {least:.2f} {self.unit}.")
             elif least > bayer * (1 - TIE):
-                lines.append(f"{level}: nothing beats {rival} (Bayer) by more than {TIE:.0%}.")
+                lines.append(f"{level}: no array has an error more than {TIE:.0%} below {rival} (Bayer).")
             else:
                 filters = min(max((bayer - own) / (bayer - least), 0), 1) if own else 0.0
-                most = f"; its filters in Bayer's array make {filters:.0%} of that" if filters else ""
+                most = f"; {filters:.0%} of this is due to its filters" if filters else ""
                 gain = f"{bayer - least:.2f} {self.unit} ({1 - least / bayer:.0%})"
-                lines.append(f"{level}: {self.patterns[best]} beats {rival} (Bayer) by {gain}{most}.")
+                lines.append(f"{level}: the error of {self.patterns[best]} is {gain} below {rival} (Bayer){most}.")
         return lines
 
     @property
     def crossings(self) -> list[str]:
-        """Sentences on the arrays that overtake the Bayer array, or are overtaken by it, as the light increases."""
+        """Sentences about the arrays whose error crosses the error of the Bayer array as the light increases."""
         lines: list[str] = []
         bayer = self.map_error[[self.mapped.index(self.patterns[self.bayer])]] if self.bayer >= 0 else self.map_error
         for name, over in zip(self.mapped, self.map_error / bayer - 1, strict=True):
             for at in np.flatnonzero(over[1:] * over[:-1] < 0):
                 if min(np.abs(over[: at + 1]).max(), np.abs(over[at + 1 :]).max()) >= TIE:
                     below, above = (name, "Bayer") if over[at] < 0 else ("Bayer", name)
-                    lines.append(f"Below {self.dose[at]:.2g}–{self.dose[at + 1]:.2g} cd s/m² {below}, above {above}.")
+                    dose = f"{self.dose[at]:.2g}–{self.dose[at + 1]:.2g} cd s/m²"
+                    lines.append(f"{below} is better below {dose}, and {above} is better above.")
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return the camera with the design's pixel, an array given as text, and filters (filter, wavelength)."""
+        """Return a camera with the pixel of the design, an array given as text, and filters with the given quantum
+        efficiencies.
+        """
         cfa = sites(pattern, self.filters)
         used = np.unique(cfa)
         return replace(
@@ -311,10 +337,10 @@ class Design(Artifact):
 
 
 def shown(cfa: NDArray[np.integer], names: Sequence[str]) -> str:
-    """Return an array (row, col) of filter numbers as text: rows of names, separated by /."""
+    """Return an array of filter indices as text: rows of filter names, separated by "/"."""
     return " / ".join(array_rows(names, cfa))
 
 
 def sites(pattern: str, names: Sequence[str]) -> NDArray[np.intp]:
-    """Return the array (row, col) of filter numbers that `shown` has written as text."""
+    """Return the array of filter indices that `shown` has converted to text."""
     return np.array([[names.index(name) for name in row.split()] for row in pattern.split("/")])

@@ -1,4 +1,4 @@
-"""What calibration measured and how well the camera model explains it: group `fit` (docs/method.md#calibration)."""
+"""Results of the calibration, and how well the camera model explains them. They form the group `fit` of a camera model."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.schema import data, group
 
-# a guess names at most MAX_GUESSES illuminants, until their probabilities add up to GUESSED_PROBABILITY
+# The most probable illuminants are listed until their probabilities sum to GUESSED_PROBABILITY, but at most MAX_GUESSES.
 GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Results of dark and white frames per channel, as EMVA 1288 defines them."""
+    """Results from dark and white frames for each channel, as EMVA 1288 defines them."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
@@ -51,7 +51,7 @@ class NoiseFit:
 
 @dataclass(frozen=True)
 class SweepFit:
-    """Fit of the monochromatic captures by Eq. 1."""
+    """Fit of the monochromatic captures (Eq. 1 in docs/method.md#responsivity)."""
 
     residual: NDArray[np.float64] = data(
         "float64", "channel", doc="RMS residual of Eq. 1, relative to the largest value of the channel"
@@ -69,7 +69,9 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures by Eq. 2, with the measured and predicted value of every patch under every illuminant."""
+    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with the measured and predicted value of
+    every patch.
+    """
 
     alpha: NDArray[np.float64] = data(
         "float64", "channel", unit="DN/photon", doc="slope of Eq. 2: response at the peak of the channel's responsivity"
@@ -91,7 +93,9 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps that the charts show and the measurement file does not declare."""
+    """Drift of the lamps that was estimated from the charts. It is larger than the drift that the measurement file
+    declares.
+    """
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
     declared: float = data("float64", doc="the relative standard deviation that the measurement file declares")
@@ -99,7 +103,9 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Captures of a chart under narrow bands at several exposures. Each capture is predicted from the others of its band."""
+    """Fit of a chart behind narrow-band filters. Each capture is predicted from the other exposures behind the same
+    filter.
+    """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")
     light: NDArray[np.int64] = data("int64", "capture", doc="band of each capture")
@@ -135,31 +141,31 @@ class SeriesFit:
 
 @dataclass(frozen=True)
 class LightGuess:
-    """The probability that a photo was taken under each of the usual illuminants, if it was taken under one of them."""
+    """Probability of each common illuminant for each photo, if the photo was taken under one of these illuminants."""
 
     names: tuple[str, ...] = data("str", "usual_light", doc="names of the usual illuminants")
     probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual illuminant")
 
     def of(self, photo: int) -> dict[str, float]:
-        """Return the probabilities of the usual illuminants for a photo, the most probable first."""
+        """Return the probability of each common illuminant for a photo. The most probable illuminant comes first."""
         found = zip(self.names, map(float, self.probability[photo]), strict=True)
         return dict(sorted(found, key=lambda each: each[1], reverse=True))
 
 
 def guessed_light(probable: Mapping[str, float]) -> str:
-    """Return the most probable illuminants and their probabilities in words."""
-    shown, total = [], 0.0
+    """Return the most probable illuminants and their probabilities as text."""
+    parts, total = [], 0.0
     for name, probability in probable.items():
-        shown.append(f"{name} {100 * probability:.0f} %")
+        parts.append(f"{name} {100 * probability:.0f} %")
         total += probability
-        if total >= GUESSED_PROBABILITY or len(shown) == MAX_GUESSES:
+        if total >= GUESSED_PROBABILITY or len(parts) == MAX_GUESSES:
             break
-    return f"guessed: {', '.join(shown)}"
+    return f"guessed: {', '.join(parts)}"
 
 
 @dataclass(frozen=True)
 class PhotoWindow:
-    """Part of the sensor that photos show, if they do not show the whole sensor from its first pixel."""
+    """The parts of the sensor that photos contain, if a photo does not contain the whole sensor."""
 
     first_site: NDArray[np.int64] = data(
         "int64", "photo", "coordinate", doc="row and column of the CFA site of the first pixel"
@@ -167,14 +173,14 @@ class PhotoWindow:
     size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
 
     def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the first CFA site and the size of a photo."""
+        """Return the CFA site of the first pixel, and the size, of a photo."""
         (row, col), (rows, cols) = self.first_site[photo].tolist(), self.size[photo].tolist()
         return (row, col), (rows, cols)
 
 
 @dataclass(frozen=True)
 class PhotoFit:
-    """Fit of the charts in photos, whose reflectances are known."""
+    """Fit of charts with known reflectances in photos."""
 
     names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
     lights: tuple[str, ...] = data("str", "photo", doc="illuminant of each photo, as stated or guessed")
@@ -222,11 +228,11 @@ class PhotoFit:
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="value that the model predicts"
     )
     likely: LightGuess | None = group(default=None)
-    window: PhotoWindow | None = group(default=None)  # None: every photo shows the whole sensor
+    window: PhotoWindow | None = group(default=None)  # None: every photo contains the whole sensor
 
     @property
     def misfit(self) -> NDArray[np.float64]:
-        """RMS difference (photo, channel) of predicted and measured values, relative to the brightest value used."""
+        """RMS error of the predicted values of each photo and channel, relative to the brightest patch."""
         left = np.where(self.used, self.measured - self.predicted, 0.0)
         count = np.maximum(self.used.sum(axis=1), 1)
         return np.asarray(np.sqrt((left**2).sum(axis=1) / count) / np.where(self.used, self.measured, 0.0).max(axis=1))
@@ -234,16 +240,16 @@ class PhotoFit:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fit of a camera model. Each part is present if its captures were taken."""
+    """Results of the calibration of a camera. A part is None if the measurements for it were not made."""
 
     noise: NoiseFit | None = group(default=None)
     sweep: SweepFit | None = group(default=None)
     chart: ChartFit | None = group(default=None)
     series: SeriesFit | None = group(default=None)
     photo: PhotoFit | None = group(default=None)
-    drift: DriftFit | None = group(default=None)  # None: charts show no more drift than declared
+    drift: DriftFit | None = group(default=None)  # None: the drift is not larger than declared
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:
-        """The part that compares predictions with measurements, with R² and relative RMSE per channel."""
+        """The part with R² and the relative RMSE of each channel, which compares predictions with measurements."""
         return self.chart or self.series

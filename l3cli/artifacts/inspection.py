@@ -1,6 +1,4 @@
-"""What an artifact holds (`describe`), whether it is as it was written (`verify`), and which of the files at hand it was
-made from (`chain`).
-"""
+"""Inspection of artifacts: their content (`describe`), their integrity (`verify`) and their input files (`chain`)."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -17,17 +15,18 @@ from l3cli.artifacts.store import open_artifact, read_history, reading, require_
 from l3cli.errors import InputFileError
 from l3cli.system.limits import read_bounded
 
-SLAB_BYTES = 1 << 26  # of a dataset are read at a time, to bound memory
+SLAB_BYTES = 1 << 26  # number of bytes that are read at a time, to limit memory
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return the kind, version, history and datasets of any artifact.
+    """Return the kind, version, history and datasets of an artifact of any kind.
 
     Returns
     -------
     dict
-        "kind", "version", "history" (list of stages) and "datasets": one dict per dataset with "name", "dtype", "shape",
-        "axes", "unit", "doc" and, for scalars, text and short lists, "value". Dimension scales are left out.
+        The entries are "kind", "version", "history" (list of stages) and "datasets". Each dataset has the entries
+        "name", "dtype", "shape", "axes", "unit", "doc" and "value", which is None except for scalars, text and short
+        lists. Dimension scales are not included.
     """
     with open_artifact(path) as root:
         with reading(path, "a dataset"):
@@ -42,9 +41,9 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset has HDF5's null dataspace, which l3 never writes."""
+    """Raise InputFileError if a dataset has the null dataspace of HDF5, which l3 never writes."""
     if dataset.shape is None:
-        raise InputFileError(f"{path}: dataset {name} holds nothing; make the file again")
+        raise InputFileError(f"{path}: dataset {name} is empty; create the file again")
 
 
 def _describe_dataset(path: Path, name: str, dataset: h5py.Dataset) -> dict[str, Any]:
@@ -66,17 +65,17 @@ class Intact:
 
     kind: str
     version: int
-    datasets: int  # number of datasets whose checksums were compared, without dimension scales
+    datasets: int  # number of datasets with correct checksums, not including dimension scales
     history: tuple[Stage, ...]
 
 
 def verify(path: Path) -> Intact:
-    """Compare every byte of an artifact with its digest, and every dataset with its checksums.
+    """Compare all bytes of an artifact with the digest of the file, and every dataset with its checksums.
 
     Raises
     ------
     InputFileError
-        If anything differs. The message names the dataset.
+        If a checksum differs. The message contains the name of the dataset.
     """
     with open_artifact(path) as root:
         count = 0
@@ -87,13 +86,13 @@ def verify(path: Path) -> Intact:
                 scale, stored = is_scale(dataset), dataset.id.get_storage_size()
             _refuse_null(path, name, dataset)
             if scale and not stored:
-                continue  # a scale without values has no checksum
+                continue  # a dimension scale without values has no checksum
             require_plain(dataset.id, path)
             try:
                 for _ in _slabs(dataset):
                     pass
             except OSError as error:
-                raise InputFileError(f"{path}: dataset {name} is damaged (checksum); make the file again") from error
+                raise InputFileError(f"{path}: dataset {name} is damaged (checksum); create the file again") from error
             count += not scale
         return Intact(str(root.attrs["kind"]), int(root.attrs["version"]), count, read_history(root, path))
 
@@ -110,35 +109,36 @@ def _slabs(dataset: h5py.Dataset) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Link:
-    """The files, or the recipe, that one stage of a history names in one role, and the given files that match."""
+    """The input files of one stage in a history with the same role, and the matching files among the files at hand."""
 
     stage: str
     role: str
-    named: int  # number of files in the history
+    named: int  # number of input files in the history
     given: tuple[str, ...]  # paths of the matching files
 
 
 def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple[Link, ...], tuple[Path, ...]]:
-    """Compare the files that a history names with files at hand, by their SHA-256.
+    """Find the input files of a history among the files at hand, by their SHA-256.
 
-    The history of a matching file is followed, too: an artifact that was made from several training sets records only the
-    history of the first.
+    The histories of matching files are searched, too, because an artifact that was made from several training sets
+    contains only the history of the first.
 
     Parameters
     ----------
     history : tuple of Stage
+        History of an artifact.
     inputs : mapping
-        Path → SHA-256 of each file at hand.
+        SHA-256 of each file at hand, by its path.
 
     Returns
     -------
     links : tuple of Link
-        One per stage and role, with the matching files.
+        One link per stage and role, with the matching files.
     others : tuple of Path
-        The files at hand that the history does not name.
+        The files at hand that do not match any input.
     """
     stages = list(history)
-    for stage in stages:  # the list grows while it is read
+    for stage in stages:  # the loop appends to this list
         named = {digest for digests in stage.inputs.values() for digest in digests}
         for path in (path for path, digest in inputs.items() if digest in named):
             stages += [other for other in history_of(path) if other not in stages]
@@ -156,7 +156,7 @@ def chain(history: tuple[Stage, ...], inputs: Mapping[Path, str]) -> tuple[tuple
 
 
 def history_of(path: Path) -> tuple[Stage, ...]:
-    """Return an artifact's history, or () if the file is missing or no artifact."""
+    """Return the history of an artifact, or () if the file does not exist or is not an artifact."""
     try:
         with open_artifact(path) as root:
             return read_history(root, path)
@@ -165,7 +165,7 @@ def history_of(path: Path) -> tuple[Stage, ...]:
 
 
 def _is_recipe_of(path: Path, stage: Stage) -> bool:
-    """Return whether a file holds the stage's recipe, or one of the two texts that the recipe was joined from."""
+    """Return whether a file contains the recipe of a stage, or one of the two texts of which the recipe consists."""
     if path.suffix != ".toml":
         return False
     content = read_bounded(path).decode("utf-8-sig", "replace")

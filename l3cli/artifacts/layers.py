@@ -1,5 +1,6 @@
-"""The layers of a transform table: transforms of the mosaic, and transforms of planes that the previous layer has rendered
-(docs/method.md#layers).
+"""The layers of a transform table (docs/method.md#layers).
+
+The first layer transforms the mosaic. Refinement layers transform the planes that the previous layer has computed.
 """
 
 from dataclasses import dataclass, replace
@@ -14,18 +15,18 @@ from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
 PLANES = 3  # number of planes that a refinement layer reads: X − aY, Y and Z − bY
-PLANE_STEP = 2.0**-18  # quantum of the planes' integers in output units, far below the noise of any sensor
-PLANE_TOP = 2**22 - 1  # 16 times full scale; a difference of planes times a 7-bit factor stays within 32 bits
-RATIO_TAPS = (0, 2, 4)  # extra taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
-COMPARED = (4, 3, 3)  # shape of the noise in coarse chroma: steps, planes, powers of luminance
+PLANE_STEP = 2.0**-18  # quantisation step of planes in output units, far below the noise of any sensor
+PLANE_TOP = 2**22 - 1  # 16 times full scale, so that a difference of planes times a 7-bit factor fits into 32 bits
+RATIO_TAPS = (0, 2, 4)  # additional taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
+COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: steps, planes, powers of luminance
 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """The first layer: transforms of patches of the mosaic.
+    """The first layer, which transforms patches of the mosaic.
 
-    Output = weights · (patch − black level) / full scale + intercept, with the weights and the intercept of the pixel's
-    class.
+    The output of a pixel is weights · (patch − black level) / full scale + intercept. The weights and the intercept
+    depend on the class of the pixel.
     """
 
     rule: ClassRule = group()
@@ -43,16 +44,16 @@ class MosaicLayer:
     def __post_init__(self) -> None:
         check(self)
         if self.weights.shape[2] != self.rule.patch**2:
-            raise ValueError(f"weights has {self.weights.shape[2]} taps, the rule's patch {self.rule.patch**2}")
+            raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch of the rule has {self.rule.patch**2}")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return the layer with some of its outputs, given by their indices."""
+        """Return the layer with only the outputs that have the given indices."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
 @dataclass(frozen=True)
 class CoarseChroma:
-    """Noise of the coarse chroma that the last layer compares (docs/method.md#coarse-chroma)."""
+    """Noise in the steps of coarse chroma, with which the last layer judges similarity (docs/method.md#coarse-chroma)."""
 
     variance: NDArray[np.float64] = data(
         "float64",
@@ -65,18 +66,18 @@ class CoarseChroma:
     def __post_init__(self) -> None:
         check(self)
         if self.variance.shape != COMPARED:
-            raise ValueError(f"variance has the shape {self.variance.shape}, not {COMPARED}")
+            raise ValueError(f"variance has the shape {self.variance.shape}, but must have the shape {COMPARED}")
         if not (np.isfinite(self.variance).all() and self.variance.min() >= 0 and self.variance[..., 0].min() > 0):
-            raise ValueError("variance must not be negative, nor zero in darkness")
+            raise ValueError("variance must not be negative, and must be positive at luminance 0")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return a copy for frames with this fraction of the noise variance."""
+        """Return a copy for frames in which the noise variance is multiplied by `share`."""
         return CoarseChroma(self.variance * share)
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Response of uniform areas where channels clip (docs/method.md#plain-clipped-areas)."""
+    """Linear response with which uniform areas are rendered where channels clip (docs/method.md#plain-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -91,18 +92,20 @@ class Clipping:
     def __post_init__(self) -> None:
         check(self)
         if not self.white.min() > 0:
-            raise ValueError("white must be above zero in every channel")
+            raise ValueError("white must be positive in every channel")
         if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
             raise ValueError(
-                f"response has the shape {self.response.shape}; it must be finite, and its first two axes channels + 1 long"
+                f"response has the shape {self.response.shape}; its first two axes must have the length channels + 1, "
+                "and all "
+                "values must be finite"
             )
 
 
 @dataclass(frozen=True)
 class PlaneLayer:
-    """A refinement layer: transforms of square windows of three planes that the previous layer has rendered.
+    """A refinement layer, which transforms square windows of three planes that the previous layer has computed.
 
-    The planes are X − aY, Y and Z − bY. The factors a and b are chosen such that a white is (0, Y, 0).
+    The planes are X − aY, Y and Z − bY. The factors a and b are chosen so that the planes of a white are (0, Y, 0).
     """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
@@ -119,7 +122,7 @@ class PlaneLayer:
     )
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
-    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma comes from the windows only
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is computed from the windows only
     clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
 
     def __post_init__(self) -> None:
@@ -139,32 +142,32 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Number of taps in the windows. Taps for colour ratios and bilateral chroma follow them."""
+        """Number of taps in the windows. The taps for colour ratios and bilateral chroma come after these taps."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Number of taps after those of the windows, one of RATIO_TAPS."""
+        """Number of taps for colour ratios and bilateral chroma, one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames with this fraction of the noise variance; only coarse chroma depends on it."""
+        """Return the layer for frames in which the noise variance is multiplied by `share`. Only coarse chroma changes."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return a copy of the layer whose rule scales gradients by `scale`."""
+        """Return a copy of the layer with another scale of the gradients."""
         return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return a refinement layer's rule as the keyword argument of its field in PlaneLayer."""
+    """Return the class rule of a refinement layer as a keyword argument of PlaneLayer."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the one of two rules that is not None; ValueError unless exactly one is given."""
+    """Return the rule that is not None. Raises ValueError unless exactly one rule is given."""
     if structure is None and tree is not None:
         return tree
     if structure is not None and tree is None:
         return structure
-    raise ValueError("a layer has either a structure rule or a tree")
+    raise ValueError("a layer must have either a structure rule or a tree")

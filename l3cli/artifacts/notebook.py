@@ -9,24 +9,24 @@ import numpy as np
 from l3cli.artifacts.schema import Spec, declared, instances, is_stored
 
 MAX_VALUES = 8  # longer arrays are described by their shape and range
-MAX_LETTERS = 60  # of a text
+MAX_LETTERS = 60  # longer texts are cut off
 
 
 def html(title: str, content: Any) -> str:
-    """Return an instance of a dataclass of declared fields as HTML.
+    """Return an instance of a dataclass with declared fields as HTML.
 
     Parameters
     ----------
     title : str
         Heading, such as the repr of the artifact.
     content : dataclass
-        Instance with fields declared by `data` and `group`.
+        Instance with fields that `data` and `group` declare.
     """
     return f"<div><strong>{escape(title)}</strong>{''.join(_fields(content))}</div>"
 
 
 def _fields(content: Any) -> Iterator[str]:
-    """Yield a table of the datasets, then a folded block per group."""
+    """Yield a table of the datasets, then a collapsed block for each group."""
     fields = [(name, spec, getattr(content, name)) for name, spec in declared(type(content))]
     rows = [(name, _shape(spec, value), spec.unit, _preview(value), spec.doc) for name, spec, value in fields
             if isinstance(spec, Spec) and is_stored(content, name, spec)]  # fmt: skip
@@ -46,7 +46,7 @@ def _shape(spec: Spec, value: Any) -> str:
 
 
 def _preview(value: Any) -> str:
-    """Return a short value as text, and of a long array its range."""
+    """Return a short value as text, or the range of a long array."""
     array = np.asarray(value)
     if array.dtype.kind == "U":
         text = ", ".join(array.ravel()[:MAX_VALUES].tolist())

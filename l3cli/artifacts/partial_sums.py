@@ -1,7 +1,7 @@
 """Partial sums: the normal equations that one shard of a training run has accumulated.
 
-They are kept per canonical site and class, for the first layer (docs/method.md#exact-sums) or for a refinement layer
-(docs/method.md#layers).
+There are separate sums for each canonical site and class, for the first layer (docs/method.md#exact-sums) or for a
+refinement layer (docs/method.md#layers).
 """
 
 import contextlib
@@ -24,12 +24,12 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingSet
 from l3cli.errors import InputFileError
 
-USUAL, OTHERS = "sums", "condition_sums"  # groups of the sums at the camera's noise, and at other noise
+USUAL, OTHERS = "sums", "condition_sums"  # HDF5 groups of the sums for the noise of the camera, and for other noise
 
 
 @dataclass(frozen=True)
 class ClassSums:
-    """Sums of one canonical site over its patches, weighted. The columns are the taps, the intercept and the outputs."""
+    """Weighted sums over the patches of one canonical site. The columns are the taps, the intercept and the outputs."""
 
     moments: NDArray[np.float64] = data(
         "float64", "class", "pair", doc="products of the columns: upper triangle of the moment matrix, row by row"
@@ -43,12 +43,12 @@ class ClassSums:
 
 @dataclass(frozen=True, repr=False)
 class PartialSums(Artifact):
-    """Head of a file of the first layer's partial sums.
+    """Header of a file with partial sums of the first layer.
 
-    The sums are stored in the groups sums/00000, sums/00001… in the order of `sites`, and those at other noise
-    (docs/method.md#noise-sets) in condition_sums/0/00000….
+    The sums are stored in the groups sums/00000, sums/00001…, in the order of `sites`. The sums for other noise
+    (docs/method.md#noise-sets) are stored in condition_sums/0/00000….
 
-    The history ends with the training run that all shards belong to, so that shards of one run have equal histories.
+    The last stage of the history is the training run. All shards of the same run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums"
@@ -69,19 +69,21 @@ class PartialSums(Artifact):
         "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
     exposure: float = data("float64", unit="s", doc="mean exposure time of the simulated training frames", default=0.0)
-    light: LightSpectrum | None = group(default=None)  # mean light on the training scenes
+    light: LightSpectrum | None = group(default=None)  # mean illuminant of the training scenes
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards or self.pass_number not in (1, 2):
-            raise ValueError(f"there is no shard {self.shard} of {self.shards}, pass {self.pass_number}")
+            raise ValueError(f"shard {self.shard} of {self.shards} in pass {self.pass_number} does not exist")
         self.rule.check_fits(len(self.training.camera.channels), self.training.camera.bits)
         if len(self.white_point) != len(self.training.outputs):
-            raise ValueError(f"white_point has {len(self.white_point)} values for {len(self.training.outputs)} outputs")
+            raise ValueError(
+                f"white_point has {len(self.white_point)} values, but there are {len(self.training.outputs)} outputs"
+            )
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Shapes of moments, noise and count of each site."""
+        """Shapes of the moments, the noise and the count of each site."""
         classes, taps = self.rule.classes_per_site, self.rule.patch**2
         width = taps + 1 + len(self.training.outputs)
         return (classes, width * (width + 1) // 2), (classes, taps), (classes,)
@@ -89,8 +91,8 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums of one canonical site over its samples. The columns are the taps, the intercept and the outputs in the opponent
-    basis.
+    """Sums over the samples of one canonical site. The columns are the taps, the intercept and the outputs as opponent
+    planes.
     """
 
     moments: NDArray[np.float64] = data(
@@ -113,9 +115,9 @@ class LayerSums:
 
 @dataclass(frozen=True, repr=False)
 class PartialLayerSums(Artifact):
-    """Head of a file of a refinement layer's partial sums, which are stored in the same groups as those of the first layer.
+    """Header of a file with partial sums of a refinement layer, in the same groups as the sums of the first layer.
 
-    The history ends with the training run that all shards belong to, so that shards of one run have equal histories.
+    The last stage of the history is the training run. All shards of the same run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"
@@ -127,14 +129,14 @@ class PartialLayerSums(Artifact):
         "int64", "frame", doc="number of mosaics of each training frame, in all shards together"
     )
     side: int = data("int64", unit="pixel", doc="side of the windows")
-    table: TransformTable = group()  # the layers before, whose outputs this layer reads
+    table: TransformTable = group()  # the previous layers, whose outputs this layer reads
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
     )
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
     ratio_taps: int = data("int64", doc="number of taps after those of the windows", default=0)
-    gradients: tuple[GradientScale, ...] = group(default=())  # of the rule, per other noise
+    gradients: tuple[GradientScale, ...] = group(default=())  # scales of gradients for each other noise
 
     @property
     def rule(self) -> PlaneRule:
@@ -143,21 +145,21 @@ class PartialLayerSums(Artifact):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= self.shard <= self.shards:
-            raise ValueError(f"there is no shard {self.shard} of {self.shards}")
+            raise ValueError(f"shard {self.shard} of {self.shards} does not exist")
         if self.table.camera is None:
-            raise ValueError("the table must contain its camera")
+            raise ValueError("the table must contain the model of its camera")
         if self.ratio_taps not in RATIO_TAPS:
-            raise ValueError(f"ratio_taps is {self.ratio_taps}, none of {RATIO_TAPS}")
+            raise ValueError(f"ratio_taps is {self.ratio_taps}, but must be one of {', '.join(map(str, RATIO_TAPS))}")
         if self.side < 1 or self.side % 2 == 0:
-            raise ValueError(f"side is {self.side}, not odd")
+            raise ValueError(f"side is {self.side}, but must be an odd number")
         self.rule.check_fits(self.table.cfa.size, self.table.first.rule)
         levels = self.table.first.rule.levels
         if [len(scale.gradient_factor) for scale in self.gradients] != [levels for _ in self.table.noises]:
-            raise ValueError("gradients are not those of each noise that the table is learned for")
+            raise ValueError("gradients must contain one scale for each noise for which the table has transforms")
 
     @property
     def shapes(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int]]:
-        """Shapes of moments, noise and count of each site."""
+        """Shapes of the moments, the noise and the count of each site."""
         classes, outputs = self.rule.classes_per_site, len(self.table.outputs)
         taps = PLANES * self.side**2 + self.ratio_taps
         width, noisy = taps + 1 + outputs, taps + (outputs if self.table.components else 0)
@@ -165,7 +167,7 @@ class PartialLayerSums(Artifact):
 
 
 Head = PartialSums | PartialLayerSums
-SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # type of each site's sums
+SUMS: dict[type[Head], type] = {PartialSums: ClassSums, PartialLayerSums: LayerSums}  # type of the sums of each site
 
 
 class PartialSumsReader:
@@ -174,8 +176,9 @@ class PartialSumsReader:
     Attributes
     ----------
     head : PartialSums or PartialLayerSums
+        Header of the file.
     conditions : int
-        Number of other noise levels for which the file has sums.
+        Number of other noise levels for which the file contains sums.
     """
 
     def __init__(self, root: h5py.File, path: Path) -> None:
@@ -188,44 +191,46 @@ class PartialSumsReader:
             others = store.hard_group(root, OTHERS, path)
             self._sums += [store.hard_group(others, str(number), path) for number in range(len(store.members(others, path)))]
         if any(len(store.members(sums, path)) != len(self.head.sites) for sums in self._sums):
-            raise InputFileError(f"{path} lacks sums of some sites; make it again with {kind.made_by}")
+            raise InputFileError(f"{path} does not contain the sums of all sites; create the file again with {kind.made_by}")
         self.conditions = len(self._sums) - 1
 
     def site(self, index: int, condition: int = 0) -> Any:
-        """Return the sums of the site `head.sites[index]`: ClassSums, or LayerSums for a refinement layer.
+        """Return the sums of the site `head.sites[index]`, as ClassSums, or as LayerSums for a refinement layer.
 
-        Condition 0 is the camera's noise; the others are numbered from 1.
+        Condition 0 is the noise of the camera. Other noise levels are numbered from 1.
         """
         where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)
         if (sums.moments.shape, sums.noise.shape, sums.count.shape) != self.head.shapes:
-            raise InputFileError(f"{self._path}: {where.name} does not fit the class rule; make the file again")
+            raise InputFileError(f"{self._path}: {where.name} does not agree with the class rule; create the file again")
         return sums
 
 
 @contextlib.contextmanager
 def open_partial_sums(path: Path) -> Iterator[PartialSumsReader]:
-    """Yield a PartialSumsReader for the file at `path`.
+    """Open a file of partial sums.
 
     Raises
     ------
     InputFileError
-        If the file is damaged or has no partial sums.
+        If the file is damaged or does not contain partial sums.
     """
     with store.open_artifact(path, *SUMS) as root:
         yield PartialSumsReader(root, path)
 
 
 def write_partial_sums(path: Path, head: Head, *sets: Iterable[ClassSums] | Iterable[LayerSums]) -> None:
-    """Write a file of partial sums, completely or not at all.
+    """Write a file of partial sums. If this fails, no file is left behind.
 
     Parameters
     ----------
     path : Path
+        The new file.
     head : PartialSums or PartialLayerSums
+        Header of the file.
     *sets : iterable of ClassSums or LayerSums
-        The sums of each site of `head.sites`: first at the camera's noise, then at each other noise. Iterables are read one
-        site at a time.
+        The sums of each site in `head.sites`, first for the noise of the camera, then for each other noise. The
+        iterables are read one site at a time.
     """
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)

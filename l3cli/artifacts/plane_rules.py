@@ -1,7 +1,7 @@
 """The stored class rules of refinement layers, and the indices of their classes.
 
-Classes are structures (docs/method.md#structure) or the leaves of a tree of threshold tests (docs/method.md#trees).
-l3cli/classes explains the numbers.
+Classes are structures (docs/method.md#structure) or the leaves of a decision tree (docs/method.md#trees). l3cli/classes
+explains the numbers.
 """
 
 from dataclasses import dataclass, replace
@@ -13,19 +13,20 @@ from numpy.typing import NDArray
 from l3cli.artifacts.class_rule import ClassRule
 from l3cli.artifacts.schema import check, data
 
-GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA, so that sums of 81 squares stay below 2^31
-FACTORS, MAX_SHIFT = (64, 127), 24  # range of the factor, and largest shift, that scale gradients
-DIRECTIONS = 8  # of edges, over half a turn
+GRADIENT = 4095  # largest gradient, in units of noise σ / SIGMA, so that sums of 81 squares are below 2³¹
+FACTORS, MAX_SHIFT = (64, 127), 24  # range of the factors of gradients, and their largest shift in bits
+DIRECTIONS = 8  # number of directions of edges, within half a turn
 MAX_LEAVES = 2048
-MAX_DEPTH = 24  # tests from the root to a leaf, which bounds the steps of the kernels
-TESTS = 23  # number of tests that a node can choose from
-ORIENTATIONS = 8  # of a square: four turns, each as it is or mirrored
-SMALLEST, LARGEST = 1e-30, 2.0**31  # size of thresholds other than 0; some devices flush smaller numbers to zero
+MAX_DEPTH = 24  # largest number of tests from the root to a leaf, which limits the time of the kernels
+TESTS = 23  # number of different tests
+ORIENTATIONS = 8  # number of orientations of a square: four rotations, with and without reflection
+# Smallest and largest absolute value of a threshold other than 0. Some devices flush smaller numbers to zero.
+SMALLEST, LARGEST = 1e-30, 2.0**31
 
 
 @dataclass(frozen=True)
 class GradientScale:
-    """Scale of gradients at each level of the first layer: factor / 2^shift."""
+    """Factor by which gradients are multiplied at each level of the first layer: gradient_factor / 2^gradient_shift."""
 
     gradient_factor: NDArray[np.uint8] = data(
         "uint8", "mosaic_level", doc="factor for differences of planes at each level of the first layer"
@@ -39,18 +40,18 @@ class GradientScale:
 
     @staticmethod
     def of(scale: NDArray[np.float64]) -> "GradientScale":
-        """Return a scale (level) rounded to a 7-bit factor and a shift."""
+        """Round the scale of each level to a 7-bit factor and a shift."""
         shift = np.clip(np.ceil(np.log2(FACTORS[0] / scale)), 0, MAX_SHIFT)
         factor = np.clip(np.rint(scale * 2**shift), 1, FACTORS[1])
         return GradientScale(factor.astype(np.uint8), shift.astype(np.uint8))
 
     @property
     def scale(self) -> "GradientScale":
-        """The scale on its own, for a rule that has one."""
+        """The scale alone, without the other fields of a class rule."""
         return GradientScale(self.gradient_factor, self.gradient_shift)
 
     def scaled_as(self, scale: "GradientScale") -> Self:
-        """Return a copy of the rule with another scale."""
+        """Return a copy of the class rule with another scale."""
         return replace(self, gradient_factor=scale.gradient_factor, gradient_shift=scale.gradient_shift)
 
 
@@ -63,14 +64,14 @@ class PlanePlace(NamedTuple):
 
 
 class PlaneClasses(GradientScale):
-    """Classes of a refinement layer: index = (site · levels + level) · kinds + kind.
+    """Classes of a refinement layer. The index of a class is (site · levels + level) · kinds + kind.
 
-    Level and saturation case are those of the first layer. The structures are what the rule distinguishes where nothing is
-    saturated.
+    The level and the saturation case are taken from the class of the first layer. The kind is a structure if nothing is
+    saturated, and a saturation case otherwise.
     """
 
     cases: int  # saturation cases of the first layer, including the unsaturated case
-    turns: NDArray[Any]  # (site, …) orientation in which each site is trained
+    turns: NDArray[Any]  # (site, …) orientation in which the windows of each site are trained
 
     @property
     def levels(self) -> int:
@@ -99,26 +100,28 @@ class PlaneClasses(GradientScale):
             )
 
     def level_of(self, first: Any) -> Any:
-        """Return the level in this rule for a level of the first layer."""
+        """Return the level in this layer that corresponds to a level of the first layer."""
         raise NotImplementedError
 
     def join(self, level: Any, kind: Any, site: Any = 0) -> Any:
-        """Return class indices from the values of the features. `level` is a level of this rule."""
+        """Return class indices from the values of the features."""
         return (site * self.levels + level) * self.kinds + kind
 
     def split(self, index: Any) -> PlanePlace:
-        """Return the values of the features of classes, from an index or an array of indices."""
+        """Return the values of the features of classes, given an index or an array of indices."""
         rest, kind = divmod(index, self.kinds)
         site, level = divmod(rest, self.levels)
         return PlanePlace(site, level, kind)
 
     def within_site(self, index: Any) -> tuple[Any, Any]:
-        """Return the site, and the index within it, of classes given by indices among all sites."""
+        """Convert indices among the classes of all sites to the site and the index among the classes of this site."""
         site, within = divmod(index, self.classes_per_site)
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kind of pixels from their structure and saturation case. The case decides unless it is 0."""
+        """Return the kind of pixels, given their structure and saturation case. It depends on the structure only if the
+        case is 0.
+        """
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
     def case(self, kind: Any) -> Any:
@@ -128,7 +131,7 @@ class PlaneClasses(GradientScale):
 
 @dataclass(frozen=True)
 class StructureRule(PlaneClasses):
-    """Classes by level, and by the strength and direction of edges."""
+    """Class rule with classes by level, and by the strength and direction of edges."""
 
     level_step: int = data("int64", doc="number of first-layer levels that form one level of this layer")
     strength_edges: NDArray[np.uint32] = data(
@@ -164,12 +167,14 @@ class StructureRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Number of structures: one for flat areas, and for each strength one without direction and one per direction."""
+        """Number of structures: one for flat areas and, for each strength, one without direction and one for each
+        direction.
+        """
         return 1 + self.strengths * (1 + DIRECTIONS)
 
     def next_strengths(self, structure: int) -> list[int]:
-        """Return the structures with the same direction in the next lower and next higher strength, above the lowest
-        strength.
+        """Return the structures with the same direction and the next lower and next higher strength, except for the
+        lowest strength.
         """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)
@@ -178,7 +183,10 @@ class StructureRule(PlaneClasses):
 
 @dataclass(frozen=True)
 class TreeRule(PlaneClasses):
-    """Classes by the leaves of one tree for all sites. Each site turns its window to the orientation it was trained in."""
+    """Class rule whose classes are the leaves of a decision tree.
+
+    All sites use the same tree. The window of each site is turned to the orientation in which the site was trained.
+    """
 
     test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
     threshold: NDArray[np.float32] = data("float32", "node", doc="larger values lead to the second branch")
@@ -220,13 +228,13 @@ class TreeRule(PlaneClasses):
 
     @property
     def leaf(self) -> NDArray[np.int64]:
-        """Number (node) of the first leaf below each node, or of the node itself if it is a leaf.
+        """Number of the first leaf below each node. If a node is a leaf, the number of the node's own leaf.
 
-        Leaves are numbered in depth-first order, the first branch of each node before the second.
+        Leaves are numbered in depth-first order, the first child of each node before the second.
         """
         below = np.ones(len(self.branch), np.int64)  # number of leaves below each node
         inner = np.flatnonzero(self.branch).tolist()
-        for node in reversed(inner):  # branches have higher numbers than their node
+        for node in reversed(inner):  # children have higher numbers than their parent
             below[node] = below[self.branch[node]] + below[self.branch[node] + 1]
         first = np.zeros(len(self.branch), np.int64)
         for node in inner:
@@ -238,6 +246,6 @@ class TreeRule(PlaneClasses):
     def depth(self) -> int:
         """Number of tests from the root to the deepest leaf."""
         depth = np.zeros(len(self.branch), np.int64)
-        for node in np.flatnonzero(self.branch).tolist():  # branches have higher numbers than their node
+        for node in np.flatnonzero(self.branch).tolist():  # children have higher numbers than their parent
             depth[self.branch[node] : self.branch[node] + 2] = depth[node] + 1
         return int(depth.max())

@@ -1,12 +1,14 @@
-"""Names of axes in artifacts, as HDF5 dimension scales, which xarray, netCDF tools and `dims` of h5py understand.
+"""Writes the names of axes in artifacts as HDF5 dimension scales. xarray, netCDF tools and the attribute `dims` of h5py
+use them.
 
-Each axis of a group's datasets has one scale with its name in that group. The scale is one of:
+Each axis of a group's datasets has one dimension scale in that group, whose name is the name of the axis. The scale is
+one of:
 
-1. the declared dataset of the same name, which holds the values along the axis (wavelength),
-2. a copy of a declared dataset of another name (`channels` for the axis channel),
-3. a dataset without values, as in netCDF, which states only the length.
+1. the declared dataset with this name, which contains the values along the axis (wavelength);
+2. a copy of a declared dataset with another name (`channels` for the axis channel);
+3. a dataset without values, as in netCDF, which only states the length.
 
-l3 itself reads no scale and follows no reference of one.
+l3 itself does not read scales or follow their references.
 """
 
 import functools
@@ -19,13 +21,15 @@ import numpy as np
 from l3cli.artifacts.container import ENCODING, encoded
 from l3cli.artifacts.schema import Group, Spec, declared, instances
 
-LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"  # NAME that netCDF-4 gives to axes without values
+LENGTH_ALONE = (
+    "This is a netCDF dimension but not a netCDF variable.%10d"  # attribute NAME of axes without values in netCDF-4
+)
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
-Coordinates = Mapping[str, tuple[Any, Spec]]  # axis → the values along it, and their declaration
+Coordinates = Mapping[str, tuple[Any, Spec]]  # values along each axis, and their declaration, by the name of the axis
 
 
 def coordinates_of(content: Any) -> Coordinates:
-    """Return the values that an instance's fields give along its axes, by axis."""
+    """Return the values along axes that the fields of an instance contain, by the name of the axis."""
     kind: type = type(content)
     fields = {name: spec for name, spec in _layout(kind)[0].items() if spec.coordinate}
     return {spec.axes[0]: (getattr(content, name), spec) for name, spec in fields.items()}
@@ -37,13 +41,13 @@ def name_axes(group: h5py.Group, kind: type, above: Coordinates, content: Any = 
     Parameters
     ----------
     group : h5py.Group
-        A group in which an instance of `kind` is stored.
+        A group that contains an instance of `kind`.
     kind : type
         The dataclass that declares the group.
     above : mapping
-        Coordinates that the groups above provide.
+        Coordinates from the groups above.
     content : dataclass, optional
-        The stored instance, which provides the coordinates of its group and those below.
+        The stored instance, which contains the coordinates of its group and of the groups below.
     """
     known = above if content is None else {**above, **coordinates_of(content)}
     _write_scales(group, kind, known)
@@ -68,9 +72,9 @@ def _layout(kind: type) -> tuple[dict[str, Spec], dict[str, Group]]:
 
 
 def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
-    """Write one scale per axis of a group, and the references between scales and datasets.
+    """Write one dimension scale per axis of a group, and the references between scales and datasets.
 
-    Each list of references is written once. h5py's `attach_scale` would rewrite it for every dataset.
+    Each list of references is written only once. `attach_scale` of h5py would rewrite the list for every dataset.
     """
     fields = {name: (spec, group[name]) for name, spec in _layout(kind)[0].items() if name in group}
     scales: dict[str, h5py.Dataset] = {}
@@ -94,7 +98,9 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Return a scale that is no declared dataset: with values if they are known, otherwise with a length only."""
+    """Create a dimension scale that is not a declared dataset. It contains values if they are known, otherwise only a
+    length.
+    """
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)
         scale.make_scale(LENGTH_ALONE % length)

@@ -1,8 +1,8 @@
 """Artifacts as frozen dataclasses whose field declarations define the HDF5 schema.
 
-`data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group, whose content is another dataclass of such
-fields; a field of type `tuple[X, ...]` is stored as numbered groups 0, 1, 2… Saving, loading, checking and `l3 info` all
-read these declarations, so that a new field is declared in one place.
+`data(dtype, axes, unit, doc)` declares a dataset. `group()` declares a group, which contains the fields of another
+dataclass. A field with the type `tuple[X, ...]` is stored as numbered groups 0, 1, 2…. Saving, loading, checking and `l3
+info` all use these declarations, so a new field has to be declared in only one place.
 """
 
 import dataclasses
@@ -16,19 +16,19 @@ import numpy as np
 
 from l3cli import __version__
 
-LARGEST_VALUE = 1e27  # of any stored number, so that sums of squares stay finite
+LARGEST_VALUE = 1e27  # largest absolute value of a stored number, so that sums of squares are finite
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Declaration of a dataset: its type, named axes, unit and meaning."""
+    """Declaration of a dataset: its type, the names of its axes, its unit and its meaning."""
 
     dtype: str
     axes: tuple[str, ...]
     unit: str
     doc: str
-    coordinate: bool = False  # whether it labels its axis, as wavelengths do; text with one axis always does
-    optional: bool = False  # whether it is stored only if it differs from the field's default
+    coordinate: bool = False  # whether the dataset contains the labels of its axis, such as wavelengths or names
+    optional: bool = False  # whether the dataset is stored only if its value differs from the default
 
 
 def data(
@@ -47,27 +47,26 @@ def data(
     dtype : str
         A numpy type such as "float64" or "uint16", or "str".
     *axes : str
-        Names of the axes. Without axes the dataset is a scalar.
+        Names of the axes. Without axes, the dataset is a scalar.
     unit, doc : str
         Unit and meaning, which are stored as attributes and shown by `l3 info`.
     default : optional
-        Default of the dataclass field. Files hold the dataset whatever its value.
+        Default of the dataclass field. The dataset is stored even if it has this value.
     optional : optional
-        Default of a field that is stored only if its value differs. An instance that has the default is written with the
-        same bytes as before the field was declared, so every field that is added to the format is optional. Give None for
-        arrays.
+        Default of a field that is stored only if its value differs from the default. Use this for every field that is
+        added to an existing format, so that files without the field stay the same byte for byte. For arrays, use None.
     coordinate : bool
-        Whether the numbers label an axis whose name differs from the field's.
+        Whether the dataset contains the labels of an axis whose name differs from the name of the field.
     """
     is_optional = optional is not dataclasses.MISSING
     spec = Spec(dtype, axes, unit, doc, coordinate or (dtype == "str" and len(axes) == 1), is_optional)
-    # repr: arrays would fill pages
+    # Arrays are not part of the repr, because they would fill pages.
     return field(metadata={"spec": spec}, default=optional if is_optional else default, repr=not axes)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Declaration of a group that holds one instance of a dataclass, or a list of instances."""
+    """Declaration of a group that contains one instance of a dataclass, or a list of instances."""
 
     kind: type
     several: bool
@@ -77,12 +76,12 @@ class Group:
 def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
     """Declare a dataclass field that is stored as a group, or as a list of groups.
 
-    The type of the field is a dataclass of declared fields, or `tuple[X, ...]` of such a dataclass X.
+    The type of the field is a dataclass X with declared fields, or `tuple[X, ...]`.
 
     Parameters
     ----------
     default : optional
-        None or (), if the group may be absent. It is stored only if the field is set.
+        None or () for a group that may be absent. It is stored only if the field has another value.
     kw_only : bool
         As in `dataclasses.field`.
     """
@@ -91,21 +90,21 @@ def group(default: Any = dataclasses.MISSING, kw_only: bool = False) -> Any:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of an artifact's history: the command, its options, its recipe and the digests of its inputs.
+    """One stage in the history of an artifact: the command, its options, its recipe and the digests of its inputs.
 
-    A stage holds no time, host or path, so that equal inputs give equal bytes.
+    A stage contains no time, host name or path, so that equal inputs produce equal bytes.
     """
 
     command: str
     options: dict[str, Any]
     recipe: str = ""
-    inputs: dict[str, list[str]] = field(default_factory=dict)  # role → SHA-256 of the files
+    inputs: dict[str, list[str]] = field(default_factory=dict)  # SHA-256 of the input files, by their role
     version: str = __version__
 
 
 @dataclass(frozen=True, repr=False)
 class Artifact:
-    """Base class of the files that stages hand on. Subclasses set `kind` and `made_by`."""
+    """Base class of the files that stages exchange. Subclasses set `kind` and `made_by`."""
 
     kind: ClassVar[str]
     made_by: ClassVar[str]
@@ -116,14 +115,14 @@ class Artifact:
 
     @property
     def summary(self) -> str:
-        """What the artifact holds, in one line."""
+        """One line that describes the content of the artifact."""
         return self.kind
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {self.summary}>"
 
     def _repr_html_(self) -> str:
-        from l3cli.artifacts.notebook import html  # which imports this module; only notebooks ask for it
+        from l3cli.artifacts.notebook import html  # imported here, because notebook imports this module
 
         return html(repr(self), self)
 
@@ -153,30 +152,33 @@ def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
 
 
 def is_stored(instance: Any, name: str, spec: Spec) -> bool:
-    """Return whether a file of an instance holds a dataset: always, unless it is optional and has its default."""
+    """Return whether a dataset is stored in the file of an instance. Optional datasets are not stored if they have their
+    default.
+    """
     return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 
 
 def instances(name: str, value: Any) -> dict[str, Any]:
-    """Return the dataclass instances that a field holds, each under the name of its group."""
+    """Return the dataclass instances in a field, by the name of their group."""
     if isinstance(value, tuple):
         return {f"{name}/{index}": each for index, each in enumerate(value)}
     return {} if value is None else {name: value}
 
 
 def check(instance: Any) -> None:
-    """Check the declared fields of an instance against their declarations.
+    """Check the fields of an instance against their declarations.
 
-    Dtypes and numbers of axes must be as declared, axes of the same name must have the same length, and numbers must be
-    finite.
+    Each field must have the declared dtype and number of axes, and numbers must be finite. Axes with the same name must
+    have the same length, with two exceptions:
 
-    An axis that a group labels itself, by a dataset of the axis's name, belongs to that group and the groups below it. Axes
-    that only the members of a list have may differ in length from member to member.
+    1. If a group contains a dataset that labels an axis and has the same name as this axis, the axis belongs to this
+       group and the groups below it. Elsewhere, an axis with the same name may have a different length.
+    2. Axes that occur only in the members of a list may have different lengths in each member.
 
     Raises
     ------
     ValueError
-        If a field does not match its declaration. The message names the field.
+        If a field does not agree with its declaration. The message contains the name of the field.
     """
     _check(instance, {}, {}, "")
 
@@ -195,27 +197,29 @@ def _check(instance: Any, lengths: dict[str, tuple[int, str]], scopes: dict[str,
         array = np.asarray(value)
         label = f"{prefix}{name} ({', '.join(spec.axes)})"
         if array.ndim != len(spec.axes):
-            raise ValueError(f"{label} has {array.ndim} axes")
+            raise ValueError(f"{label} has {array.ndim} axes, but must have {len(spec.axes)}")
         if spec.dtype != "str":
             if not np.can_cast(array.dtype, spec.dtype, "same_kind"):
-                raise ValueError(f"{label} holds {array.dtype}, not {spec.dtype}")
+                raise ValueError(f"{label} has the type {array.dtype}, but must have the type {spec.dtype}")
             if array.size and array.dtype.kind == "u" and int(array.max()) > np.iinfo(np.int64).max:
-                raise ValueError(f"{label} holds {array.max()}, more than 63 bits")
+                raise ValueError(f"{label} contains {array.max()}, which does not fit into 63 bits")
             if (
                 array.dtype.kind == "f"
                 and array.size
                 and not (array.min() >= -LARGEST_VALUE and array.max() <= LARGEST_VALUE)
             ):
-                fault = f"beyond ±{LARGEST_VALUE:g}" if np.isfinite(array).all() else "that are not finite"
-                raise ValueError(f"{label} holds values {fault}")
+                fault = f"larger than {LARGEST_VALUE:g}" if np.isfinite(array).all() else "that are not finite"
+                raise ValueError(f"{label} contains values {fault}")
         for axis, length in zip(spec.axes, array.shape, strict=True):
             known, where = lengths.setdefault(scopes.get(axis, "") + axis, (length, prefix + name))
             if known != length:
-                raise ValueError(f"{label} has {length} along {axis}, but {where} has {known}")
+                raise ValueError(
+                    f"the axis {axis} of {label} has the length {length}, but in {where} it has the length {known}"
+                )
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Return whether all declared fields of two instances of a dataclass hold equal values."""
+    """Return whether all declared fields of two instances of a dataclass have equal values."""
     for name, spec in declared(type(one)):
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(spec, Spec):

@@ -1,6 +1,7 @@
-"""Reading and writing of artifacts: HDF5 files laid out as their dataclasses declare (docs/artifacts.md).
+"""Reads and writes artifacts, which are HDF5 files with the structure that their dataclasses declare
+(docs/artifacts.md).
 
-A file is written completely or not at all, and carries the history of the stages that led to it.
+A file is either written completely or not at all. It contains the history of the stages that produced it.
 """
 
 import contextlib
@@ -22,10 +23,10 @@ from l3cli.errors import InputFileError, raised_as
 from l3cli.system.files import require_regular
 from l3cli.system.text import a
 
-FORMAT_VERSION = 1  # of all artifacts; a new field is optional instead of a new version (docs/architecture.md)
+FORMAT_VERSION = 1  # version of all artifacts; new fields are optional, so the version stays (docs/architecture.md)
 GZIP_LEVEL = 4
-MAX_LISTED_GROUPS = 64  # refuses damaged files that claim millions
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # h5py raises any of these on damage
+MAX_LISTED_GROUPS = 64  # a damaged file could otherwise claim to contain millions of groups
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # errors of h5py for damaged files
 HISTORY = Spec("str", (), "1", "JSON: the stages that led here, oldest first")
 A = TypeVar("A", bound=Artifact)
 
@@ -34,18 +35,19 @@ A = TypeVar("A", bound=Artifact)
 
 
 def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> None:
-    """Write the declared fields of a dataclass instance below a group, without dimension scales.
+    """Write the declared fields of a dataclass instance to a group, without dimension scales.
 
-    Optional fields that have their default are left out.
+    Optional fields that have their default are not written.
 
     Parameters
     ----------
     group : h5py.Group
-        An empty group open for writing.
+        An empty group that is open for writing.
     instance : dataclass
-        Instance with fields declared by `data` and `group`.
+        Instance with fields that `data` and `group` declare.
     compressed : bool
-        False for frames: noise hardly compresses, and compressing it takes longer than simulating it.
+        Whether to compress datasets. Frames are not compressed, because noise hardly compresses, and compression would
+        take longer than the simulation.
     """
     for name, spec in declared(type(instance)):
         value = getattr(instance, name)
@@ -57,7 +59,7 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compressed: bool = True) -> None:
-    """Write a dataset with its axes, unit and meaning as attributes."""
+    """Write a dataset, with its axes, unit and meaning as attributes."""
     is_text = spec.dtype == "str"
     array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype, order="C")
     storage: dict[str, Any] = {}
@@ -70,11 +72,13 @@ def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compres
     dataset.attrs["units"] = spec.unit
     dataset.attrs["doc"] = spec.doc
     if is_text:
-        dataset.attrs["_Encoding"] = ENCODING  # tells xarray that the bytes are text
+        dataset.attrs["_Encoding"] = ENCODING  # lets xarray decode the bytes as text
 
 
 def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
-    """Return the shape of a chunk of about one mebibyte: whole trailing axes, and as many leading ones as fit."""
+    """Return the shape of a chunk of about 1 MiB. It contains the last axes completely, and as much of the first axes as
+    fits.
+    """
     chunk = list(shape)
     for axis in range(len(shape)):
         others = itemsize * int(np.prod(chunk)) // chunk[axis]
@@ -84,9 +88,9 @@ def _chunk(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 @contextlib.contextmanager
 def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file whose root holds kind, version and history.
+    """Yield a new HDF5 file whose root contains kind, version and history.
 
-    The file appears at `path` when the block ends without an error.
+    The file gets the name `path` when the block ends without an error.
     """
     stages = json.dumps([dataclasses.asdict(stage) for stage in history], sort_keys=True, ensure_ascii=False)
     with container.new_file(path) as root:
@@ -97,7 +101,7 @@ def new_artifact(path: Path, kind: str, history: tuple[Stage, ...]) -> Iterator[
 
 
 def save(artifact: Artifact, path: Path) -> None:
-    """Write an artifact to `path`, completely or not at all."""
+    """Write an artifact to `path`. If this fails, no file is left behind."""
     with new_artifact(path, artifact.kind, artifact.history) as root:
         write_fields(root, artifact)
         name_axes(root, type(artifact), {}, artifact)
@@ -108,44 +112,48 @@ def save(artifact: Artifact, path: Path) -> None:
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False) -> Iterator[h5py.File]:
-    """Yield the root of an artifact's file, open for reading.
+    """Open the file of an artifact for reading.
 
     Parameters
     ----------
     path : Path
+        The file.
     *expected : type
-        The kinds of artifact that are accepted; all kinds if none is given.
+        The accepted kinds of artifacts. If there are none, all kinds are accepted.
     unchanged : bool
-        Skip the comparison of the bytes with their digest, because this run has already made it.
+        Whether the checksum was already compared in this run, so that the comparison can be skipped.
 
     Raises
     ------
     InputFileError
-        If the file has changed since it was written, is no artifact of an expected kind, or has another format version.
+        If the file has changed since it was written, if it is not an artifact of an accepted kind, or if it has a
+        different format version.
     """
     made_by = expected[0].made_by if expected else "an l3 command"
     if not path.exists() and not path.is_symlink():
-        raise InputFileError(f"{path} does not exist; make it with {made_by}")
-    require_regular(path, f"give the file written by {made_by}")
+        raise InputFileError(f"{path} does not exist; create it with {made_by}")
+    require_regular(path, f"use a file written by {made_by}")
     if not unchanged:
         container.check(path, made_by)
     try:
         root = container.open_file(path)
     except OSError as error:
-        raise InputFileError(f"{path} is truncated or damaged; make it again with {made_by}") from error
+        raise InputFileError(f"{path} is truncated or damaged; create it again with {made_by}") from error
     with root:
         try:
             kind, version = str(root.attrs["kind"]), int(root.attrs["version"])
         except HDF5_ERRORS as error:
             raise InputFileError(
-                f"{path} is an HDF5 file but not an l3 artifact; give the file written by {made_by}"
+                f"{path} is an HDF5 file but not an l3 artifact; use a file written by {made_by}"
             ) from error
         makers = {each.kind: each.made_by for each in expected}
         if expected and kind not in makers:
-            raise InputFileError(f"{path} holds {a(kind)}; give the file written by {made_by}")
+            raise InputFileError(f"{path} is {a(kind)}; use a file written by {made_by}")
         if version != FORMAT_VERSION:
-            again = f"make it again with {makers.get(kind, 'the l3 command that wrote it')}"
-            raise InputFileError(f"{path} has format version {version}, this l3 reads version {FORMAT_VERSION}; {again}")
+            again = f"create the file again with {makers.get(kind, 'the l3 command that wrote it')}"
+            raise InputFileError(
+                f"{path} has format version {version}, but this version of l3 reads only version {FORMAT_VERSION}; {again}"
+            )
         yield root
 
 
@@ -155,53 +163,55 @@ def load(cls: type[A], path: Path) -> A:
     Parameters
     ----------
     cls : type
-        The kind of artifact: CameraModel, TransformTable…
+        The kind of artifact, such as CameraModel or TransformTable.
     path : Path
+        The file.
 
     Returns
     -------
     instance of `cls`
-        Its arrays are read-only.
+        The artifact. Its arrays are read-only.
 
     Raises
     ------
     InputFileError
-        If the file is missing, damaged or of another kind. The message names the file, the dataset and the remedy.
+        If the file is missing, damaged or of another kind. The message contains the file, the dataset and a remedy.
     """
     with open_artifact(path, cls) as root:
         return read_fields(root, cls, path, history=read_history(root, path))
 
 
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
-    """Return the stages that led to an artifact, oldest first."""
+    """Return the stages that produced an artifact, oldest first."""
     text = _read_dataset(root, "history", HISTORY, path)
     try:
         return tuple(msgspec.json.decode(text, type=list[Stage]))
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as error:
-        raise InputFileError(f"{path}: dataset history is not the JSON that l3 writes; make the file again") from error
+        raise InputFileError(f"{path}: dataset history is not valid JSON; create the file again") from error
 
 
 def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
-    """Return an instance of a dataclass from the datasets below a group.
+    """Read an instance of a dataclass from the datasets in a group.
 
     Parameters
     ----------
     group : h5py.Group
+        The group.
     cls : type
-        Dataclass with fields declared by `data` and `group`.
+        Dataclass with fields that `data` and `group` declare.
     path : Path
-        Name of the file in messages.
+        Name of the file, for messages.
     **extra
         Values of fields that are not stored in the group, such as the history.
 
     Raises
     ------
     InputFileError
-        If a dataset that is not optional is missing, or a dataset does not match its declaration.
+        If a dataset that is not optional is missing, or if a dataset does not agree with its declaration.
     """
     values = dict(extra)
     held = members(group, path)
-    with raised_as(InputFileError, path, cure="; make the file again"):
+    with raised_as(InputFileError, path, cure="; create the file again"):
         for name, spec in declared(cls):
             if name not in held and spec.optional:
                 continue
@@ -210,20 +220,20 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
             else:
                 values[name] = _read_group(group, name, spec, path)
         instance = cls(**values)
-        if not isinstance(instance, Artifact):  # which checks itself
+        if not isinstance(instance, Artifact):  # artifacts check themselves
             check(instance)
     return instance
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """Return the instance, or the tuple of instances, that a declared group holds."""
+    """Read the instance, or the tuple of instances, in a declared group."""
     below = hard_group(group, name, path)
     if not spec.several:
         return read_fields(below, spec.kind, path)
     count = len(members(below, path))
     if count > MAX_LISTED_GROUPS:
         raise InputFileError(
-            f"{path}: {_inside(group, name)} holds more than {MAX_LISTED_GROUPS} groups; make the file again"
+            f"{path}: {_inside(group, name)} contains more than {MAX_LISTED_GROUPS} groups; create the file again"
         )
     return tuple(read_fields(hard_group(below, str(index), path), spec.kind, path) for index in range(count))
 
@@ -235,47 +245,49 @@ def _inside(group: h5py.Group, name: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Within the block, raise InputFileError instead of the errors that h5py raises on damaged files."""
+    """Convert the errors that h5py raises for damaged files to InputFileError."""
     try:
         yield
     except (*HDF5_ERRORS, UnicodeDecodeError) as error:
-        raise InputFileError(f"{path}: {what} is damaged (checksum); make the file again") from error
+        raise InputFileError(f"{path}: {what} is damaged (checksum); create the file again") from error
 
 
 def members(group: h5py.Group, path: Path) -> list[str]:
-    """Return the names of a group's members, sorted."""
+    """Return the names of the members of a group, sorted."""
     with reading(path, f"the group {group.name}"):
         return sorted(group)
 
 
 def hard_group(group: h5py.Group, name: str, path: Path) -> h5py.Group:
-    """Return a group stored below `group` in the same file; InputFileError if there is none."""
+    """Return a group in the same file below `group`. Raises InputFileError if there is none."""
     with reading(path, f"the group {_inside(group, name)}"):
         return _member(group, name, h5py.Group, "group", path)
 
 
 def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> Any:
-    """Return a member of a group that is stored in this file. Soft and external links are refused."""
+    """Return a member of a group that is stored in this file. Soft and external links raise InputFileError."""
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
-        fault = "lacks" if link is None else "links away"
-        raise InputFileError(f"{path} {fault} the {what} {_inside(group, name)}; make the file again")
+        fault = "is missing" if link is None else "is a link to another place"
+        raise InputFileError(f"{path}: the {what} {_inside(group, name)} {fault}; create the file again")
     member = group[name]
     if not isinstance(member, kind):
-        raise InputFileError(f"{path}: {_inside(group, name)} is not a {what}; make the file again")
+        raise InputFileError(f"{path}: {_inside(group, name)} is not a {what}; create the file again")
     return member
 
 
 def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
-    """Return how a dataset is stored; InputFileError if it is too large, or stored in a way that l3 never uses."""
+    """Return how a dataset is stored. Raises InputFileError if it is too large, or stored with a filter that l3 never
+    uses.
+    """
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:
-        raise InputFileError(f"{path}: dataset {stored.where} is stored as l3 never stores one; make the file again")
+        raise InputFileError(f"{path}: dataset {stored.where} uses an HDF5 filter that l3 never uses; create the file again")
     return stored
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    """Read a dataset, after checking that its type and number of axes match its declaration."""
+    """Read a dataset, after checking its type and number of axes."""
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
     with reading(path, f"dataset {_inside(group, name)}"):
@@ -284,8 +296,9 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
         is_empty = not (stored.shape or stored.size)
         if stored.dtype.kind != expected_kind or len(stored.shape) != len(spec.axes) or is_empty:
             raise InputFileError(
-                f"{path}: dataset {stored.where} is {stored.dtype} with {len(stored.shape)} axes, "
-                f"not {spec.dtype} ({', '.join(spec.axes)}); make the file again"
+                f"{path}: dataset {stored.where} has the type {stored.dtype} and {len(stored.shape)} axes, but must have "
+                "the "
+                f"type {spec.dtype} and the axes ({', '.join(spec.axes)}); create the file again"
             )
         array = dataset[()]
         if is_text:

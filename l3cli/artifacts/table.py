@@ -1,4 +1,4 @@
-"""The transform table: the class rule and the transforms of every layer, also for conditions (docs/method.md#classes)."""
+"""The transform table: the class rules and the transforms of all layers and conditions (docs/method.md#classes)."""
 
 import itertools
 from dataclasses import dataclass, replace
@@ -14,13 +14,13 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
-GREY = ("Y", "Y", "Y")  # outputs of such a table when it renders pictures
-WINDOWS = (3, 5, 7, 9)  # possible sides of the window that spectra are smoothed over, in pixels
+GREY = ("Y", "Y", "Y")  # outputs of a luminance table that was converted for rendering pictures
+WINDOWS = (3, 5, 7, 9)  # pixels; allowed sides of the window for smoothing spectra
 
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Smoothing of spectra: each pixel gets the mean spectrum of its neighbours of similar brightness, but keeps its
+    """Smoothing of spectra. Each pixel gets the mean spectrum of neighbours with similar brightness, but keeps its own
     brightness.
     """
 
@@ -30,9 +30,9 @@ class SpectralSmoothing:
     def __post_init__(self) -> None:
         check(self)
         if self.window not in WINDOWS:
-            raise ValueError(f"window is {self.window}, not one of {', '.join(map(str, WINDOWS))}")
+            raise ValueError(f"window is {self.window}, but must be one of {', '.join(map(str, WINDOWS))}")
         if not 0 < self.reach < 1:
-            raise ValueError(f"reach is {self.reach:g}, not between 0 and 1")
+            raise ValueError(f"reach is {self.reach:g}, but must be between 0 and 1")
 
     @property
     def radius(self) -> int:
@@ -48,22 +48,24 @@ class LeadingComponents:
     def __post_init__(self) -> None:
         check(self)
         if self.basis.shape[1] != PLANES:
-            raise ValueError(f"basis makes {self.basis.shape[1]} planes, not {PLANES}")
+            raise ValueError(f"basis has {self.basis.shape[1]} planes, but must have {PLANES}")
 
 
 @dataclass(frozen=True, repr=False)
 class TransformTable(Artifact):
-    """Local linear transforms for every class of every layer, and the rules that decide the class of a pixel.
+    """Local linear transforms for every class of every layer, and the rules that determine the class of a pixel.
 
     The first layer transforms patches of the mosaic. Each refinement layer transforms windows of the output of the
-    previous layer. Rendering needs no other file than the table (docs/method.md#classes).
+    previous layer. Rendering needs only the table and no other files (docs/method.md#classes).
 
     Attributes
     ----------
     camera_name : str
+        Name of the camera.
     rows, cols : int
-        Size of the camera's frames, in pixels.
+        Size of the camera's frames in pixels.
     channels : tuple of str
+        Names of the channels.
     cfa : ndarray, (cfa_row, cfa_col)
         Index of the channel at each site of the super-pixel.
     bits : int
@@ -72,25 +74,28 @@ class TransformTable(Artifact):
         Levels of the raw values that the table expects, in DN.
     outputs : tuple of str
         Names of the outputs: ("X", "Y", "Z"), ("Y",) or names of spectral bands.
+    target_description : str
+        Description of the outputs.
     output_unit : float
         Product of scene luminance and exposure time that corresponds to an output of 1, in cd s/m².
     white_point : ndarray, (output,)
-        Output of a perfect white under the training light, scaled to Y = 1.
+        Outputs of a perfect white under the training illuminant, scaled to Y = 1.
     first : MosaicLayer
+        First layer.
     later : tuple of PlaneLayer
-        Refinement layers in order.
+        Refinement layers, in order.
     exposure : float
-        Mean exposure time of the simulated training frames, in s.
+        Mean exposure time of the simulated training frames in s.
     light : LightSpectrum or None
-        Mean light on the training scenes.
+        Mean illuminant of the training scenes.
     camera : CameraModel or None
-        The camera that the table was trained for, without its fit. `l3 train` always stores it.
+        The camera for which the table was trained, without its fit. `l3 train` always stores it.
     conditions : tuple of Condition
-        Transforms for other noise, then for each light.
+        Transforms for other noise, then for each illuminant.
     spectra : SpectralSmoothing or None
         Smoothing of spectra after all layers.
     components : LeadingComponents or None
-        The components of a spectrum that a refinement layer corrects. None if that layer makes X, Y, Z itself.
+        The components of a spectrum that a refinement layer corrects. None if the refinement layers compute X, Y, Z.
     """
 
     kind: ClassVar[str] = "transform table"
@@ -126,15 +131,18 @@ class TransformTable(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
-            raise ValueError("the camera's CFA differs from the table's")
+            raise ValueError("the channels or the CFA of the camera differ from those of the table")
         if not self.outputs or not self.output_unit > 0:
-            raise ValueError("a table needs at least one output, and output_unit above zero")
+            raise ValueError("a table must have at least one output, and output_unit must be positive")
         if not self.exposure >= 0:
             raise ValueError("exposure must not be negative")
         for layer in self.layers:
             sites, classes = self.cfa.size, layer.rule.classes_per_site
             if len(layer.weights) != sites * classes:
-                raise ValueError(f"weights holds {len(layer.weights)} classes, the rule makes {sites} × {classes}")
+                raise ValueError(
+                    f"weights has {len(layer.weights)} classes, but the class rule defines {classes} at each of {sites} "
+                    "sites"
+                )
         self.first.rule.check_fits(len(self.channels), self.bits)
         for later in self.later:
             self._check_refinement(later)
@@ -143,11 +151,15 @@ class TransformTable(Artifact):
         if any(later.coarse_chroma for later in self.later[:-1]):
             raise ValueError("only the last layer may have coarse chroma")
         if self.spectra and (len(self.outputs) == 1 or self.outputs[:3] == ("X", "Y", "Z")):
-            raise ValueError(f"spectra of {', '.join(self.outputs)} cannot be smoothed; they must be bands")
+            raise ValueError(
+                f"the outputs {', '.join(self.outputs)} are not spectral bands and cannot be smoothed as spectra"
+            )
         if self.later and (
             len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
         ):
-            raise ValueError("a table without exactly three outputs may have one refinement layer, which reads components")
+            raise ValueError(
+                "a table with more or fewer than three outputs can have only one refinement layer, which corrects components"
+            )
         for index, condition in enumerate(self.conditions):
             condition.check_fits(f"conditions/{index}", self.later, self.first.rule.levels)
         there = [(None, None), *((each.light and each.light.name, each.noise) for each in self.conditions)]
@@ -156,11 +168,15 @@ class TransformTable(Artifact):
             raise ValueError("conditions must be grouped by light, with the same noise levels for every light")
 
     def _check_refinement(self, layer: PlaneLayer) -> None:
-        """Raise ValueError if a layer does not fit the levels, saturation cases and sites of the first layer."""
+        """Raise ValueError if a refinement layer does not fit the levels, saturation cases and sites of the first layer."""
         layer.rule.check_fits(self.cfa.size, self.first.rule)
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
-            raise ValueError(f"weights has {layer.weights.shape[2]} taps, but {PLANES} windows of odd side have {taps}")
+            raise ValueError(
+                f"weights has {layer.weights.shape[2]} taps and windows with side {layer.side}, but the side must be "
+                "odd, and "
+                f"{PLANES} such windows have {taps} taps plus at most {max(RATIO_TAPS)}"
+            )
 
     @property
     def summary(self) -> str:
@@ -175,13 +191,13 @@ class TransformTable(Artifact):
         return (self.first, *self.later)
 
     def pictured(self) -> "TransformTable":
-        """Return the table that pictures are rendered with.
+        """Return the table with which pictures are rendered.
 
         Returns
         -------
         TransformTable
-            If further outputs follow X, Y, Z, a table of X, Y, Z only. If luminance is the only output, a table that
-            renders it three times, GREY. Otherwise the table itself.
+            If the table has more outputs after X, Y, Z, a table of X, Y, Z only. If luminance is the only output, a
+            table that computes it three times (GREY). Otherwise the table itself.
         """
         grey = self.outputs == LUMINANCE
         if self.later or not (grey or (self.outputs[:3] == ("X", "Y", "Z") and len(self.outputs) > 3)):
@@ -197,23 +213,25 @@ class TransformTable(Artifact):
 
     @property
     def shows_grey(self) -> bool:
-        """Whether pictures are grey: the table renders luminance only, or the camera has a single channel."""
+        """Whether pictures are grey, because the table renders luminance only or because the camera has a single
+        channel.
+        """
         return self.outputs == GREY or len(self.channels) == 1
 
     @property
     def noises(self) -> tuple[Condition, ...]:
-        """The conditions for noise that differs from the camera's, trained on all lights together."""
+        """The conditions for noise that differs from the camera's. Their transforms were trained on all illuminants."""
         return tuple(each for each in self.conditions if each.light is None)
 
     @property
     def lights(self) -> tuple[SceneLight, ...]:
-        """The lights that the table has transforms for, in the order of its conditions."""
+        """The illuminants for which the table has transforms, in the order of its conditions."""
         return tuple(each.light for each in self.conditions if each.light and each.noise is None)
 
     def of_light(self, light: SceneLight | None) -> "TransformTable":
-        """Return a table with the transforms for one light, or for None the transforms trained on all lights.
+        """Return a table with the transforms for one illuminant or, if `light` is None, trained on all illuminants.
 
-        The table keeps its conditions for other noise.
+        The conditions for other noise are kept.
         """
         if light is None:
             return replace(self, conditions=self.noises) if self.lights else self
@@ -221,7 +239,7 @@ class TransformTable(Artifact):
         return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
 
     def under(self, condition: Condition) -> "TransformTable":
-        """Return a table with the transforms of one of its conditions only."""
+        """Return a table that contains only the transforms of one of its conditions."""
         light, noise = condition.light, condition.noise or NoiseScale()
         table = self._with_edges(condition.edges) if condition.edges else self
         return replace(
@@ -237,7 +255,7 @@ class TransformTable(Artifact):
         )
 
     def _with_edges(self, edges: NoiseEdges) -> "TransformTable":
-        """Return the table with other class edges and noise, without conditions."""
+        """Return the table with different class edges and noise, and without conditions."""
         usual = self.first.rule
         features = usual.features and replace(usual.features, constants=edges.constants)
         rule = replace(usual, contrast_edges=edges.contrast_edges, features=features)
@@ -248,10 +266,10 @@ class TransformTable(Artifact):
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
-        """XYZ (3), in output units, of the darkest white that clips every channel; no pixel is rendered brighter
+        """XYZ of the darkest white that clips every channel, in output units. No pixel is rendered brighter
         (docs/method.md#clipped-white).
 
-        None if the light is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
+        None if the illuminant is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
         """
         if self.outputs[:3] not in (("X", "Y", "Z"), GREY) or self.light is None or self.camera is None:
             return None
@@ -265,6 +283,7 @@ class TransformTable(Artifact):
     def dark_signal(self, exposure: float | None) -> float:
         """Return the mean dark signal above black, in DN, after `exposure` seconds.
 
-        If the exposure time is None, that of the training frames is used. Tables without a camera return 0.
+        If the exposure time is None, the exposure time of the training frames is used. If the table has no camera, the
+        result is 0.
         """
         return self.camera.dark_signal(self.exposure if exposure is None else exposure) if self.camera else 0.0

@@ -1,4 +1,4 @@
-"""The training set: simulated raw frames, each with the noise-free electrons and the picture that should come out."""
+"""The training set: simulated raw frames, each with noise-free electrons and the ideal picture."""
 
 import contextlib
 import re
@@ -19,12 +19,12 @@ from l3cli.artifacts.schema import Artifact, check, data, group
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
 
-LARGEST = 1e12  # electrons, cd/m² or seconds, so that 32-bit floats can hold squares
+LARGEST = 1e12  # largest number of electrons, cd/m² or seconds, so that their squares fit into 32-bit floats
 
 
 @dataclass(frozen=True)
 class LightSpectrum:
-    """Spectrum of a light on a scene, as the radiance of a perfect white of 1 cd/m²."""
+    """Spectrum of an illuminant, as the radiance of a perfect white of 1 cd/m²."""
 
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the spectrum")
     radiance: NDArray[np.float32] = data(
@@ -37,21 +37,23 @@ class LightSpectrum:
     def __post_init__(self) -> None:
         check(self)
         if not (self.wavelength.size > 1 and self.wavelength[0] > 0 and (np.diff(self.wavelength) > 0).all()):
-            raise ValueError("light_wavelength must increase, above zero")
+            raise ValueError("the wavelengths of an illuminant must be positive and increase")
         if not self.radiance.min() >= 0 < self.radiance.max():
-            raise ValueError("radiance is not that of a light")
+            raise ValueError("the radiance of an illuminant must not be negative, and must be positive somewhere")
 
 
 def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float | None = None) -> NDArray[np.float64]:
-    """Return the signal that a white of Y = 1 gives under a light.
+    """Return the channel values of a white with Y = 1 under an illuminant.
 
     Parameters
     ----------
     light : LightSpectrum
+        The illuminant.
     camera : CameraModel
+        The camera.
     output_unit : float, optional
-        Luminance times exposure time, in cd s/m², that Y = 1 stands for. By default that of the camera's tables, for which
-        colour-science has to be imported.
+        Luminance times exposure time, in cd s/m², that corresponds to Y = 1. [default: the output unit of the camera;
+        computing it imports colour-science]
 
     Returns
     -------
@@ -65,7 +67,7 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
 
 @dataclass(frozen=True)
 class TrainingPair:
-    """A raw frame and the picture that it should become. For a pair that a camera took, nothing else is known."""
+    """A raw frame and the ideal picture. For a real pair, which a camera has captured, nothing more is known."""
 
     raw: NDArray[np.uint16] = data("uint16", "row", "col", unit="DN", doc="one noisy mosaic, CFA phase (0, 0)")
     target: NDArray[np.float32] = data(
@@ -84,25 +86,27 @@ class TrainingPair:
         check(self)
         _require_moderate("target", self.target)
         if not (self.white.size and self.white.min() >= 0 < self.white.max() <= LARGEST):
-            raise ValueError("white is not that of a light")
+            raise ValueError("white must not be negative, and must be positive in some output")
         if min(self.luminance, self.exposure) < 1 / LARGEST or max(self.luminance, self.exposure) > LARGEST:
-            bounds = f"{1 / LARGEST:g}…{LARGEST:g}"
-            raise ValueError(f"luminance {self.luminance:g} and exposure {self.exposure:g} must lie in {bounds}")
+            bounds = f"between {1 / LARGEST:g} and {LARGEST:g}"
+            raise ValueError(f"luminance is {self.luminance:g} and exposure {self.exposure:g}, but both must be {bounds}")
 
     @property
     def dark_time(self) -> float:
-        """Exposure time, in s, of the dark current in `raw`: 0 for real pairs, from which it has been subtracted."""
+        """Exposure time in s from which the dark signal in `raw` is computed. It is 0 for real pairs, whose dark signal
+        is subtracted.
+        """
         return 0.0
 
     @property
     def shown(self) -> "Shown | None":
-        """Fingerprints of scene and light; None for real pairs."""
+        """Fingerprints of the scene and the illuminant, or None for real pairs."""
         return None
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Fingerprints of a frame's scene and light, which are comparable between cameras."""
+    """Fingerprints of the scene and the illuminant of a frame, which can be compared between cameras."""
 
     scene: NDArray[np.float64] = data(
         "float64", "projection", doc="projections of the visible part of the scene, which identify it"
@@ -115,7 +119,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class IgnoredPixels:
-    """Pixels for which the scene's file holds no data. They are filled from their neighbours and left out of training."""
+    """Pixels without data in the file of the scene. They are filled from their neighbours and are not used in training."""
 
     mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: the pixel is ignored")
 
@@ -125,10 +129,10 @@ class IgnoredPixels:
 
 @dataclass(frozen=True)
 class TrainingFrame(TrainingPair):
-    """A simulated pair, for which the noise-free electrons are known too.
+    """A simulated pair, for which the noise-free electrons are also known.
 
-    The electrons are given for every channel at every pixel. Training can therefore place the mosaic at any offset and in
-    any of its eight orientations (docs/method.md#patches). `raw` is the mosaic that the camera would have recorded.
+    The electrons are known for every channel at every pixel, so training can use any offset and any of the eight
+    orientations of the mosaic (docs/method.md#patches). `raw` is the mosaic that the camera would record.
     """
 
     electrons: NDArray[np.float32] = data(
@@ -148,27 +152,28 @@ class TrainingFrame(TrainingPair):
 
 
 def _require_moderate(name: str, values: NDArray[np.float32]) -> None:
-    """Raise ValueError unless values are small enough for their products to fit 32-bit floats."""
+    """Raise ValueError unless the products of the values fit into 32-bit floats."""
     if values.size == 0 or max(float(values.max()), -float(values.min())) > LARGEST:
-        raise ValueError(f"{name} is empty or holds more than {LARGEST:g}")
+        raise ValueError(f"{name} is empty or contains values larger than {LARGEST:g}")
 
 
 @dataclass(frozen=True, repr=False)
 class TrainingSet(Artifact):
-    """Head of a training set: the camera, the outputs and what the target is.
+    """Header of a training set: the camera, the outputs and the description of the target.
 
-    The frames are stored in the groups frames/00000, frames/00001…, and real pairs in pairs/00000…. `open_training_set`
-    reads them one by one.
+    Simulated frames are stored in the groups frames/00000, frames/00001…, and real pairs in pairs/00000….
+    `open_training_set` reads them one by one.
 
     Attributes
     ----------
     camera : CameraModel
         The camera that was simulated.
     outputs : tuple of str
-        Names of the target's components.
+        Names of the outputs.
     target_description : str
+        Description of the target.
     target_light : LightSpectrum or None
-        The light under which the target is defined; None if it is the light of each frame.
+        The illuminant for which the target is defined. None if it is the illuminant of each frame.
     """
 
     kind: ClassVar[str] = "training set"
@@ -185,13 +190,13 @@ class TrainingSet(Artifact):
 
 
 def frame_name(index: int, scene: str) -> str:
-    """Return the stem of a frame's file names: its number, and the name of its scene in letters, digits and hyphens."""
+    """Return the stem of a frame's file names, which consists of its number and the name of its scene."""
     return f"{index:05d}_{re.sub(r'[^A-Za-z0-9]+', '-', scene)}"
 
 
 @dataclass(frozen=True)
 class FrameLight:
-    """The light of a frame, which can be read without its pixels."""
+    """The illuminant of a frame, which can be read without reading the pixels."""
 
     illuminant: str = data("str", doc="name of the illuminant")
     white: NDArray[np.float64] = data("float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white")
@@ -204,8 +209,8 @@ GROUPS: dict[str, type[TrainingPair]] = {"frames": TrainingFrame, "pairs": Train
 class TrainingSetReader:
     """An open training set, from which frames are read one by one.
 
-    `len()` is the number of frames. Iteration yields simulated frames first, then real pairs. Memory holds one frame at a
-    time.
+    `len()` is the number of frames. Iteration yields simulated frames first, then real pairs. Only one frame is in
+    memory at a time.
 
     Attributes
     ----------
@@ -220,7 +225,7 @@ class TrainingSetReader:
         self._groups = {name: store.hard_group(root, name, path) for name in GROUPS if name in held}
         self._names = [(name, each) for name, group in self._groups.items() for each in store.members(group, path)]
         if not self._names:
-            raise InputFileError(f'{path} holds no frames; make it again with "l3 simulate"')
+            raise InputFileError(f'{path} contains no frames; create the file again with "l3 simulate"')
 
     def __len__(self) -> int:
         return len(self._names)
@@ -240,11 +245,11 @@ class TrainingSetReader:
 
     @property
     def has_pairs(self) -> bool:
-        """Whether the set holds real pairs."""
+        """Whether the set contains real pairs."""
         return "pairs" in self._groups
 
     def frame(self, index: int) -> TrainingPair:
-        """Return a frame: a TrainingFrame if it was simulated, otherwise a TrainingPair."""
+        """Return a frame, as a TrainingFrame if it was simulated, otherwise as a TrainingPair."""
         return self._read(index, GROUPS[self._names[index][0]])
 
     def pair(self, index: int) -> TrainingPair:
@@ -256,11 +261,13 @@ class TrainingSetReader:
         frame: TrainingPair = store.read_fields(store.hard_group(self._groups[group], name, self._path), kind, self._path)
         channels = len(frame.electrons) if isinstance(frame, TrainingFrame) else len(self.head.camera.channels)
         if (channels, len(frame.target)) != (len(self.head.camera.channels), len(self.head.outputs)):
-            raise InputFileError(f"{self._path}: {group}/{name} is of another camera or target; make the file again")
+            raise InputFileError(
+                f"{self._path}: the channels or outputs of {group}/{name} differ from the header; create the file again"
+            )
         return frame
 
     def light(self, index: int) -> FrameLight:
-        """Return the light of a frame."""
+        """Return the illuminant of a frame."""
         group, name = self._names[index]
         light: FrameLight = store.read_fields(
             store.hard_group(self._groups[group], name, self._path), FrameLight, self._path
@@ -274,25 +281,26 @@ class TrainingSetReader:
 
 @contextlib.contextmanager
 def open_training_set(path: Path, unchanged: bool = False) -> Iterator[TrainingSetReader]:
-    """Yield a TrainingSetReader for the training set at `path`.
+    """Open a training set.
 
     Parameters
     ----------
     path : Path
+        File of the training set.
     unchanged : bool
-        Skip the comparison of the bytes with their digest, because this run has already made it.
+        Whether the checksum was already compared in this run, so that the comparison can be skipped.
 
     Raises
     ------
     InputFileError
-        If the file is damaged or no training set.
+        If the file is damaged or is not a training set.
     """
     with store.open_artifact(path, TrainingSet, unchanged=unchanged) as root:
         yield TrainingSetReader(root, path)
 
 
 class TrainingSetWriter:
-    """Writer that appends frames and pairs, one by one, to a training set."""
+    """Appends frames and pairs, one by one, to a training set."""
 
     def __init__(self, root: h5py.File, head: TrainingSet) -> None:
         self._root = root
@@ -308,7 +316,7 @@ class TrainingSetWriter:
         name_axes(group[name], type(frame), self._coordinates)
 
     def append_part(self, path: Path) -> "SceneCoverage":
-        """Append the frame stored by `write_part`, byte for byte, and return what is stored beside it."""
+        """Append the frame that `write_part` has stored, byte for byte, and return its scene and coverage."""
         with container.open_file(path) as part:
             simulated = bool(part.attrs["simulated"])
             group, name = self._place(simulated)
@@ -319,7 +327,7 @@ class TrainingSetWriter:
 
 @contextlib.contextmanager
 def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWriter]:
-    """Yield a TrainingSetWriter. The file appears at `path` when the block ends without an error."""
+    """Open a new training set for writing. The file gets the name `path` when the block ends without an error."""
     with store.new_artifact(path, head.kind, head.history) as root:
         store.write_fields(root, head)
         name_axes(root, type(head), {}, head)
@@ -328,23 +336,23 @@ def write_training_set(path: Path, head: TrainingSet) -> Iterator[TrainingSetWri
 
 @dataclass(frozen=True)
 class SceneCoverage:
-    """Name of a stored frame's scene, and how much of the camera's light the scene's data do not cover."""
+    """Name of the scene of a frame, and the fraction of the camera's signal that the data of the scene do not cover."""
 
     scene: str
-    uncovered: float  # fraction of the electrons of a white at wavelengths for which the scene holds no data
+    uncovered: float  # fraction of the electrons of a white that come from wavelengths without scene data
 
 
 def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
-    """Write one frame to a file of its own, so that an interrupted run can be continued."""
+    """Write one frame to a separate file, so that an interrupted run can be continued."""
     with container.new_file(path) as root:
         root.attrs["simulated"] = isinstance(frame, TrainingFrame)
-        root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # file names need not be valid text
+        root.attrs["scene"] = frame.scene.encode("utf-8", "replace").decode()  # file names may contain invalid characters
         root.attrs["uncovered"] = uncovered
         store.write_fields(root.create_group("frame"), frame, compressed=False)
 
 
 def read_part(path: Path) -> TrainingPair:
-    """Return the frame stored by `write_part`."""
+    """Read the frame that `write_part` has stored."""
     with container.open_file(path) as part:
         kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
         frame: TrainingPair = store.read_fields(part["frame"], kind, path)

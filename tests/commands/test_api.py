@@ -191,7 +191,7 @@ def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) 
         l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")
-    with pytest.raises(InputFileError, match="a camera model; give the file"):
+    with pytest.raises(InputFileError, match="a camera model; use a file"):
         l3.load_table(pipeline / "camera.h5")
     with pytest.raises(AttributeError, match="colour"):
         l3.colour  # noqa: B018

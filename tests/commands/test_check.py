@@ -105,7 +105,7 @@ pixel_pitch_um = 4e-6  # did you mean 4?
 bits = 12
 [cfa]
 channels = ["r", "g", "b"]
-pattern = ["r g", "g"]  # equally many channels
+pattern = ["r g", "g"]  # the same number of channel names
 [optics]
 focal_length_mm = 25
 f_number = 2.8

@@ -138,15 +138,15 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     ),
     "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
     "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "give responsivity.peak"),
-    "percent": (percent_without_unit, 'its peak quantum efficiency is 55.93, which cannot exceed 1; write "(%)"'),
+    "percent": (percent_without_unit, 'is 55.93, but cannot exceed 1; write "(%)"'),
     "peak": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * 3), "quantum efficiency is 1.678"),
     "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
     "normal": (
         lambda nm, percent: written("nm,r,g,b", nm, percent / percent.max()),
-        "curves peak at 1, as relative ones do",
+        "seems to contain relative curves, because their peak is 1",
     ),
-    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "has negative values"),
-    "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g has no light"),
+    "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "contains negative values"),
+    "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g is zero"),
     "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps in um, which gives 390…710 nm"),
     "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
     "gap": (
@@ -155,7 +155,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         ),
         "a gap between 485 and 540 nm",
     ),
-    "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm where channel r"),
+    "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm, where"),
     "not a pair": (
         lambda nm, percent: digitised(nm, percent) + "400,text,,,,\n",
         '"400, text" of curve 1 (r (%)) is not a pair of X and Y',
@@ -197,16 +197,16 @@ def test_a_mistake_in_curves_is_one_line(mistake: str, folder: Path, refused: Re
             f'file = "{CSV}"',
             f'file = "{CSV}"\nwavelength_nm = [800, 900, 5]',
             3,
-            "has 390…710 nm, but responsivity.wavelength_nm",
+            "covers 390…710 nm, but responsivity.wavelength_nm",
         ),
         (f'file = "{CSV}"', f'file = "{CSV}"\npeak_efficiency = 40', 2, "40 % is 0.4"),
         (
             f'file = "{CSV}"',
             "gaussians = {r = []}",
             2,
-            "missing key `wavelength_nm` in [responsivity], which gaussians need",
+            "missing key `wavelength_nm` in [responsivity], which is required for gaussians",
         ),
-        (f'file = "{CSV}"', "", 2, "give either responsivity.gaussians or responsivity.file"),
+        (f'file = "{CSV}"', "", 2, "set either responsivity.gaussians or responsivity.file"),
     ],
 )
 def test_a_mistake_in_the_recipe_is_one_line(

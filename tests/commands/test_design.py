@@ -137,7 +137,7 @@ def test_a_design_ranks_arrays_beside_bayer_of_their_filters(folder: Path, l3: L
     assert "to Bayer" in out.splitlines()[2]
     assert f"{bayer} (Bayer)\n" in out
     assert made.verdict[0].startswith("white at 0.9: ")
-    assert f"{bayer} (Bayer) by" in made.verdict[0]
+    assert f"{bayer} (Bayer)" in made.verdict[0]
     assert made.verdict[0] in out
     assert l3("info", folder / "design.h5")[0] == 0
     code, out, _ = l3("check", folder / "design.toml")
@@ -187,7 +187,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     assert 0 < np.abs(trained.crops - trained.ideals.astype(float)).mean() < 60
     assert -1 <= trained.correlation(0) <= 1
     assert "rank correlation" in out
-    assert "filters of g r / b g, tuned: g 5" in out
+    assert "tuned filters of g r / b g: g 5" in out
     page = tmp_path / "page.html"
     assert l3("report", tmp_path / "d.h5", "-o", page)[0] == 0
     text = page.read_text()
@@ -230,10 +230,10 @@ def test_pairs_are_in_order_beyond_ties() -> None:
     assert truth_of.in_order(0) == truth_of.in_order(0, 1) == 6 / 8
     assert truth_of.correlation(0) == truth_of.correlation(0, 1) == pytest.approx(0.6)
     (line,) = truth_of.agreement(["light"])
-    assert line.endswith("(pairs beyond 2% in order) mean_delta_e 0.60 (75%), output_psnr 0.60 (75%).")
+    assert line.endswith("by more than 2%): mean_delta_e 0.60 (75%), output_psnr 0.60 (75%).")
     assert replace(truth_of, trained=("a",), expected=expected[:1], measured=measured[:1], crops=crops[:1]).agreement(
         ["light"]
-    ) == ["One array has no rank."]
+    ) == ["A single array cannot be ranked."]
 
 
 def test_a_report_has_no_error_of_patches_that_a_light_does_not_show(folder: Path) -> None:

@@ -127,12 +127,12 @@ def test_what_nobody_states_is_marked(lab: Path, tmp_path: Path, l3: L3, refused
     folder = renamed(lab, tmp_path / "captures", without_times, timed=False)
     code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
     assert code == 0
-    assert "missing: exposure_s of mono_430nm_0_0.tif: s, of" in err
+    assert "missing: exposure_s of mono_430nm_0_0.tif: s; for" in err
     assert "missing: pixel_pitch_um of [sensor]" in err
     text = (folder / "M.toml").read_text()
     steps = text.count("\n[[mono]]")
     assert steps > 8
-    assert f"s, of {steps} captures; those that differ have an exposure_s of their own" in text
+    assert f"s; for {steps} captures; set exposure_s in a capture if it differs" in text
     assert text.count("# TODO exposure_s = 0.01") == text.count("\n[[") - steps + 1
     assert tomllib.loads(text)["cfa"] == {"channels": ["r", "g", "b"], "pattern": ["r g", "g b"]}
     assert "missing key `pixel_pitch_um` in [sensor]" in refused(2, "calibrate", folder / "M.toml", "-o", tmp_path / "c.h5")
@@ -151,7 +151,7 @@ def test_what_all_steps_lack_is_asked_once(lab: Path, bayer_recipe: Path, tmp_pa
     assert table.names is not None
     power = 1e3 * table.values * 1.98644586e-16 / table.wavelength  # mW/(sr m² nm)
     write_curves(folder / "mono.csv", table.wavelength, power, table.names)
-    assert "missing: unit of mono.csv: of the radiances of" in l3(*draft)[2]
+    assert "missing: unit of mono.csv: unit of the radiances of" in l3(*draft)[2]
     text = (folder / "M.toml").read_text()
     assert text.count("# TODO unit") == text.count("# TODO") == 1
     (folder / "M.toml").write_text(re.sub('# TODO unit = "[^"]*"', 'unit = "mW/(sr m² nm)"', text))
@@ -247,7 +247,7 @@ def test_spectra_go_to_their_steps_whatever_is_missing(lab: Path, bayer_recipe: 
     )
     code, _, err = l3(*draft)
     assert code == 0
-    assert f"spectra given to {len(left) + 1} monochromatic captures in the order of their names" in err
+    assert f"spectra were assigned to {len(left) + 1} monochromatic captures in the order of the file names" in err
     columns = [capture["column"] for capture in tomllib.loads((folder / "M.toml").read_text())["mono"]]
     assert len(columns) - len(set(columns)) == 1  # the step that is taken again
 
@@ -269,10 +269,10 @@ def test_what_is_no_raw_frame_is_distinguished(lab: Path, tmp_path: Path, l3: L3
     assert code == 0
     assert any("developed.tif has 3 channels of uint8" in line and line.endswith("left out") for line in err.splitlines())
     assert "1 × .jpg: developed pictures, never raw values; left out" in err
-    assert "labels.png: has no noise, as masks and drawings have none; left out" in err
-    assert "another size or array (96×256, such as white_other.tif): left out" in err
-    assert "1 frame: all values are multiples of 16: stored shifted" in err
-    assert "of the frequent values the next one never occurs: stretched or companded" in err
+    assert "labels.png has no noise, so it seems to be a mask or a drawing; left out" in err
+    assert "colour filter array differs (96×256, for example white_other.tif)" in err
+    assert "1 frame: all values are multiples of 16" in err
+    assert "of the frequent values, the next higher value never occurs" in err
     assert "notes.txt" not in err
     frames = "".join(re.findall("frames = .*", (tmp_path / "M.toml").read_text()))
     assert not re.search("developed|shown|labels|other", frames)
@@ -312,7 +312,7 @@ def test_a_photo_gets_the_light_that_was_measured(l3_data: Path, tmp_path: Path,
     (folder / "lamp.txt").write_bytes(f"Wavelength;Irradiance\r\n[nm];[µW/cm²/nm]\r\n{rows}\r\n".encode("utf-16"))
     code, _, err = l3("calibrate", "--draft", folder, "-o", folder / "M.toml")
     assert code == 0
-    assert 'assumed: light = "lamp.txt": the only measured light in the folder' in err
+    assert 'assumed: light = "lamp.txt": the only measured illuminant in the folder' in err
     assert "next: l3 calibrate" in err
 
 
@@ -367,7 +367,7 @@ def test_published_results_are_drafted(l3_data: Path, tmp_path: Path, l3: L3) ->
     """With the measurement beside them, which has no wavelengths, named as what to give instead."""
     folder = l3_data / "calibration/ssftool_D7000"
     err = l3("calibrate", "--draft", folder, "-o", tmp_path / "M.toml")[2]
-    measured = "if D7000_calibration.dat, D7000_spectrum.dat measured them, give a [sweep] of those with wavelengths"
+    measured = "if D7000_calibration.dat, D7000_spectrum.dat contain the raw sweep, add wavelengths and use [sweep]"
     assert f'published_result.csv": finished curves; {measured}' in err
     (tmp_path / "M.toml").write_text(completed((tmp_path / "M.toml").read_text()))
     assert l3("calibrate", tmp_path / "M.toml", "-o", tmp_path / "camera.h5", "--quiet")[::2] == (0, "")
@@ -380,7 +380,7 @@ def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: 
     assert "is not a folder" in refused(3, "calibrate", "--draft", tmp_path / "none", "-o", tmp_path / "M.toml")
     assert "is not a folder" in refused(3, "calibrate", "--draft", lab / "lab.toml", "-o", tmp_path / "M.toml")
     (tmp_path / "empty").mkdir()
-    assert "holds no raw frame" in refused(3, "calibrate", "--draft", tmp_path / "empty", "-o", tmp_path / "M.toml")
+    assert "contains no raw frame" in refused(3, "calibrate", "--draft", tmp_path / "empty", "-o", tmp_path / "M.toml")
     tables = refused(3, "calibrate", "--draft", lab / "spectra", "-o", tmp_path / "M.toml")
     assert "neither a sweep nor responsivities, and there is no raw frame" in tables
     assert "leave --photo out" in refused(2, *draft, "-o", tmp_path / "M.toml", "--photo", "a.dng")
@@ -388,5 +388,5 @@ def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: 
     assert "--camera is for --draft" in refused(
         2, "calibrate", lab / "MEASUREMENTS.toml", "--camera", "bayer", "-o", tmp_path / "c.h5"
     )
-    assert "give their camera" in refused(2, *draft, "--camera", "fiveband", "-o", tmp_path / "M.toml")
+    assert "but the frames have" in refused(2, *draft, "--camera", "fiveband", "-o", tmp_path / "M.toml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty"]

@@ -141,7 +141,7 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
     short = "filesrc location=clip.raw blocksize=1000 ! video/x-bayer,format=rggb12le,width=28,height=20"
     cases = [
         (f"{SOURCE} ! l3render", "no table is given; set table to the file that l3 train wrote"),
-        (f"{SOURCE} ! l3render table=nothing.h5", 'nothing.h5 does not exist; make it with "l3 train"'),
+        (f"{SOURCE} ! l3render table=nothing.h5", 'nothing.h5 does not exist; create it with "l3 train"'),
         (f"{SOURCE} ! l3render table=clip.raw", "clip.raw is not an HDF5 file"),
         (f"{SOURCE} ! l3render table=table.h5 size=720", 'size "720" is not two whole numbers with "x" between them'),
         (f"{SOURCE} ! l3render table=table.h5 exposure=1e-12", "exposure 1e-12 is not within"),

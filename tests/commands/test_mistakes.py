@@ -52,7 +52,7 @@ MISTAKES = """
     2 calibrate lab/MEASUREMENTS.toml -o new.toml
         .toml is for recipes; name an output
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
-        table.h5 holds a transform table; give the file written by
+        table.h5 is a transform table; use a file written by
     2 simulate camera.toml --camera scenes.toml -o new.h5
         scenes.toml is a scene recipe; give a camera recipe
     2 simulate lab/MEASUREMENTS.toml --camera camera.h5 -o new.h5
@@ -62,11 +62,11 @@ MISTAKES = """
     2 simulate classes.toml --camera camera.h5 -o new.h5
         classes.toml is a class recipe; give a scene recipe
     3 simulate scenes.toml --camera table.h5 -o new.h5
-        table.h5 holds a transform table; give the file written by
+        table.h5 is a transform table; use a file written by
     3 simulate scenes.toml --camera raw.tif -o new.h5
-        raw.tif is not an HDF5 file; give the file written by
+        raw.tif is not an HDF5 file; use a file written by
     3 simulate scenes.toml --camera folder -o new.h5
-        folder is a folder; give the file written by
+        folder is a folder; use a file written by
     2 simulate scenes.toml -o new.h5
         Missing option '--camera'
     2 simulate empty.toml --camera camera.h5 -o new.h5
@@ -82,21 +82,21 @@ MISTAKES = """
     3 train training.h5 --classes camera.h5 -o new.h5
         camera.h5 is not a text file; give a class recipe
     3 train scenes.toml -o new.h5
-        scenes.toml is not an HDF5 file; give the file written by
+        scenes.toml is not an HDF5 file; use a file written by
     3 train camera.h5 -o new.h5
-        camera.h5 holds a camera model; give the file written by
+        camera.h5 is a camera model; use a file written by
     3 train empty.h5 -o new.h5
-        empty.h5 is not an HDF5 file; give the file written by
+        empty.h5 is not an HDF5 file; use a file written by
     3 train nothing.h5 -o new.h5
-        nothing.h5 does not exist; make it with "l3 simulate"
+        nothing.h5 does not exist; create it with "l3 simulate"
     2 train training.h5 -o training.h5 --force
         training.h5 is an input; name another output
     3 train --merge table.h5 -o new.h5
-        table.h5 holds a transform table; give the file written by
+        table.h5 is a transform table; use a file written by
     3 render raw.tif table.h5 -o new.png
-        raw.tif is not an HDF5 file; give the file written by "l3 train"
+        raw.tif is not an HDF5 file; use a file written by "l3 train"
     3 render training.h5 raw.tif -o new.png
-        training.h5 holds a training set; give the file written by
+        training.h5 is a training set; use a file written by
     3 render table.h5 table.h5 -o new.png
         table.h5 holds no dataset uint16 (frame, row, col)
     3 render table.h5 picture.png -o new.png
@@ -134,13 +134,13 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --phase 1
         "1" is not ROW,COL
     3 evaluate training.h5 table.h5
-        training.h5 holds a training set; give the file written by
+        training.h5 is a training set; use a file written by
     3 evaluate table.h5 camera.h5
-        camera.h5 holds a camera model; give the file written by
+        camera.h5 is a camera model; use a file written by
     1 evaluate table.h5 unseen.h5 --pictures raw.tif
         raw.tif is a file; name a folder
     3 report table.h5 raw.tif -o new.html
-        raw.tif is not an HDF5 file; give the file written by
+        raw.tif is not an HDF5 file; use a file written by
     2 report table.h5 -o new.pdf
         use a file name that ends in .html
     1 report table.h5 -o raw.tif/new.html
@@ -156,15 +156,15 @@ MISTAKES = """
     2 info
         give either a FILE or --version
     3 info raw.tif
-        raw.tif is not an HDF5 file; give the file written by
+        raw.tif is not an HDF5 file; use a file written by
     3 info folder
-        folder is a folder; give the file written by
+        folder is a folder; use a file written by
     2 lab scenes.toml -o new
         scenes.toml is a scene recipe; give a camera recipe
     2 lab camera.toml --recipe scenes.toml -o new
         scenes.toml is a scene recipe; give a lab recipe
     3 lab table.h5 -o new
-        table.h5 holds a transform table; give the file written by
+        table.h5 is a transform table; use a file written by
     1 lab camera.toml -o raw.tif
         raw.tif is a file, not a folder
     1 lab camera.toml -o lab

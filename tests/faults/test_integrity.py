@@ -173,8 +173,8 @@ def test_a_file_without_its_digest_or_before_its_first_byte_is_refused(
     content = artifacts["camera"].read_bytes()
     path = tmp_path / "camera.h5"
     for bad, words in (
-        (content[container.BLOCK :], "not an l3 artifact, or damaged"),
-        (bytes(container.BLOCK) + content[container.BLOCK :], "not an l3 artifact, or damaged"),
+        (content[container.BLOCK :], "not an l3 artifact, or is damaged"),
+        (bytes(container.BLOCK) + content[container.BLOCK :], "not an l3 artifact, or is damaged"),
         (content[:-1], "truncated or damaged"),
         (content + b"\0", "truncated or damaged"),
         (content[: container.BLOCK], "truncated or damaged"),

@@ -183,8 +183,8 @@ def test_lights_of_other_classes_are_refused() -> None:
     warm, cool = table.conditions
     narrow = dataclasses.replace(cool.later[0], weights=cool.later[0].weights[:, :, :3])
     for message, fields in (
-        ("conditions/1 has 1 layers, the table 2", {"later": ()}),
-        ("conditions/1/later/0 has transforms of other shapes", {"later": (narrow,)}),
+        ("conditions/1 has 1 layers, but the table has 2", {"later": ()}),
+        ("the transforms of conditions/1/later/0 and later/0 have different shapes", {"later": (narrow,)}),
         ("conditions must be grouped by light", {"light": warm.light}),
     ):
         with pytest.raises(ValueError, match=message):

@@ -285,7 +285,7 @@ def test_inputs_replaced_during_it_are_refused(
     ("key", "wrong", "words"),
     [
         ("peak_efficiency", "55", "55 % is 0.55"),
-        ("peak_efficiency", "1.01", "give a fraction of at most 1"),
+        ("peak_efficiency", "1.01", "write a fraction of at most 1"),
         ("prnu", "0.5", "0.5 % is 0.005"),
         ("pixel_pitch_um", "0.004", "did you mean 4?"),
         ("pixel_pitch_um", "4e-6", "did you mean 4?"),

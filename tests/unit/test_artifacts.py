@@ -82,9 +82,9 @@ def test_a_failed_writer_leaves_nothing(fiveband: CameraModel, tmp_path: Path) -
         ({"responsivity": np.zeros((5, 3))}, "responsivity"),
         ({"responsivity": np.full((5, 65), np.nan)}, "not finite"),
         ({"channels": ("r", "g")}, "channel"),
-        ({"cfa": np.array([[9]], np.uint8)}, "cfa names channel 9"),
+        ({"cfa": np.array([[9]], np.uint8)}, "cfa contains the channel index 9"),
         ({"gain": "high"}, "gain"),
-        ({"black_level": 5000.0}, "black level 5000"),
+        ({"black_level": 5000.0}, "black level is 5000"),
     ],
 )
 def test_a_constructor_refuses_what_cannot_be(fiveband: CameraModel, changes: dict, message: str) -> None:
@@ -132,16 +132,16 @@ def plain_hdf5(path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda root: root.attrs.modify("kind", "transform table"), "holds a transform table; give the file written by"),
+        (lambda root: root.attrs.modify("kind", "transform table"), "is a transform table; use a file written by"),
         (
             lambda root: root.attrs.modify("version", 5),
-            "has format version 5, this l3 reads version 1; make it again with",
+            "has format version 5, but this version of l3 reads only version 1; create the file again with",
         ),
-        (lambda root: root.pop("gain"), "lacks the dataset gain"),
-        (lambda root: root.pop("noise"), "lacks the group noise"),
-        (with_gain("much"), "dataset gain is"),
-        (with_gain(h5py.ExternalLink("/etc/passwd", "/")), "links away the dataset gain"),
-        (of_size, "claims more data than the file holds"),
+        (lambda root: root.pop("gain"), "the dataset gain is missing"),
+        (lambda root: root.pop("noise"), "the group noise is missing"),
+        (with_gain("much"), "dataset gain has the type"),
+        (with_gain(h5py.ExternalLink("/etc/passwd", "/")), "the dataset gain is a link"),
+        (of_size, "is declared larger than its stored data allow"),
         (of_shape, "responsivity"),
         (of_history, "history"),
     ],

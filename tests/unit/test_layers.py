@@ -61,7 +61,7 @@ def test_trees_come_back_and_have_the_first_layers_levels_and_sites(tmp_path: Pa
     with pytest.raises(InputFileError, match="branch is not a tree"):
         load(TransformTable, tmp_path / "table.h5")
     for structure, tree in ((None, None), (structure_of(TABLE.later[0]), layer.tree)):
-        with pytest.raises(ValueError, match="a layer has either a structure rule or a tree"):
+        with pytest.raises(ValueError, match="a layer must have either a structure rule or a tree"):
             dataclasses.replace(layer, structure=structure, tree=tree)
     longer: dict[str, Any] = {"gradient_factor": np.full(8, 64, np.uint8), "gradient_shift": np.full(8, 6, np.uint8)}
     for fields, why in ((longer, "has 8 levels"), ({"turns": np.zeros(3, np.uint8)}, "weights holds|turns has 3 sites")):
@@ -71,7 +71,7 @@ def test_trees_come_back_and_have_the_first_layers_levels_and_sites(tmp_path: Pa
 
 def test_layers_agree_in_what_they_share() -> None:
     one, two = TABLE.later
-    with pytest.raises(ValueError, match=r"later/1/weights .* has 2 along output"):
+    with pytest.raises(ValueError, match=r"output of later/1/weights .* has the length 2"):
         dataclasses.replace(
             TABLE, later=(one, dataclasses.replace(two, weights=two.weights[:, :2], intercept=two.intercept[:, :2]))
         )
@@ -102,7 +102,7 @@ def test_a_layer_that_is_missing_is_named(path: Path, lost: str) -> None:
     with h5py.File(path, "r+") as root:
         del root[lost]
     seal(path)
-    with pytest.raises(InputFileError, match=f"lacks the (group|dataset) {lost}"):
+    with pytest.raises(InputFileError, match=f"the (group|dataset) {lost} is missing"):
         load(TransformTable, path)
 
 
@@ -142,9 +142,9 @@ def test_bands_have_one_layer_of_three_components(tmp_path: Path) -> None:
     (layer,) = table.later
     plain = dataclasses.replace(layer, weights=layer.weights[..., : layer.window_taps])
     for fields in ({"later": (plain, plain)}, {"components": None}):
-        with pytest.raises(ValueError, match="a table without exactly three outputs may have one"):
+        with pytest.raises(ValueError, match="a table with more or fewer than three outputs can have only one"):
             dataclasses.replace(table, **fields)
-    with pytest.raises(ValueError, match="basis makes 4 planes, not 3"):
+    with pytest.raises(ValueError, match="basis has 4 planes, but must have 3"):
         LeadingComponents(np.eye(4))
     with pytest.raises(ValueError, match=r"components/basis \(output, plane\) has 5 along output"):
         dataclasses.replace(table, components=LeadingComponents(np.eye(5)[:, :3]))

@@ -168,7 +168,7 @@ def test_same_bytes_for_jobs_and_shards(
     assert "--shard 2/3 is missing" in refused(3, "train", "--merge", a[0], a[2], "-o", out)
     assert "are the same shard, 1 of 3" in refused(3, "train", "--merge", a[0], a[1], a[0], a[2], "-o", out)
     assert "different runs or passes" in refused(3, "train", "--merge", a[0], a[1], b[2], "-o", out)
-    assert "holds a training set" in refused(3, "train", "--merge", training, "-o", out)
+    assert "is a training set" in refused(3, "train", "--merge", training, "-o", out)
     assert "holds partial sums;" in refused(3, "train", a[0], "-o", out)
     other = (*run[:-1], 6, "--shard", "1/3", "--first")
     assert "is not the table of the first pass" in refused(3, "train", *other, first, "-o", out)

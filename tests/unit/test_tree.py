@@ -220,7 +220,7 @@ NO_TREE = "branch is not a tree"
         ({"branch": np.array([1, 0, 2**31 - 1, 0, 0], np.int32)}, NO_TREE),
         ({"branch": np.array([1, 0, -3, 0, 0], np.int32)}, NO_TREE),
         ({**full(0), "branch": np.zeros(0, np.int32), "test": np.zeros(0, np.uint8), "threshold": np.zeros(0)}, NO_TREE),
-        ({"branch": np.array([1, 0, 0], np.int32)}, "has 3 along node"),
+        ({"branch": np.array([1, 0, 0], np.int32)}, "node of branch .* has the length 3"),
         (chain(MAX_DEPTH + 1), f"the tree is {MAX_DEPTH + 1} tests deep; at most {MAX_DEPTH} are allowed"),
         (full(12), f"the tree has 4096 leaves; at most {MAX_LEAVES} are allowed"),
         ({"test": np.array([0, 0, TESTS, 0, 0], np.uint8)}, f"test below {TESTS}"),

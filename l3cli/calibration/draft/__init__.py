@@ -1,1 +1,3 @@
-"""Draft a measurement file for a folder of captures: classify files by name and content, and mark what is missing."""
+"""Drafts a measurement file for a folder of captures. Files are classified by name and content, and missing data are
+marked.
+"""

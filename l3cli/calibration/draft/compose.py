@@ -1,4 +1,4 @@
-"""Write the text of a measurement file from the frames and tables of a folder."""
+"""Writes the text of a measurement file from the frames and tables in a folder."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -32,34 +32,34 @@ from l3cli.spectra.units import PHOTON_RADIANCE, POWER_RADIANCE
 from l3cli.system.text import printable
 
 COLUMN = 54  # column at which comments begin
-HEAD = "Draft: complete the lines marked TODO, check those marked ASSUMED, then run l3 calibrate on this file."
+HEAD = "Draft: complete the lines marked TODO, check the lines marked ASSUMED, then run l3 calibrate on this file."
 LAMP = (
-    "Where a lamp was read during captures: monitor = its reading over that when its spectrum was measured (else 1.0).",
-    "How well lights were known, at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
+    "If you read the lamp during a capture, set monitor to this reading divided by the reading for its spectrum.",
+    "State the uncertainty of lamps at the end of the file: [uncertainty] lamp_drift = 0.01 (relative), wavelength_nm = 0.1",
 )
-PITCH = "µm between pixels, from the sensor's data sheet"
-LEAST_CHARTS = 2  # charts needed to fit gain and offset
-CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example; col and row in pixels
-SHARING = ("[[mono]]", "[[band]]")  # captures to which [common] applies
-SEVERAL = 2  # if at least this number of captures lack a key, the key is written to [common]
+PITCH = "µm; distance between pixels, from the data sheet"
+LEAST_CHARTS = 2  # smallest number of charts from which gain and offset can be fitted
+CORNERS = [[10, 10], [240, 10], [240, 170], [10, 170]]  # example; column and row in pixels
+SHARING = ("[[mono]]", "[[band]]")  # types of captures to which [common] applies
+SEVERAL = 2  # a key that at least this number of captures lack is written to [common]
 EXAMPLE_SPECTRUM = "spectra/mono.csv"
-PAIR = 2  # frames needed to measure noise
+PAIR = 2  # smallest number of frames from which noise can be measured
 Mosaic = NDArray[np.floating]
 
 
 class DraftText:
-    """The text of a measurement file, to which tables, keys and comments are added."""
+    """The text of a measurement file. Its methods add tables, keys and comments."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
-        self.assumed: list[str] = []  # lines on values that the user should check
-        self._missing: list[tuple[str, str, str]] = []  # key, place where it is missing, explanation
+        self.assumed: list[str] = []  # messages about assumed values that the user should check
+        self._missing: list[tuple[str, str, str]] = []  # missing key, file or section that needs this key, explanation
 
     def __str__(self) -> str:
         return "\n".join(self._lines) + "\n"
 
     def table(self, heading: str, **keys: Any) -> None:
-        """Begin a table such as [sensor], or an entry such as [[mono]], with the given keys."""
+        """Begin a section such as [sensor], or an entry such as [[mono]], and add its keys."""
         self._lines += ["", heading]
         for name, value in keys.items():
             self.key(name, value)
@@ -75,33 +75,33 @@ class DraftText:
         self._line(f"{name} = {toml_value(value)}", comment)
 
     def assume(self, name: str, value: Any, why: str, announced: bool = True) -> None:
-        """Add a key with a probable value. If `announced`, the console reports it too."""
+        """Add a key with a probable value. If `announced`, the value is also reported on the console."""
         self._line(f"{name} = {toml_value(value)}", f"ASSUMED: {why}")
         if announced:
             self.assumed.append(f"{name} = {toml_value(value)}: {why}")
 
     def todo(self, name: str, example: Any, what: str, where: str) -> None:
-        """Add a commented key with an example, because only the user knows its value.
+        """Add a commented-out key with an example, because only the user knows the value.
 
-        `where` is the capture, file or table to which the key belongs.
+        `where` is the capture, file or section to which the key belongs.
         """
         self._line(f"# TODO {name} = {toml_value(example)}", what)
         self._missing.append((name, where, what))
 
     def fill(self, name: str, value: Any, what: str, where: str) -> None:
-        """Add a key whose value refers to a file that the user still has to make."""
+        """Add a key that refers to a file that the user must create."""
         self._line(f"{name} = {toml_value(value)}", f"TODO: {what}")
         self._missing.append((name, where, what))
 
     def todo_table(self, heading: str, what: str, *keys: tuple[str, Any]) -> None:
-        """Add a missing table as a comment."""
+        """Add a missing section as a comment."""
         self._lines += ["", f"# TODO {heading}  # {printable(what)}"]
         self._lines += [f"# {name} = {toml_value(value)}" for name, value in keys]
         self._missing.append((heading, "", what))
 
     @property
     def missing(self) -> list[str]:
-        """One line, with the reason, for each key that the user must fill in."""
+        """One line with an explanation for each key that the user must fill in."""
         alike: dict[tuple[str, str], list[str]] = {}
         for name, where, what in self._missing:
             alike.setdefault((name, re.sub(r"\d[\d.e+-]*", "#", what)), []).append(where)
@@ -121,9 +121,9 @@ class Survey:
 
     shape: tuple[int, int]
     period: tuple[int, int]
-    array: CfaRecipe | None  # colour filter array in the files' metadata
-    black_level: float | None  # DN, from the metadata
-    white_level: float | None  # DN, from the metadata
+    array: CfaRecipe | None  # colour filter array in the metadata of the files
+    black_level: float | None  # DN; from the metadata
+    white_level: float | None  # DN; from the metadata
     scale: Scale
     groups: list[Group]
     tables: list[Spectra]
@@ -136,19 +136,19 @@ class Survey:
 
     @property
     def black(self) -> float:
-        """DN of a pixel without light, from the metadata or from the darkest frames."""
+        """Black level in DN, from the metadata or from the darkest frames."""
         return float(self.scale.black.mean()) if self.black_level is None else self.black_level
 
     def groups_of(self, *kinds: str) -> list[Group]:
-        """Return the captures of the given kinds."""
+        """Return the captures of the given types."""
         return [group for group in self.groups if group.kind in kinds]
 
 
-# ------------------------------------------------------------------------------------------------------- the camera
+# ----------------------------------------------------------------------------------------------------------- camera
 
 
 def known_body(out: DraftText, camera: CameraModel) -> None:
-    """Add [sensor], [cfa] and [optics] of a known camera."""
+    """Add the sections [sensor], [cfa] and [optics] of a known camera."""
     out.table("[sensor]", rows=camera.rows, cols=camera.cols, pixel_pitch_um=round(camera.pixel_pitch * 1e6, 9))
     out.key("bits", camera.bits)
     out.table("[cfa]", channels=list(camera.channels), pattern=array_rows(camera.channels, camera.cfa))
@@ -156,43 +156,44 @@ def known_body(out: DraftText, camera: CameraModel) -> None:
 
 
 def unknown_optics(out: DraftText) -> None:
-    """Add [optics] with values for the user to fill in."""
+    """Add the section [optics] with values that the user must fill in."""
     out.table("[optics]")
-    out.todo("focal_length_mm", 25.0, "mm, of the lens", "[optics]")
-    out.todo("f_number", 4.0, "the aperture, as set on the lens", "[optics]")
+    out.todo("focal_length_mm", 25.0, "mm; focal length of the lens", "[optics]")
+    out.todo("f_number", 4.0, "f-number that was set on the lens", "[optics]")
 
 
 def _seen_body(out: DraftText, seen: Survey, photo: bool) -> None:
-    """Add [sensor], [cfa] and [optics] as far as the frames reveal them.
+    """Add the sections [sensor], [cfa] and [optics], with the information that the frames contain.
 
-    `photo` means that all captures are photographs of charts, for which pixel pitch and optics do not matter.
+    If `photo` is set, all captures are photographs of charts, for which pixel pitch and optics do not matter.
     """
     out.table("[sensor]", rows=seen.shape[0], cols=seen.shape[1])
     if photo:
-        out.assume("pixel_pitch_um", PITCH_UM, "µm; curves of photos do not depend on it")
+        out.assume("pixel_pitch_um", PITCH_UM, "µm; has no influence on curves from photos")
     else:
         out.todo("pixel_pitch_um", 3.45, PITCH, "[sensor]")
     white, top = seen.white_level, seen.top
     bits = max(1, int(np.ceil(np.log2(max(top, white or 0) + 1))))
-    why = f"the files state a white level of {white:g} DN" if white else f"the largest value of all frames is {top} DN"
+    why = f"the white level in the files is {white:g} DN" if white else f"the largest value of all frames is {top} DN"
     out.assume("bits", bits, why)
     rows, cols = seen.period
     out.table("[cfa]")
     if seen.array is not None:
         out.key("channels", seen.array.channels)
-        out.key("pattern", seen.array.pattern, "as the files state it")
+        out.key("pattern", seen.array.pattern, "from the metadata of the files")
     elif guessed := sorting.guess_array(seen.groups_of("mono"), seen.scale, seen.period):
-        why = f"sites of the {rows}×{cols} array that answer alike, named by the light they see"
+        why = f"sites of the {rows}×{cols} array with equal responses, named by their peak wavelength"
         out.assume("channels", guessed.channels, why)
         out.assume("pattern", guessed.pattern, why, announced=False)
     else:
-        what = f"rows of names; values repeat every {rows}×{cols} pixels" if rows * cols > 1 else "rows of names"
+        what = f"channel names, row by row; the array repeats every {rows}×{cols} pixels"
+        what = what if rows * cols > 1 else "channel names, row by row"
         out.todo("channels", ["r", "g", "b"], "names of the channels of the colour filter array", "[cfa]")
         out.todo("pattern", ["r g", "g b"], what, "[cfa]")
     if photo:
         out.table("[optics]")
-        out.assume("focal_length_mm", FOCAL_MM, "mm; curves of photos do not depend on it", announced=False)
-        out.assume("f_number", F_NUMBER, "as above", announced=False)
+        out.assume("focal_length_mm", FOCAL_MM, "mm; has no influence on curves from photos", announced=False)
+        out.assume("f_number", F_NUMBER, "has no influence on curves from photos", announced=False)
     else:
         unknown_optics(out)
 
@@ -209,29 +210,31 @@ class Composer:
     folder : str
         Path to the frames, as it appears in the draft.
     read : callable
-        Returns the DN (row, col) of a frame by its path.
+        Returns the raw values of the frame with the given path.
     """
 
     def __init__(self, seen: Survey, camera: CameraModel | None, folder: str, read: Callable[[str], Mosaic]) -> None:
         self.seen, self.camera, self.folder, self.read = seen, camera, folder, read
         self.out = DraftText()
-        self.shared: set[str] = set()  # keys that are explained for all captures in [common] or in the first capture
+        self.shared: set[str] = set()  # keys that the draft has already explained in [common] or for the first capture
         self.steps, self.bands = seen.groups_of("mono"), seen.groups_of("band")
         self.charts = seen.groups_of("chart", "structured")
         self.whites, self.darks = seen.groups_of("white"), seen.groups_of("dark")
-        if self.steps and self.bands:  # only one source of responsivity is allowed; monochromatic light is better
-            seen.notes.append(f"{len(self.bands)} captures of a chart in narrow bands beside monochromatic ones: left out")
+        if self.steps and self.bands:  # only one source of responsivity is allowed, and monochromatic captures are better
+            seen.notes.append(
+                f"{len(self.bands)} captures of a chart behind filters left out, because there are monochromatic captures"
+            )
             self.bands = []
 
     def text(self, name: str) -> DraftText:
-        """Return the whole draft, in the order of a measurement file."""
+        """Compose the whole draft. The sections have the same order as in other measurement files."""
         out = self.out
         corners = self._chart_corners()
         if self.camera is not None:
             out.key("name", self.camera.name)
             known_body(out, self.camera)
         else:
-            out.assume("name", name, "the folder's name", announced=False)
+            out.assume("name", name, "the name of the folder", announced=False)
             _seen_body(out, self.seen, photo=not self.steps and not self.bands and bool(self.charts))
         if self.steps:
             self._mono()
@@ -241,25 +244,25 @@ class Composer:
         else:
             self._photos(corners)
         if not self.steps and not self.bands and not self.charts:
-            what = "no source of responsivity: monochromatic captures, a chart, or finished curves"
+            what = "the folder contains no monochromatic captures, charts or curves from which to get the responsivity"
             out.todo_table("[curves]", what, ("file", "curves.csv"), ("per_energy", True))
         self._sensor_frames()
         unused = [table.name.path for table in self.seen.tables if toml_value(table.path) not in str(out)]
         if unused:
-            self.seen.notes.append(f"tables of spectra that nothing refers to: {listed(unused)}")
+            self.seen.notes.append(f"unused tables of spectra: {listed(unused)}")
         out.head(HEAD, *self.seen.notes)
         return out
 
     # -------------------------------------------------------------------------------------------------- captures
 
     def _common(self, group: Group, heading: str) -> None:
-        """Add frames and exposure time of a capture."""
+        """Add the frames and the exposure time of a capture."""
         out, first = self.out, group.first
         out.table(heading, frames=self._names(group))
         if first.seconds is not None:
-            out.key("exposure_s", float(f"{first.seconds:.6g}"), "by its name" if first.by_name else "")
+            out.key("exposure_s", float(f"{first.seconds:.6g}"), "from the file name" if first.by_name else "")
         elif "exposure_s" not in self.shared or heading not in SHARING:
-            out.todo("exposure_s", 0.01, "s; neither the file nor its name states the exposure time", first.name.path)
+            out.todo("exposure_s", 0.01, "s; neither the file nor its name contains the exposure time", first.name.path)
 
     def _names(self, group: Group) -> list[str]:
         prefix = "" if self.folder == "." else f"{self.folder}/"
@@ -277,36 +280,38 @@ class Composer:
             path, nm = step.first.name.path, step.first.name.nm
             uneven = step.first.summary.unevenness(float(seen.scale.black.mean()))
             if uneven > 4 * sorting.DIM and not seen.scale.clipped(step):
-                out.comment(f"the light is uneven by {uneven:.0%}: a [[mono]] frame is an even field")
+                out.comment(f"The illumination is uneven by {uneven:.0%}, but [[mono]] needs a uniform field.")
             if not columns and len(matched) >= SEVERAL:
-                what = "make this table of the measured radiance of every [[mono]], a column each, or name yours"
+                what = "make this table with the measured radiance of each [[mono]] in a column, or write the name of yours"
                 self._wanted("spectrum", EXAMPLE_SPECTRUM, what, path)
                 out.key("column", number if nm is None else f"{nm:g}nm")
             elif column is None:
-                out.todo("spectrum", EXAMPLE_SPECTRUM, "measured radiance of this light", path)
+                out.todo("spectrum", EXAMPLE_SPECTRUM, "measured radiance", path)
             else:
                 out.key("spectrum", column.spectra.path)
-                out.key("column", column.key, "" if nm is not None else f"ASSUMED: in order, {column.nm:g} nm")
+                out.key("column", column.key, "" if nm is not None else f"ASSUMED by order: {column.nm:g} nm")
                 self._unit(column.spectra.table, column.number - 1)
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add [common] for keys that several captures lack."""
+        """Add the section [common] with keys that several captures lack."""
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
             return
         out.table("[common]")
         if len(untimed) >= SEVERAL:
             self.shared.add("exposure_s")
-            what = f"s, of {len(untimed)} captures; those that differ have an exposure_s of their own"
+            what = f"s; for {len(untimed)} captures; set exposure_s in a capture if it differs"
             out.todo("exposure_s", 0.01, what, untimed[0].first.name.path)
         if len(unitless) >= SEVERAL:
             self.shared.add("unit")
-            what = f"of the radiances of {len(unitless)} captures, where the heading states none"
+            what = f"unit of the radiances of {len(unitless)} captures, because the headings contain no unit"
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a reference to a table that the user has to make. The first reference explains the contents of the table."""
+        """Add a reference to a table that the user must create. The comment of the first reference explains the contents
+        of the table.
+        """
         if key in self.shared:
             self.out.key(key, example, "as above")
         else:
@@ -314,16 +319,20 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if the column heading has no unit."""
+        """Add the unit of radiances if the heading of the column contains no unit."""
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
                 peak = radiances(table, column).max()
-                self.out.todo("unit", POWER_RADIANCE, f"its heading states none, it peaks at {peak:.3g}", table.path.name)
+                what = f"the heading contains no unit; the peak is {peak:.3g}"
+                self.out.todo("unit", POWER_RADIANCE, what, table.path.name)
         elif not any(table.units):
-            self.out.assume("unit", PHOTON_RADIANCE, "the heading states none; it is as large as such radiances are", False)
+            why = "the heading contains no unit, but the values are usual for photon radiances"
+            self.out.assume("unit", PHOTON_RADIANCE, why, False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Return the corners of each chart, by the `id` of its capture. Captures without a chart are dropped."""
+        """Return the corners of each chart, by the `id` of its capture. Captures of structured scenes without a chart
+        are dropped.
+        """
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
             corners = sorting.find_corners(self.read(group.first.name.path) - seen.black, seen.period)
@@ -331,19 +340,18 @@ class Composer:
                 found[id(group)] = corners
             elif group.kind == "structured":
                 self.charts.remove(group)
-                seen.notes.append(f"{group.first.name.path}: neither even nor a chart that is found; left out")
+                seen.notes.append(f"{group.first.name.path}: neither a uniform field nor a chart; left out")
         return found
 
     def _corners(self, corners: sorting.Corners | None, path: str) -> None:
         if corners is not None:
             self.out.key("corners", corners, "found")
         else:
-            self.out.todo(
-                "corners", CORNERS, "col, row of the outer corners of patches 1, 6, 24, 19; no chart was found", path
-            )
+            what = "no chart was found; column and row of the outer corners of patches 1, 6, 24 and 19"
+            self.out.todo("corners", CORNERS, what, path)
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[chart]] captures that go with a monochromator."""
+        """Add the [[chart]] captures that accompany monochromatic captures."""
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
         for number, (group, table) in enumerate(zip(self.charts, tables, strict=True), 1):
@@ -357,14 +365,14 @@ class Composer:
             self._corners(corners.get(id(group)), path)
             if table is None:
                 example = f"spectra/chart_{light or number}.csv"
-                out.todo("radiance", example, "CSV of the measured radiance of every patch, a column each", path)
+                out.todo("radiance", example, "CSV file with the measured radiance of each patch in a column", path)
             else:
                 named = table.name.light and table.name.light == light
-                out.key("radiance", table.path, "" if named else "ASSUMED: in order")
+                out.key("radiance", table.path, "" if named else "ASSUMED by order")
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
-        """Add the [[band]] captures: a chart behind narrow filters."""
+        """Add the [[band]] captures, which show a chart behind narrow-band filters."""
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
         by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
@@ -379,13 +387,13 @@ class Composer:
                 out.key("radiance", by_band[nm].path)
                 self._unit(by_band[nm].table, None)
                 continue
-            what = "make a table for each band, light times reflectance, a column for each of 24 patches, or name yours"
+            what = "make a table with illuminant times reflectance of the 24 patches in columns, or write the name of yours"
             self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
             if "unit" not in self.shared:
-                out.todo("unit", "relative power", "of these radiances, where the heading states none", path)
+                out.todo("unit", "relative power", "unit of the radiances, because the heading contains no unit", path)
 
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[photo]] captures: charts without a monochromator."""
+        """Add the [[photo]] captures, which show charts without monochromatic captures."""
         out, seen = self.out, self.seen
         for group in self.charts:
             path = group.first.name.path
@@ -394,46 +402,53 @@ class Composer:
             if measured is not None and named:
                 out.key("light", measured.path)
             elif measured is not None:
-                out.assume("light", measured.path, "the only measured light in the folder")
+                out.assume("light", measured.path, "the only measured illuminant in the folder")
             elif light:
-                out.assume("light", light, "by its name")
+                out.assume("light", light, "from the file name")
             else:
-                out.comment('light = "D65"  or "3200K", or a CSV of its spectrum; without it, it is guessed')
+                out.comment(
+                    'light = "D65"  or "3200K", or a CSV file with the spectrum; otherwise l3 guesses the illuminant'
+                )
             self._corners(corners.get(id(group)), path)
             same = [dark for dark in self.darks if dark.first.seconds == group.first.seconds]
             if same and not (self.whites and self.darks):
                 out.key("dark", self._names(same[0]))
             elif seen.black_level is None and not same:
-                out.todo("dark", ["dark.tif"], "frames without light, same exposure: no file states black", path)
+                what = "frames without light and with the same exposure, because no file contains the black level"
+                out.todo("dark", ["dark.tif"], what, path)
 
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add [[white]] and [[dark]], or [datasheet] for bands. Photos alone need neither."""
+        """Add [[white]] and [[dark]] captures, or [datasheet] for captures behind filters. Photos alone need none of
+        these.
+        """
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:
-            what = f"charts under {LEAST_CHARTS} lights or more give the scale; found: {len(self.charts)}"
+            what = f"the scale needs charts under at least {LEAST_CHARTS} illuminants; the folder has {len(self.charts)}"
             common = (("frames", ["chart_A.tif"]), ("exposure_s", 0.01), ("illuminant", "A"))
             out.todo_table("[[chart]]", what, *common, ("corners", CORNERS), ("radiance", "chart_A.csv"))
         if self.bands:
             figures = (("black_level_dn", round(self.seen.black)), ("white_level_dn", self.seen.top))
             further = (("well_capacity_e", 10000), ("read_noise_e", 5.0))
-            out.todo_table("[datasheet]", "the sensor's figures: bands do not measure it", *figures, *further)
+            out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *figures, *further)
             self._list("dark", self.darks)
         elif self.steps or not self.charts or (self.whites and self.darks):
             self._list("white", self.whites)
             self._list("dark", self.darks)
             example = (("frames", ["a_1.tif", "a_2.tif"]), ("exposure_s", 0.01))
             if not self.whites:
-                out.todo_table("[[white]]", "even light at several exposures up to saturation, two frames each", *example)
+                what = "uniform light with several exposures up to saturation, two frames per exposure"
+                out.todo_table("[[white]]", what, *example)
             if not self.darks:
-                out.todo_table("[[dark]]", "no light, at two exposures or more, two frames each", *example)
+                what = "no light, with at least two exposures, two frames per exposure"
+                out.todo_table("[[dark]]", what, *example)
 
     def _list(self, kind: str, groups: Sequence[Group]) -> None:
         for group in groups:
             single = sum(frame.count for frame in group.frames) < PAIR
             if single:
-                self.seen.notes.append(f"{group.first.name.path}: a single {kind} frame, from which no noise is measured")
+                self.seen.notes.append(f"{group.first.name.path}: noise cannot be measured from a single {kind} frame")
             self._common(group, f"[[{kind}]]")
             if single:
-                self.out.todo("frames", ["a_1.tif", "a_2.tif"], "two frames or more", group.first.name.path)
+                self.out.todo("frames", ["a_1.tif", "a_2.tif"], "at least two frames", group.first.name.path)

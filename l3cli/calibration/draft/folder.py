@@ -1,7 +1,7 @@
-"""Draft a measurement file from a folder.
+"""Drafts a measurement file from a folder.
 
-If the folder contains frames, l3 reads the metadata of each file, selects the frames of one sensor, and determines what each
-frame shows. A folder may also contain only tables, as published measurements do.
+If the folder contains frames, l3 reads the metadata of each file, selects the frames of one sensor, and determines the
+content of each frame. A folder may also contain only tables, such as published measurements.
 """
 
 import re
@@ -24,25 +24,25 @@ from l3cli.frames.measurement import DIODE, CaptureFolder, RawFile
 from l3cli.system.text import counted
 
 SAMPLED = 6  # number of frames from which the period of the array is estimated
-LEFT_OUT = "; left out"  # end of each note on a file that is not used
-MOST_NOTED = 12  # largest number of rejected files with a line of their own
+LEFT_OUT = "; left out"  # end of each note about a file that is not used
+MOST_NOTED = 12  # largest number of rejected files with separate notes
 LIGHT = re.compile(r"light[ _]+(?!diode)(.+)", re.IGNORECASE)  # heading of the column of a channel in a sweep
 USUAL = {1: ["y"], 3: ["r", "g", "b"]}  # default channel names by number of columns
 SENSOR = (
-    ("rows", 3000, "of the sensor, by its data sheet"),
-    ("cols", 4000, "of the sensor, by its data sheet"),
+    ("rows", 3000, "number of rows, from the data sheet"),
+    ("cols", 4000, "number of columns, from the data sheet"),
     ("pixel_pitch_um", 3.45, PITCH),
-    ("bits", 12, "of the converter, by its data sheet"),
+    ("bits", 12, "bit depth of the converter, from the data sheet"),
 )
 SHEET = (("black_level_dn", 64), ("white_level_dn", 4095), ("well_capacity_e", 10000), ("read_noise_e", 5.0))
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How to read the frames of a folder."""
+    """Functions with which the frames of a folder are read."""
 
-    read: Callable[[str], RawFile]  # reads a frame by its path
-    array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # converts the CFA codes in a file to an array
+    read: Callable[[str], RawFile]  # reads the frame with the given path
+    array_of: Callable[[NDArray[np.integer]], CfaRecipe]  # converts the CFA codes in a file to a colour filter array
     progress: Callable[[Sequence[Any], int, str], Iterable[Any]]  # shows the progress of a loop
 
 
@@ -53,7 +53,7 @@ class _Fact:
     path: str
     shape: tuple[int, int]
     mean: float
-    raw: RawFile  # without pixel values if memory is short
+    raw: RawFile  # without pixel values if they would need too much memory
 
     @property
     def sensor(self) -> tuple[object, ...]:
@@ -63,7 +63,7 @@ class _Fact:
 def survey(
     listing: CaptureFolder, tables: list[Spectra], notes: list[str], camera: CameraModel | None, reading: Reading
 ) -> Survey:
-    """Survey a folder of frames.
+    """Determine the contents of a folder of frames.
 
     Parameters
     ----------
@@ -72,39 +72,35 @@ def survey(
     tables : list of Spectra
         Tables of spectra in the folder.
     notes : list of str
-        A line is added for each file that is left out.
+        A note is added for each file that is left out.
     camera : CameraModel or None
-        The camera, if known.
+        The camera, if it is known.
     reading : Reading
-        How to read frames.
-
-    Returns
-    -------
-    Survey
-        Contents of the folder.
+        Functions with which frames are read.
 
     Raises
     ------
     InputFileError
         If the folder contains no raw frame.
     RecipeError
-        If the frames are not from `camera`.
+        If the size of the frames does not agree with `camera`.
     """
     facts = _facts(listing, notes, reading)
     if not facts:
         reason = f": {notes[0].removesuffix(LEFT_OUT)}" if notes else ""
-        cure = "" if "; " in reason else "; give the folder of a camera's captures"  # the reader's own says more
-        raise InputFileError(f"{listing.folder} holds no raw frame{reason}{cure}")
+        cure = "" if "; " in reason else "; specify a folder with the captures of a camera"  # unless the reason says more
+        raise InputFileError(f"{listing.folder} contains no raw frame{reason}{cure}")
     used = _frames_of_one_sensor(facts, notes)
     shape, pattern = used[0].shape, used[0].raw.pattern
     if camera is not None and shape != (camera.rows, camera.cols):
         raise RecipeError(
-            f"{camera.name} has {camera.rows}×{camera.cols} pixels, the frames {shape[0]}×{shape[1]}; give their camera"
+            f"{camera.name} has {camera.rows}×{camera.cols} pixels, but the frames have {shape[0]}×{shape[1]} pixels; "
+            "set ‹camera› to the camera that captured the frames"
         )
     period = _period(used, camera, reading)
     usable = _with_wavelengths(_summarised(used, period, notes, reading), notes)
     if not usable:
-        raise InputFileError(f"{listing.folder} holds no raw frame that can be used; {notes[-1]}")
+        raise InputFileError(f"{listing.folder} contains no usable raw frame; {notes[-1]}")
     black = next((fact.raw.black_level for fact in used if fact.raw.black_level is not None), None)
     white = next((fact.raw.white_level for fact in used if fact.raw.white_level is not None), None)
     scale = scale_of(usable, black)
@@ -114,16 +110,19 @@ def survey(
 
 
 def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
-    """Return the frames, with wavelengths that their names contain without a unit."""
+    """Add wavelengths that the names of frames contain without a unit."""
     names = with_bare_wavelengths([frame.name for frame in usable])
     new = [name for name, frame in zip(names, usable, strict=True) if name != frame.name]
     if new:
-        notes.append(f"numbers in the names of {len(new)} monochromatic frames taken for nm: {new[0].nm:g} in {new[0].path}")
+        notes.append(
+            f"numbers in the names of {len(new)} monochromatic frames are assumed to be wavelengths in nm, for example "
+            f"{new[0].nm:g} in {new[0].path}"
+        )
     return [replace(frame, name=name) for frame, name in zip(usable, names, strict=True)]
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the metadata of every file. Pixel values are kept as long as they fit into memory."""
+    """Read the metadata of every file. Pixel values are kept as long as they fit into 64 MiB."""
     facts, room = [], 64 << 20
     refused: list[str] = []
     for path in reading.progress(listing.frames, len(listing.frames), "files"):
@@ -137,12 +136,12 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
         room -= raw.values.nbytes if fits else 0
         mean = float(raw.values.mean())
         facts.append(_Fact(path, (rows, cols), mean, raw if fits else replace(raw, values=raw.values[:0].copy())))
-    notes += first_lines(refused, MOST_NOTED, "{} more such files left out")
+    notes += first_lines(refused, MOST_NOTED, "{} more files left out")
     return facts
 
 
 def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """Return the frames with the size and array that most frames have."""
+    """Return the frames with the most common combination of size and colour filter array."""
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -150,14 +149,16 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
             others = [fact for fact in facts if fact.sensor == sensor]
             rows, cols = others[0].shape
             notes.append(
-                f"{len(others)} of {len(facts)} frames are of another size or array ({rows}×{cols}, such as "
-                f"{others[0].path}): left out; draft them apart"
+                f"{len(others)} of {len(facts)} frames left out, because their size or colour filter array differs "
+                f"({rows}×{cols}, for example {others[0].path}); make a separate draft for these frames"
             )
     return [fact for fact in facts if fact.sensor == usual]
 
 
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
-    """Return the period (rows, columns) of the array, from the camera, the metadata, or else the brightest frames."""
+    """Return the period of the colour filter array from the camera, from the metadata, or estimated from the brightest
+    frames.
+    """
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
         return known.shape[0], known.shape[1]
@@ -168,46 +169,50 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Summarise every frame. Drawings are left out. Frames that seem to be processed are noted."""
+    """Summarise every frame. Drawings are left out, and a note is added about frames that seem to be processed."""
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)
         if drawn(raw.values):
-            refused.append(f"{fact.path}: has no noise, as masks and drawings have none; left out")
+            refused.append(f"{fact.path} has no noise, so it seems to be a mask or a drawing; left out")
             continue
         if change := altered(raw.values):
             changed[change] += 1
         name, seconds = read_name(fact.path), raw.seconds
         if seconds is not None and name.seconds is not None and abs(seconds / name.seconds - 1) > 0.1:
-            refused.append(f"{fact.path}: its name says {name.seconds:g} s, its file {seconds:g} s; the file's is taken")
+            refused.append(
+                f"{fact.path}: the exposure time is {name.seconds:g} s in the name but {seconds:g} s in the metadata, "
+                "which are used"
+            )
         by_name = seconds is None
         shown = summarise(raw.values, period)
         usable.append(Frame(name, shown, name.seconds if by_name else seconds, by_name, fact.raw.count))
-    notes += first_lines(refused, MOST_NOTED, "{} more such files left out")
+    notes += first_lines(refused, MOST_NOTED, "similar notes about {} more files")
     notes += [
-        f"{count} frame{'s' * (count > 1)}: {what}; check that they are raw values" for what, count in changed.most_common(2)
+        f"{counted(count, 'frame')}: {change}; use raw values that are not processed"
+        for change, count in changed.most_common(2)
     ]
     return usable
 
 
 def first_lines(lines: Sequence[str], most: int, more: str) -> list[str]:
-    """Return the first `most` lines, and a line with the number of further lines in the format `more`."""
+    """Return the first `most` lines. If there are more, append the text `more` with their number."""
     return [*lines[:most], *([more.format(len(lines) - most)] if len(lines) > most else [])]
 
 
 def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: str, left_out: Sequence[str]) -> DraftText:
-    """Draft a measurement file from tables alone: a sweep beside a photodiode, or finished curves.
+    """Draft a measurement file from tables alone: a sweep that was measured with a photodiode, or finished curves.
 
     Parameters
     ----------
     tables : sequence of Spectra
-        Tables of the folder.
+        Tables in the folder.
     camera : CameraModel or None
-        The camera, if it is known. Sensor, array and optics are then taken from it.
+        The camera, if it is known. The draft then contains its sensor, colour filter array and optics.
     name : str
         Name of the folder.
     left_out : sequence of str
-        Notes on files that are not tables of spectra.
+        Notes about files that are not tables of spectra.
 
     Raises
     ------
@@ -222,7 +227,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
     used = sweep or curves[0]
     names = channels_of_sweep(used) or (list(used.table.names) if used.table.names else None)
     if camera is None:
-        out.assume("name", name, "the folder's name", announced=False)
+        out.assume("name", name, "the name of the folder", announced=False)
         _body(out, names, len(used.table.values))
     else:
         out.key("name", camera.name)
@@ -235,7 +240,7 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
         if left_out:
             files = ", ".join(note.partition(":")[0] for note in left_out)
             out.assume(
-                "file", used.path, f"finished curves; if {files} measured them, give a [sweep] of those with wavelengths"
+                "file", used.path, f"finished curves; if {files} contain the raw sweep, add wavelengths and use [sweep]"
             )
         else:
             out.key("file", used.path)
@@ -243,13 +248,15 @@ def compose_tables(tables: Sequence[Spectra], camera: CameraModel | None, name: 
             out.comment(f"or {other.path}")
         _per_energy(out, used)
     sensor_figures(out, camera)
-    out.comment("", "How well photodiode and wavelengths were known: [uncertainty] (documentation, Measurement files)")
+    out.comment(
+        "", "State the uncertainty of photodiode and wavelengths in [uncertainty] (see Measurement files in the docs)."
+    )
     out.head(HEAD)
     return out
 
 
 def channels_of_sweep(spectra: Spectra) -> list[str]:
-    """Return the channels in the heading of a sweep beside a photodiode, or an empty list for other tables."""
+    """Return the channels in the heading of a sweep with a photodiode, or an empty list for other tables."""
     names = spectra.table.names or ()
     channels = [match[1] for name in names if (match := LIGHT.fullmatch(name))]
     diode = any("diode" in DIODE.get(name.casefold(), name).casefold() for name in names)
@@ -257,10 +264,10 @@ def channels_of_sweep(spectra: Spectra) -> list[str]:
 
 
 def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
-    """Return the tables that may be responsivities.
+    """Return the tables that may contain responsivities.
 
-    Lines of a monochromator and patches of a chart are excluded. A table of one column may be a lamp or a photodiode, so it
-    counts only if there is no other table.
+    The spectra of monochromator steps and of patches are excluded. A table with a single column may be a lamp or a
+    photodiode. It is therefore only returned if it is the only table.
     """
     broad = [table for table in tables if not table.has_patches and not _has_lines(table)]
     broad = [table for table in broad if len(table.table.values) <= MAX_CHANNELS and table.table.values.max() > 0]
@@ -268,7 +275,9 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Whether the columns are the steps of a monochromator: by the wavelengths in the heading, or by their shape."""
+    """Return whether the columns are steps of a monochromator, judged by the wavelengths in the heading or by their
+    shape.
+    """
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
 
@@ -279,49 +288,50 @@ def _nothing(tables: Sequence[Spectra]) -> str:
     more = f" and {len(tables) - 1} more" if len(tables) > 1 else ""
     return (
         f"{table.path} ({counted(len(table.table.values), 'column')}, {first:g}…{last:g} nm){more}: neither a sweep nor "
-        "responsivities, and there is no raw frame; add the table with a column for each channel, or the captures"
+        "responsivities, and there is no raw frame; add a table with one column per channel, or the captures"
     )
 
 
 def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
-    """Add [sensor], [cfa] and [optics] for the user to fill in; channel names come from the table."""
+    """Add [sensor], [cfa] and [optics] with values that the user must fill in. The table may contain the channel names."""
     out.table("[sensor]")
     for key, example, what in SENSOR:
         out.todo(key, example, what, "[sensor]")
     out.table("[cfa]")
     if names:
-        out.key("channels", names, "as the table's heading names them")
+        out.key("channels", names, "from the heading of the table")
     elif columns in USUAL:
-        out.assume("channels", USUAL[columns], "the usual order of columns; the table has no heading")
+        out.assume("channels", USUAL[columns], "the usual order of columns, because the table has no heading")
     else:
-        out.todo("channels", ["r", "g", "b"], "names of the channels, in the order of the table's columns", "[cfa]")
-    out.todo("pattern", ["r g", "g b"], "rows of names, which repeat over the sensor", "[cfa]")
+        out.todo("channels", ["r", "g", "b"], "channel names, in the order of the columns in the table", "[cfa]")
+    out.todo("pattern", ["r g", "g b"], "channel names, row by row, which repeat over the sensor", "[cfa]")
     unknown_optics(out)
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the table of the photodiode: one column that covers the sweep."""
+    """Add the table of the photodiode, which has one column and covers the wavelengths of the sweep."""
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
     single = [table for table in single if table.table.wavelength[0] <= grid[0] and grid[-1] <= table.table.wavelength[-1]]
     if not single:
-        out.todo("photodiode", "diode.csv", "response of the photodiode over the whole sweep, such as A/W", "[sweep]")
+        what = "response of the photodiode at all wavelengths of the sweep, for example in A/W"
+        out.todo("photodiode", "diode.csv", what, "[sweep]")
     elif len(single) == 1:
         out.key("photodiode", single[0].path)
     else:
         others = ", ".join(table.path for table in single[1:])
-        out.assume("photodiode", single[0].path, f"one of several tables of one column: also {others}")
+        out.assume("photodiode", single[0].path, f"the first of several tables with one column; the others are {others}")
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add whether the curves are per energy or per photon. Their unit decides, if there is one."""
+    """Add whether the curves are per energy or per photon. If the table states a unit, it decides."""
     possible = [each for each in (True, False) if _has_unit(curves, each)]
     if len(possible) == 1:
-        out.key("per_energy", possible[0], "by the unit in the heading")
+        out.key("per_energy", possible[0], "from the unit in the heading")
     elif "%" in curves.table.units:
-        out.assume("per_energy", False, "percentages are quantum efficiencies; true: relative, per energy")
+        out.assume("per_energy", False, "percentages are usually quantum efficiencies; write true for curves per energy")
     else:
-        out.assume("per_energy", True, "relative curves usually are; false: per photon, as quantum efficiencies are")
+        out.assume("per_energy", True, "usual for relative curves; write false for curves per photon")
 
 
 def _has_unit(curves: Spectra, per_energy: bool) -> bool:
@@ -333,9 +343,9 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add [datasheet], because tables of curves say nothing about the sensor."""
+    """Add [datasheet], because tables of curves do not contain the noise and the levels of the sensor."""
     if camera is None:
-        out.todo_table("[datasheet]", "the sensor's figures: no white and dark frames measure them", *SHEET)
+        out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)
         return
     out.table(
         "[datasheet]",

@@ -1,4 +1,4 @@
-"""Recognise the kind of a capture from its name and folder, and from its values."""
+"""Recognises the type of a capture from its name and folder, and describes the values of its frames."""
 
 import itertools
 import operator
@@ -23,42 +23,45 @@ FRACTION = re.compile(r"(?:(?<=^)|(?<=[_ ]))1[-/](\d{1,5})[ ]?s(?:ec)?(?![a-zA-Z
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "μs": 1e-6}
 LIGHT = re.compile(r"(?<![A-Za-z0-9])(A|D\d\d|FL?\d{1,2}|HP\d|LED[-_]?[A-Z0-9]+|\d{4,5}K)(?![A-Za-z0-9])")
 WORD = re.compile(r"[a-z]+|[A-Z][a-z]+|[A-Z]+(?![a-z])")
-BARE, LEAST_STEPS = (300.0, 1200.0), 5  # wavelengths without a unit: range in nm, and smallest number of different values
-VISIBLE = (200.0, 2000.0)  # nm; range of wavelengths that names give with a unit
-BLOCKS = 16  # largest number of rows and of columns of blocks in the summary of a frame
-PERIODS = (1, 2, 3, 4, 5, 6, 8)  # numbers of rows or columns of an array that are tried
-LARGEST_CROP = 960  # pixels; side of the part from which the period is estimated; divisible by all periods
-EXPLAINED = 0.98  # the smallest array that explains this fraction of the variance that the best array explains is used
+# Numbers without a unit are wavelengths if they are in this range (nm), and if there are at least LEAST_STEPS of them.
+BARE, LEAST_STEPS = (300.0, 1200.0), 5
+VISIBLE = (200.0, 2000.0)  # nm; range in which a number with the unit nm counts as a wavelength
+BLOCKS = 16  # largest number of rows and columns of blocks in the summary of a frame
+PERIODS = (1, 2, 3, 4, 5, 6, 8)  # candidates for the number of rows or columns of the array
+LARGEST_CROP = 960  # pixels; side of the crop from which the period is estimated, a multiple of all periods
+EXPLAINED = 0.98  # the smallest array is used that explains this fraction of the variance explained by the best array
 SIGNIFICANT = 0.02  # smallest fraction of the variance that an array must explain
-EVEN = 0.05  # largest relative residual of an even field after a smooth fit
-TERMS = 4  # degree of the smooth fit
-COMMON, LEAST_CODES = 12, 16  # number of pixels from which a value is frequent; number of frequent values needed to decide
-MOST_GAPS = 0.25  # largest fraction of frequent values whose next value may be missing in unprocessed data
-PLAIN, DRAWN = 0.8, 8  # fraction of pixels that equal their neighbours, and range in DN, above which a frame is a drawing
+EVEN = 0.05  # largest relative residual of a uniform field after a smooth fit
+TERMS = 4  # degree of the polynomial of the smooth fit
+COMMON = 12  # smallest number of pixels with which a value counts as frequent
+LEAST_CODES = 16  # smallest number of frequent values from which l3 judges whether values were stretched
+MOST_GAPS = 0.25  # in unprocessed data, the next higher value is missing for at most this fraction of the frequent values
+# A frame is a drawing if more than this fraction of its pixels equal their neighbours, and if its range in DN is larger.
+PLAIN, DRAWN = 0.8, 8
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class Name:
-    """Facts from the path of a file below the folder."""
+    """Information in the path of a file, relative to the folder."""
 
     path: str
     kind: str | None = None
     nm: float | None = None
     seconds: float | None = None
     light: str | None = None
-    series: str = ""  # folder and name without the last number, common to the frames of one exposure
+    series: str = ""  # folder and name without the last number, which the frames of one exposure share
 
     @property
     def words(self) -> frozenset[str]:
-        """The words of the name, in lower case."""
+        """The words in the file name, in lower case."""
         return frozenset(word.lower() for word in WORD.findall(PurePath(self.path).stem))
 
 
 def read_name(path: str) -> Name:
-    """Read the facts in the path, relative to the folder, of a capture or a table of spectra."""
+    """Extract the information in the path of a capture or a table of spectra, relative to the folder."""
     pure = PurePath(path)
-    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # nearer folders take precedence
+    stem, parts = pure.stem, (pure.stem, *reversed(pure.parent.parts))  # inner folders take precedence over outer folders
     nm = next(filter(None, map(_wavelength, parts)), None)
     seconds = next(filter(None, map(_seconds, parts)), None)
     light = next(filter(None, map(LIGHT.search, parts)), None)
@@ -79,10 +82,10 @@ def _seconds(part: str) -> float | None:
 
 
 def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
-    """Add wavelengths that names of monochromatic captures contain without a unit, such as mono_450_03.
+    """Add wavelengths that the names of monochromatic captures contain without a unit, such as mono_450_03.
 
-    All names must have the same number of numbers. The wavelength is the first number that lies in the range of light in all
-    names and does not count the files.
+    All names must contain the same count of numbers. The wavelength is the first number that is in the range of light in
+    all names and is not a file counter.
     """
     bare = [name for name in names if name.kind == "mono" and name.nm is None]
     numbers = [re.findall(r"\d+(?:\.\d+)?", PurePath(name.path).stem) for name in bare]
@@ -99,9 +102,9 @@ def with_bare_wavelengths(names: Sequence[Name]) -> list[Name]:
 
 
 def kind_of(path: PurePath) -> str | None:
-    """Return the kind of capture that the file name contains, or otherwise the nearest folder.
+    """Return the type of capture that the file name contains or, if the name contains none, the nearest folder.
 
-    Names with words for several kinds are skipped.
+    Names with words for several types are ignored.
     """
     for part in (path.stem, *reversed(path.parent.parts)):
         whole = {word.lower() for word in re.findall(r"[A-Za-z]+", part)}
@@ -113,7 +116,7 @@ def kind_of(path: PurePath) -> str | None:
 
 
 def natural(path: str) -> tuple[tuple[str | float, ...], ...]:
-    """Return a sort key for paths. Numbers in the paths are sorted by value, so 9 comes before 10."""
+    """Return a sort key for paths that sorts numbers by value, so that 9 comes before 10."""
     return tuple(
         tuple(float(part) if index % 2 else part.lower() for index, part in enumerate(re.split(r"([0-9]+)", each)))
         for each in PurePath(path).parts
@@ -126,22 +129,21 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Summary:
-    """A frame reduced to a few numbers per site of its array."""
+    """A frame, reduced to a few numbers for each CFA site."""
 
     blocks: Array  # (block_row, block_col, site) mean DN
-    high: Array  # (site) DN, 90th percentile
-    noise: float  # DN, standard deviation within blocks
-    top: int  # DN, the largest value
+    high: Array  # (site) DN; 90th percentile
+    noise: float  # DN; standard deviation within blocks
+    top: int  # DN; the largest value
 
     @property
     def level(self) -> Array:
-        """Mean DN (site)."""
+        """Mean DN of each CFA site."""
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal.
-
-        Only the brightest site is evaluated.
+        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal of the brightest
+        site.
         """
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
@@ -154,7 +156,7 @@ class Summary:
 
 
 def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
-    """Summarise a frame (row, col) in DN, for each site of an array with `period` rows and columns."""
+    """Summarise a frame of raw values in DN, for each site of an array with this period (rows, columns)."""
     rows, cols = period
     down, across = (max(1, length // each // BLOCKS) for length, each in zip(values.shape, period, strict=True))
     high, wide = (min(BLOCKS, length // each) for length, each in zip(values.shape, period, strict=True))
@@ -166,10 +168,11 @@ def summarise(values: NDArray[np.uint16], period: tuple[int, int]) -> Summary:
 
 
 def period_of(frames: Sequence[NDArray[np.uint16]]) -> tuple[int, int]:
-    """Estimate the number of rows and columns after which the colour filter array repeats.
+    """Estimate the period of the colour filter array in rows and columns.
 
-    One light may not distinguish all channels. The result is therefore the largest period that at least a third of the
-    frames show. Frames without a visible array do not count. If no frame shows an array, the result is 1×1.
+    Under a single illuminant, some channels may have equal signals, and the period of a frame may be too small. The
+    result is therefore the largest period that at least a third of the frames have. Frames in which no array is visible
+    do not count. If no frame shows an array, the result is 1×1.
     """
     found = [each for each in map(_period, frames) if each != (1, 1)]
     often = [each for each in found if len(frames) == 1 or 3 * found.count(each) >= len(found)]
@@ -181,7 +184,7 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
     rows, cols = (min(length, LARGEST_CROP) for length in frame.shape)
     cut = frame[:rows, :cols].astype(np.float64)
-    # Neighbouring pixels get the same light, so only the array and noise remain if the local mean is subtracted.
+    # Neighbouring pixels receive the same light, so the array and the noise remain after the local mean is subtracted.
     smooth = cut - ndimage.uniform_filter(cut, 2 * max(PERIODS) + 1)
     explained = {each: _explained(smooth, each) for each in itertools.product(PERIODS, PERIODS)}
     most = max(explained.values())
@@ -192,7 +195,9 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return the sum of squares that the site means explain, relative to the variance, minus what chance explains."""
+    """Return the sum of squares that the site means explain, relative to the variance, minus its expected value by
+    chance.
+    """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:
         return 0.0
@@ -203,22 +208,22 @@ def _explained(values: Array, period: tuple[int, int]) -> float:
 
 
 def altered(values: NDArray[np.uint16]) -> str | None:
-    """Describe how a frame's values were processed after the converter, or return None if there is no sign of it."""
+    """Describe how the values of a frame were processed after conversion, or return None if they seem unprocessed."""
     counts = np.bincount(values.ravel())
     codes = np.flatnonzero(counts)
     step = int(np.gcd.reduce(codes))
     if step > 1 and codes.size > DRAWN:
-        return f"all values are multiples of {step}: stored shifted, a step of the converter is {step} DN"
-    # If many pixels have a value, it is no coincidence that no pixel has the next value.
+        return f"all values are multiples of {step}, so they seem to be shifted to the left"
+    # If many pixels have a certain value, it is not a coincidence that no pixel has the next higher value.
     common = np.flatnonzero(counts[:-1] >= COMMON)
     gaps = float(np.mean(counts[common + 1] == 0)) if common.size else 0.0
     if common.size >= LEAST_CODES and gaps > MOST_GAPS:
-        return f"behind {gaps:.0%} of the frequent values the next one never occurs: stretched or companded"
+        return f"for {gaps:.0%} of the frequent values, the next higher value never occurs, so they seem to be stretched"
     return None
 
 
 def drawn(values: NDArray[np.uint16]) -> bool:
-    """Whether a frame lacks noise where it is neither black nor clipped, as masks and drawings do."""
+    """Return whether a frame has no noise between black and white, like a mask or a drawing."""
     inner = values[1:, 1:]
     same = (inner == values[:-1, 1:]) & (inner == values[1:, :-1])
     low, high = int(values.min()), int(values.max())

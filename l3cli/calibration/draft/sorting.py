@@ -1,7 +1,7 @@
-"""Group frames into captures, and assign spectra to them.
+"""Groups frames into captures, and assigns spectra to them.
 
-The kind of a frame comes from its name, or otherwise from its content. The spectrum of a capture is found by wavelength,
-by light, or by the order of names.
+The type of a capture is determined from the names of its frames, or from their content if the names do not contain it.
+The spectrum of a capture is found by its wavelength, by its illuminant, or by the order of names.
 """
 
 import itertools
@@ -19,22 +19,23 @@ from l3cli.frames.measurement import PATCHES
 from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
-DARK = 0.01  # fraction of the range of all frames; a frame below it has no light
-ALIKE = 0.04  # largest relative difference between signals in one capture, or under one light
+DARK = 0.01  # frames with a signal below this fraction of the range of all frames were captured without light
+ALIKE = 0.04  # largest relative difference between the signals of one capture, or under the same illuminant
 CLIPPED = 0.97  # fraction of the range of all frames from which a capture counts as saturated
-SAME_RATE = 0.1  # largest relative difference between signals per second under one light
-LEAST_WHITES = 3  # number of exposures under one light from which they are a white series
-# A "dark" frame is suspicious above both this fraction of the range and this multiple of the noise.
+SAME_RATE = 0.1  # largest relative difference between signals per second under the same illuminant
+LEAST_WHITES = 3  # smallest number of exposures under the same illuminant that form a series of white frames
+# A frame with "dark" in its name is suspicious if its signal exceeds both this fraction of the range and this multiple of
+# the noise.
 BRIGHT_DARK, BRIGHTER = 0.05, 5.0
 Array = NDArray[np.floating]
-SAME_CHANNEL = 0.05  # largest difference between the sites of a channel, as a fraction of the largest response
-LEAST_STEPS = 5  # number of monochromatic captures needed to guess the array
+SAME_CHANNEL = 0.05  # largest difference between sites of the same channel, as a fraction of the largest response
+LEAST_STEPS = 5  # smallest number of monochromatic captures from which the colour filter array is guessed
 GRID_NM = np.arange(400.0, 701.0, 10.0)
-SEARCHED = 6  # number of captures of a series, brightest first, in which the chart is searched for
-DIM = 0.05  # fraction of the range; charts in darker captures are not searched for
+SEARCHED = 6  # number of captures of a series, brightest first, in which l3 searches for the chart
+DIM = 0.05  # captures with a signal below this fraction of the range are not searched for a chart
 Corners = list[tuple[float, float]]
-NARROW_NM = 40.0  # nm, largest full width at half maximum of a line
-NEAR_NM = 5.0  # nm, largest difference between the wavelength in a name and the peak of its spectrum
+NARROW_NM = 40.0  # nm; largest FWHM of a narrow-band spectrum
+NEAR_NM = 5.0  # nm; largest difference between the wavelength in a name and the peak of the spectrum
 
 
 @dataclass(frozen=True)
@@ -43,16 +44,16 @@ class Frame:
 
     name: Name
     summary: Summary
-    seconds: float | None  # s, from the file or otherwise from its name
-    by_name: bool = False  # whether the exposure time comes from the name
-    count: int = 1  # number of frames in the file, which all show one scene at one exposure
+    seconds: float | None  # exposure time in s, from the metadata or, if they contain none, from the file name
+    by_name: bool = False  # whether the exposure time is from the file name
+    count: int = 1  # number of frames in the file, which show the same scene with the same exposure
 
 
 @dataclass(frozen=True)
 class Group:
-    """The frames of one capture: one scene at one exposure."""
+    """The frames of one capture, which show the same scene with the same exposure."""
 
-    kind: str  # dark, white, mono, band or chart; "plain" (even) or "structured" if not known more precisely
+    kind: str  # dark, white, mono, band or chart; if the type is not known, "plain" (uniform) or "structured"
     frames: tuple[Frame, ...]
 
     @property
@@ -61,36 +62,36 @@ class Group:
 
     @property
     def level(self) -> Array:
-        """Mean DN (site)."""
+        """Mean DN of each CFA site."""
         return np.asarray(np.mean([frame.summary.level for frame in self.frames], axis=0))
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Range of values of all frames in a folder."""
+    """Range of the values of all frames in a folder."""
 
-    black: Array  # (site) DN of the darkest frames
-    bright: float  # DN, highest 90th percentile of all frames and sites
+    black: Array  # (site) black level in DN
+    bright: float  # DN; highest 90th percentile of all frames and sites
 
     @property
     def range(self) -> float:
         return max(self.bright - float(self.black.mean()), 1.0)
 
     def signal(self, group: Group) -> Array:
-        """Return the DN above black (site)."""
+        """Return the mean DN above black of each CFA site."""
         return np.asarray(group.level - self.black)
 
     def clipped(self, group: Group) -> bool:
-        """Whether a site of a capture is saturated."""
+        """Return whether a site of a capture is saturated."""
         high = max(float(frame.summary.high.max()) for frame in group.frames)
         return high - self.black.mean() >= CLIPPED * self.range
 
 
 def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
-    """Return the range of values of a folder's frames.
+    """Return the range of the values of all frames in a folder.
 
-    `black` is the black level from the metadata, in DN. If it is None, the black level is the level of the darkest frame,
-    provided that a name says "dark" or that the frame is uniform. Otherwise the black level is taken as 0.
+    If the metadata contain no black level (`black` is None), the level of the darkest frame is used, provided that its
+    name contains "dark" or that the frame is uniform. Otherwise the black level is assumed to be 0.
     """
     sites = frames[0].summary.level.size
     called = [frame for frame in frames if frame.name.kind == "dark"]
@@ -108,7 +109,7 @@ def scale_of(frames: Sequence[Frame], black: float | None) -> Scale:
 def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list[Group]:
     """Group frames into captures, in the order of their names.
 
-    A line is added to `notes` for each frame that contradicts its name.
+    A warning is added to `notes` for each frame whose content contradicts its name.
     """
     ordered = sorted(frames, key=lambda frame: natural(frame.name.path))
     kinds = [_kind(frame, scale, notes) for frame in ordered]
@@ -123,12 +124,17 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Return the kind of a frame, from its name or otherwise from its content."""
+    """Determine the type of a capture from the name of a frame, or from the frame's content if the name does not contain
+    it.
+    """
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
     if name.kind == "dark" and share > BRIGHT_DARK and signal.max() > BRIGHTER * frame.summary.noise:
-        notes.append(f"{name.path}: called dark, but {signal.max():.0f} DN brighter than the darkest frame: check it")
+        notes.append(
+            f'{name.path} has "dark" in its name, but is {signal.max():.0f} DN brighter than the darkest frame; check '
+            "this file"
+        )
     if name.kind == "chart" and name.nm is not None:
         return "band"
     if name.kind is not None:
@@ -142,7 +148,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Split frames whose names agree into groups with the same light."""
+    """Split frames with similar names into groups with the same signal."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -157,10 +163,10 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 
 
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
-    """Rename captures of kind "plain" to white or mono.
+    """Decide for each capture of the type "plain" whether it is white or monochromatic.
 
-    White is the light with the most frames, if it has several exposures. A clipped capture has no usable colour, so it takes
-    the kind of the capture before it.
+    White captures are the captures under the illuminant with the most frames, provided that there are several exposures.
+    A clipped capture has no usable colour. It gets the type of the capture before it.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -180,15 +186,16 @@ def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) ->
         kinds[id(group)] = last
     whites = sum(kind == "white" for kind in kinds.values())
     notes.append(
-        f"by what they show, since no name says it: {whites} captures taken for white (one light at several exposures), "
-        f"{len(kinds) - whites} for monochromatic steps"
+        f"names do not contain the types of some captures; from their content, {whites} were classified as white (same "
+        f"illuminant, several exposures) and {len(kinds) - whites} as monochromatic; check these captures"
     )
     return [replace(group, kind=kinds.get(id(group), group.kind)) for group in groups]
 
 
 def _same_light(group: Group, other: Group, scale: Scale) -> bool:
-    """Whether two captures show the same light: the same colour and, if exposure times are known, the same signal per
-    second.
+    """Return whether two captures show the same illuminant.
+
+    The captures must have the same colour and, if exposure times are known, the same signal per second.
     """
     one, two = scale.signal(group), scale.signal(other)
     if min(one.max(), two.max()) <= 0 or np.abs(one / one.max() - two / two.max()).max() > ALIKE:
@@ -198,14 +205,14 @@ def _same_light(group: Group, other: Group, scale: Scale) -> bool:
 
 
 def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -> CfaRecipe | None:
-    """Guess the array from the wavelengths to which its sites respond.
+    """Guess the colour filter array from the wavelengths to which its sites respond.
 
     Returns None if the names of too few captures contain a wavelength, or if no site responds.
     """
     steps = [step for step in steps if step.first.name.nm is not None and not scale.clipped(step)]
     if len(steps) < LEAST_STEPS:
         return None
-    # Exposures differ from step to step, so responses are relative to the brightest site of each step.
+    # Exposures differ between captures, so the responses are divided by the response of the brightest site.
     signal = np.array([scale.signal(step) for step in steps])
     weight = signal.max(axis=1, keepdims=True)
     seen = weight[:, 0] > 0.05 * weight.max()
@@ -229,7 +236,7 @@ def guess_array(steps: Sequence[Group], scale: Scale, period: tuple[int, int]) -
 
 
 def _names(peaks: Sequence[float]) -> list[str]:
-    """Name the channels: w for one, r g b for three, otherwise by their peak wavelengths."""
+    """Name the channels: "w" for a single channel, "r", "g" and "b" for three channels, otherwise by peak wavelength."""
     if len(peaks) == 1:
         return ["w"]
     if len(peaks) == 3:
@@ -240,9 +247,9 @@ def _names(peaks: Sequence[float]) -> list[str]:
 
 
 def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
-    """Find a ColorChecker in a mosaic of DN above black. Each site of the array counts as a channel.
+    """Find a ColorChecker in a mosaic of DN above black. Each site of the array is treated as a channel.
 
-    Returns the col, row in pixels of the outer corners of patches 1, 6, 24 and 19, or None.
+    Returns the column and the row of the outer corners of patches 1, 6, 24 and 19, or None.
     """
     sites = np.arange(period[0] * period[1], dtype=np.uint8).reshape(period)
     found = locate(mosaic, sites, charts.chart("classic", GRID_NM)[1], charts.CLASSIC)
@@ -254,9 +261,9 @@ def find_corners(mosaic: Array, period: tuple[int, int]) -> Corners | None:
 def corners_of_series(
     groups: Sequence[Group], scale: Scale, period: tuple[int, int], read: Callable[[str], Array]
 ) -> Corners | None:
-    """Return the corners of a chart that does not move during a series, as the median over captures.
+    """Return the corners of a chart that does not move during a series of captures, or None if no chart is found.
 
-    The result is None if no capture shows a chart.
+    The result is the median of the corners in several captures.
     """
     lit = [group for group in groups if scale.signal(group).max() > DIM * scale.range]
     lit.sort(key=lambda group: (scale.clipped(group), -float(scale.signal(group).max())))
@@ -272,29 +279,29 @@ def corners_of_series(
 class Spectra:
     """A table of spectra in the folder."""
 
-    path: str  # as it appears in the measurement file
-    name: Name  # facts from its path within the folder
+    path: str  # path as it appears in the measurement file
+    name: Name  # information in the path within the folder
     table: CurveTable
 
     @property
     def narrow(self) -> bool:
-        """Whether most columns are narrow lines, like the steps of a monochromator."""
+        """Whether most columns are narrow-band spectra, such as the steps of a monochromator."""
         return float(np.mean([_narrow(self.table.wavelength, curve) for curve in self.table.values])) > 0.5
 
     @property
     def has_patches(self) -> bool:
-        """Whether there is a column for each patch of a ColorChecker."""
+        """Whether the table has one column for each patch of a ColorChecker."""
         return len(self.table.values) == PATCHES and not self.narrow
 
 
 @dataclass(frozen=True)
 class Column:
-    """One spectrum of a table."""
+    """One spectrum in a table."""
 
     spectra: Spectra
-    number: int  # from 1
+    number: int  # number of the column, from 1
     name: str | None
-    nm: float  # from its heading, or otherwise the peak
+    nm: float  # wavelength in the heading or, if the heading contains none, at the peak
 
     @property
     def key(self) -> int | str:
@@ -304,7 +311,7 @@ class Column:
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return all narrow spectra in the tables, in order."""
+    """Return all narrow-band spectra in the tables, in order."""
     columns = []
     for spectra in tables:
         if not spectra.narrow:
@@ -319,7 +326,9 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """Assign a spectrum to each monochromatic capture, by the wavelength in its name or otherwise by order."""
+    """Assign a spectrum to each monochromatic capture, by the wavelength in its name or, if the name contains none, by
+    order.
+    """
     if not columns or not steps:
         return [None] * len(steps)
     found = [_by_wavelength(step.first.name, columns) for step in steps]
@@ -335,17 +344,20 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra, in order, to captures whose names contain no wavelength. If the numbers do not match, all are None."""
+    """Assign spectra to captures without a wavelength in their names, in order. If the numbers differ, no spectra are
+    assigned.
+    """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):
         notes.append(
-            f"{len(steps)} monochromatic captures and {len(columns)} spectra: which belong together is not known; write the "
-            "wavelength into the names (mono_450nm.tif), or name spectrum and column of each"
+            f"{len(steps)} monochromatic captures could not be assigned to {len(columns)} spectra; write the wavelengths "
+            "into "
+            'the file names (mono_450nm.tif), or set "spectrum" and "column" of each capture'
         )
         return [None] * len(steps)
     notes.append(
-        f"spectra given to {len(steps)} monochromatic captures in the order of their names, {columns[0].nm:g} to "
-        f"{columns[-1].nm:g} nm"
+        f"spectra were assigned to {len(steps)} monochromatic captures in the order of the file names, {columns[0].nm:g} to "
+        f"{columns[-1].nm:g} nm; check the order"
     )
     return [columns[number] for number in numbers]
 
@@ -353,7 +365,7 @@ def _in_order(
 def _steps_in_order(steps: Sequence[Group], scale: Scale) -> list[int]:
     """Return the number of the monochromator step of each capture.
 
-    An unclipped capture after a clipped one repeats the same step.
+    If an unclipped capture follows a clipped capture, both belong to the same step.
     """
     forward = (not scale.clipped(step) or scale.clipped(before) for before, step in itertools.pairwise(steps))
     return list(itertools.accumulate(forward, initial=0))
@@ -376,7 +388,7 @@ def _by_wavelength(name: Name, columns: Sequence[Column]) -> Column | None:
 
 
 def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list[str]) -> list[Spectra | None]:
-    """Assign a table of radiances to each chart, by the light in both names or otherwise by order."""
+    """Assign a table of radiances to each chart, by the illuminant in both names or, if this is impossible, by order."""
     patches = [table for table in tables if table.has_patches]
     lights = [table.name.light for table in patches]
     found: list[Spectra | None] = []
@@ -384,16 +396,17 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
         light = chart.first.name.light
         found.append(patches[lights.index(light)] if light is not None and lights.count(light) == 1 else None)
     if None in found and len(patches) == len(charts):
-        notes.append(f"radiances given to {len(charts)} charts in the order of their names: check them")
+        notes.append(f"radiances were assigned to {len(charts)} charts in the order of the file names; check the order")
         return list(patches)
     return found
 
 
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
-    """Find the measured light of a photo of a chart.
+    """Find the measured illuminant of a photo of a chart.
 
-    The light is the broad spectrum whose file name contains the same light or matches the photo's name. Otherwise it is the
-    only broad spectrum. The flag is True if a name decided.
+    The spectrum of an illuminant is a table with one broad-band column. If the name of one such table contains the same
+    illuminant as the name of the photo, or if the photo's name contains the table's name, this table is used, and the
+    second result is True. Otherwise the table is used if it is the only one.
     """
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]
@@ -412,16 +425,18 @@ def radiances(table: CurveTable, column: int | None) -> Array:
 
 
 def unknown_unit(table: CurveTable, column: int | None) -> bool:
-    """Whether the heading has no unit and the values are not in the usual range of photon radiances."""
+    """Return whether the unit is unknown: the heading contains no unit, and the values are unusual for photon radiances."""
     return not any(table.units) and not DIMMEST <= radiances(table, column).max() <= BRIGHTEST
 
 
 def note_unused(columns: Sequence[Column], matched: Sequence[Column | None], notes: list[str]) -> None:
-    """Note the line spectra that belong to no capture."""
+    """Add a note about narrow-band spectra that are not assigned to a capture."""
     unused = [column for column in columns if all(column is not each for each in matched)]
     if unused and any(matched):
         where = ", ".join(f"{column.nm:g} nm" for column in unused[:6])
-        notes.append(f"{len(unused)} spectra belong to no monochromatic capture: {where}{' …' if len(unused) > 6 else ''}")
+        notes.append(
+            f"{len(unused)} spectra were not assigned to a monochromatic capture: {where}{' …' if len(unused) > 6 else ''}"
+        )
 
 
 def _narrow(wavelength: Array, curve: Array) -> bool:
