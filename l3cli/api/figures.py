@@ -1,4 +1,4 @@
-"""Metrics that compare two pictures, computed as `l3 evaluate` computes them (docs/method.md#quality-figures).
+"""Metrics that compare two pictures, computed as `l3 evaluate` computes them (docs/method.md#quality-metrics).
 
 A picture is sRGB (row, col, 3) or grey (row, col). Its values are sRGB-encoded: uint8, uint16, or floats from 0 to 1.
 """

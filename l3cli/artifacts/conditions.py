@@ -1,6 +1,6 @@
 """Conditions of a transform table: transforms for single illuminants, and for frames with different noise.
 
-docs/method.md#several-lights and docs/method.md#noise-sets describe them. All conditions use the same class rules, but
+docs/method.md#several-illuminants and docs/method.md#noise-sets describe them. All conditions use the same class rules, but
 some class edges depend on the noise.
 """
 

@@ -77,7 +77,7 @@ class CoarseChroma:
 
 @dataclass(frozen=True)
 class Clipping:
-    """Linear response with which uniform areas are rendered where channels clip (docs/method.md#plain-clipped-areas)."""
+    """Linear response with which uniform areas are rendered where channels clip (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",

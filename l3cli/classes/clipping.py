@@ -1,4 +1,4 @@
-"""Smooth rendering of uniform areas in which channels begin to clip (docs/method.md#plain-clipped-areas).
+"""Smooth rendering of uniform areas in which channels begin to clip (docs/method.md#uniform-clipped-areas).
 
 The class of a pixel changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In
 such areas, a smooth function of the channel means therefore replaces the outputs.

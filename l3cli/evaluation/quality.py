@@ -1,4 +1,4 @@
-"""Metrics for the difference between a rendered frame and its target (docs/method.md#quality-figures).
+"""Metrics for the difference between a rendered frame and its target (docs/method.md#quality-metrics).
 
 XYZ outputs are compared as displayed pictures, and other outputs as spectra. The noise of pictures is measured separately,
 in uniform patches, because averages over all pixels would hide it.
@@ -408,7 +408,7 @@ def spectral_angle(rendered: Array, target: Array) -> Array:
     """Return the angle in degrees (row, col) between the spectra of two cubes (band, row, col).
 
     The angle is NaN where the target is zero, or smaller than the float32 rounding error of the largest target spectrum. The
-    angle is 90° where only the rendered spectrum is zero (docs/method.md#quality-figures).
+    angle is 90° where only the rendered spectrum is zero (docs/method.md#quality-metrics).
     """
     cubes = [cube.astype(np.float64) for cube in (rendered, target)]
     lengths = [np.sqrt((cube**2).sum(axis=0)) for cube in cubes]

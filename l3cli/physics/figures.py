@@ -1,4 +1,4 @@
-"""Quality metrics: their names, units, and whether larger values are better (docs/method.md#quality-figures)."""
+"""Quality metrics: their names, units, and whether larger values are better (docs/method.md#quality-metrics)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

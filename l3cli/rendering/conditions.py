@@ -1,6 +1,6 @@
 """Selects the transforms with which a frame is rendered.
 
-The transforms depend on the illuminant of the frame (docs/method.md#several-lights), on its analog gain
+The transforms depend on the illuminant of the frame (docs/method.md#several-illuminants), on its analog gain
 (docs/method.md#gains), and on the noise that remains in each pixel after a temporal filter (docs/method.md#noise-sets).
 """
 

@@ -375,7 +375,7 @@ class FrameRenderers:
     """Renderers for the frames of a training set, with a cache of the most recent renderers.
 
     If a table has transforms for several illuminants, the transforms are blended for the illuminant of each frame
-    (docs/method.md#several-lights).
+    (docs/method.md#several-illuminants).
     """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:

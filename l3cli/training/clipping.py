@@ -1,4 +1,4 @@
-"""Train the outputs of uniform areas in which channels clip (docs/method.md#plain-clipped-areas).
+"""Train the outputs of uniform areas in which channels clip (docs/method.md#uniform-clipped-areas).
 
 The training data are measured surfaces at increasing exposures.
 """

@@ -1,4 +1,4 @@
-"""Train uniform areas on measured surfaces, besides the patches of scenes (docs/method.md#plain-surfaces).
+"""Train uniform areas on measured surfaces, besides the patches of scenes (docs/method.md#uniform-surfaces).
 
 Most patches of scenes are textured. From such patches, a class learns to infer colour from detail, which gives wrong colours
 in uniform areas. Therefore each class of uniform areas is also trained on uniform areas of measured surfaces of its chroma.

@@ -57,7 +57,7 @@ class LearningRecipe(Recipe):
     # --temporal has left little noise (docs/method.md#noise-sets); with 0 there is no second set
     noise_left: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     # illuminants of the training frames that get transforms of their own, besides the common transforms; the white of a
-    # rendered scene selects the transforms (docs/method.md#several-lights)
+    # rendered scene selects the transforms (docs/method.md#several-illuminants)
     lights: tuple[str, ...] = ()
     # training samples have the weight level^-power: with 1, errors count relative to the level, and with 0, absolutely
     level_power: Share = 1.0
@@ -68,12 +68,12 @@ class LearningRecipe(Recipe):
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
-    # weights of the samples from classes one level away, two levels away, and so on (docs/method.md#thin-classes)
+    # weights of the samples from classes one level away, two levels away and so on (docs/method.md#classes-with-few-patches)
     level_pool: tuple[float, ...] = (0.5, 0.25)
     # number of pseudo-patches of the parent that every class gets; the parent is the mean of all chromas of a level,
     # contrast and saturation case
     parent_patches: CountOrNone = 200
-    # number of uniform areas of measured surfaces per patch in classes of uniform areas (docs/method.md#plain-surfaces)
+    # number of uniform areas of measured surfaces per patch in classes of uniform areas (docs/method.md#uniform-surfaces)
     plain_surfaces: NotNegative = 0.3
     # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed while each pixel keeps its
     # brightness (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed

@@ -1,7 +1,7 @@
 """Solve the transforms of the first layer from the sums (docs/method.md#solution).
 
 The transform of a class is a Wiener solution. Classes with few patches are supported in three ways
-(docs/method.md#thin-classes):
+(docs/method.md#classes-with-few-patches):
 
 * **Neighbouring levels.** The sums of the neighbouring levels are added with weights below 1. Samples are relative to their
   level and transforms change slowly with the level, so these sums are a good substitute.
@@ -39,7 +39,7 @@ THIN_PARENT = 100.0
 def shrunk(
     sums: ClassSums, parents: ClassSums, classes: NDArray[np.intp], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return the sums of classes, supported by neighbouring levels and by parents (docs/method.md#thin-classes).
+    """Return the sums of classes, supported by neighbouring levels and by parents (docs/method.md#classes-with-few-patches).
 
     Unsaturated classes also get the sums of the neighbouring levels, with weights. All classes get pseudo-patches of their
     parent.
@@ -77,7 +77,7 @@ def shrunk(
 
 
 def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
-    """Return the mean sums per patch of each parent (docs/method.md#thin-classes).
+    """Return the mean sums per patch of each parent (docs/method.md#classes-with-few-patches).
 
     A parent joins all classes of the same level, contrast and saturation case. If these classes have no patches, the parent
     joins all contrasts. The mean over all levels of the saturation case is mixed in, with more weight if the level has few
@@ -112,7 +112,7 @@ def parent_of(index: Any, rule: ClassRule) -> Any:
 # In textured classes, a difference between sites counts as much as an error on this number of uniform patches per patch.
 UNIFORM_WEIGHT = 0.2
 # Uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²) at the ratio μ of noise power to signal power. χ is the
-# nearness of the chroma to white (docs/method.md#plain-surfaces).
+# nearness of the chroma to white (docs/method.md#uniform-surfaces).
 NOISE_FADES = 1000.0
 WHITE_FADES = 2000.0
 CLASSES_AT_ONCE = 64  # number of classes that are solved together

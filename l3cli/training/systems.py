@@ -1,7 +1,7 @@
 """Solve the normal equations of the classes.
 
 If a transform is too large for the integer formats of the planes, its class is solved again with a larger ridge
-(docs/method.md#too-large-transforms).
+(docs/method.md#transforms-that-are-too-large).
 """
 
 from typing import NamedTuple

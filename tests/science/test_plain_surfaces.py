@@ -1,4 +1,4 @@
-"""Plain surfaces: what training learns of uniform areas beside the patches of its scenes (docs/method.md#plain-surfaces)."""
+"""Training on uniform areas of measured surfaces, in addition to the patches of scenes (docs/method.md#uniform-surfaces)."""
 
 from dataclasses import replace
 from pathlib import Path

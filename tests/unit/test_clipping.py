@@ -1,4 +1,4 @@
-"""Plain areas where channels clip: what must hold of the formula (docs/method.md#plain-clipped-areas), and of kernels."""
+"""Plain areas where channels clip: what must hold of the formula (docs/method.md#uniform-clipped-areas), and of kernels."""
 
 import dataclasses
 from pathlib import Path

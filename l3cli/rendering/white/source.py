@@ -305,7 +305,7 @@ def white_source(
     photos : bool
         Whether None means "camera" for files that state a white. Otherwise None means the table's white.
     estimated_by : TransformTable, optional
-        Table that renders the samples for "auto" (docs/method.md#several-lights). [default: `table`]
+        Table that renders the samples for "auto" (docs/method.md#several-illuminants). [default: `table`]
 
     Raises
     ------

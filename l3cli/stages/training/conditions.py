@@ -1,7 +1,7 @@
 """Training of additional transforms for other noise and for single illuminants.
 
 Each combination of noise and illuminant is called a condition. All conditions of a table share its classes
-(docs/method.md#noise-sets, docs/method.md#several-lights).
+(docs/method.md#noise-sets, docs/method.md#several-illuminants).
 """
 
 import itertools
