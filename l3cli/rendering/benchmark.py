@@ -1,7 +1,7 @@
-"""Measures the rendering time of frames and stages, with synthetic frames and synthetic tables of realistic size.
+"""Measures the rendering time of frames, and of the stages of rendering.
 
-The time of a frame includes all transfers: it begins with uint16 values in host memory and ends with the result in host
-memory.
+The frames and tables are synthetic and have realistic sizes. The time of a frame includes all transfers. It begins with
+uint16 values in host memory, and ends with the result in host memory.
 """
 
 import functools
@@ -28,40 +28,40 @@ from l3cli.rendering.display import Display, make_display
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
 from l3cli.rendering.reference import ReferenceRenderer
 
-WINDOW_SIDE_PIXELS = 5  # pixels; side of the windows of the second layer
+WINDOW_SIDE_PIXELS = 5  # side of the windows of the second layer
 TWO_LAYERS = ("default",)  # class recipes with a second layer
-STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # values of configs/classes/default.toml
+STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # as in configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
-FRAMES = 40  # number of timed frames per case, after WARM_UP untimed frames
-WARM_UP = 3
+FRAMES = 40  # number of frames that are timed
+WARM_UP = 3  # number of frames that are rendered before without timing
 
 
 @dataclass(frozen=True)
 class Case:
-    """One line of the benchmark."""
+    """Parameters of one measurement, which is one line of the result."""
 
     width: int
     height: int
-    patch: int
+    patch: int  # side of the windows of the first layer, in pixels
     cfa: str  # key of CFAS
     classes: str  # key of CLASSES
-    outputs: int = 3  # 3 means X, Y, Z encoded as 8-bit sRGB; other numbers mean floating-point outputs
+    outputs: int = 3  # number of outputs; 3 outputs are encoded as 8-bit sRGB, and other numbers are written as float32
 
 
 CFAS = {
     "five-band": np.array([[2, 1, 4, 1], [1, 3, 1, 0], [4, 1, 2, 1], [1, 0, 1, 3]], np.uint8),
     "bayer": np.array([[0, 1], [1, 2]], np.uint8),
 }
-CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # recipe in configs/classes → numbers of levels, chromas
+CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class recipe → number of levels, number of chromas
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
     """Return a table with a realistic number of classes.
 
-    It has the levels and chromas of the recipe, two contrasts (one if there is a second layer) and ten saturation cases. The
-    chroma centres lie around the grey of `synthetic_frame`, so that its pixels have different chromas. The transform of each
-    class is the mean of its window, with small random deviations. Pictures are therefore nearly grey and lie in the sRGB
-    gamut, like most pixels of real pictures.
+    The table has the levels and chromas of the class recipe and ten saturation cases. It has two contrasts, or one if there
+    is a second layer. The chroma centres surround the grey of `synthetic_frame`, so that the pixels of the frame have
+    different chromas. The transform of each class is the mean of the window with small random deviations. The pictures are
+    therefore nearly grey, and most of their pixels are inside the sRGB gamut, as in real pictures.
     """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
@@ -114,10 +114,12 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
 
 
 def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
-    """Return the direction feature that the recipe `default` uses before a second layer."""
+    """Return the direction feature of the first layer in the class recipe `default`."""
     period = max(CFAS[case.cfa].shape)
     span = case.patch - period
-    noise = np.sqrt(2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL)))  # DN; noise of a difference of two boxes
+    noise = np.sqrt(
+        2 * period**2 * _variance(np.append(level_edges, WHITE_LEVEL))
+    )  # noise of the difference of two boxes, in DN
     constants = [direction.SCALE, direction.SCALE, 4, 1, 0, *np.rint(DIRECTED * direction.SCALE * noise).tolist()]
     windows = direction.boxes(case.patch, period, direction.inner_span(span))
     return Feature("direction", 5, windows, np.array(constants, np.int32))
@@ -126,11 +128,13 @@ def _directions(case: Case, level_edges: NDArray[np.float64]) -> Feature:
 def _second_layer(
     first: ClassRule, sites: int, white: NDArray[np.float64], level_edges: NDArray[np.float64], rng: np.random.Generator
 ) -> PlaneLayer:
-    """Return a layer of structure classes, with gradients in units of the frame's noise.
+    """Return a refinement layer with classes by structure, whose gradients are relative to the noise of the frame.
 
-    The transform of each class is a grey with the mean luminance of its window, with small random deviations.
+    The transform of each class outputs a grey with the mean luminance of the window, with small random deviations.
     """
-    noise = np.sqrt(2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3)  # DN; of a difference of means
+    noise = np.sqrt(
+        2 * _variance(np.append(level_edges, WHITE_LEVEL)) / first.patch**3
+    )  # noise of a difference of luminances, in DN
     scale = SIGMA * (WHITE_LEVEL - BLACK_LEVEL) * PLANE_STEP / noise
     mantissa, exponent = np.frexp(scale)
     rule = StructureRule(
@@ -144,7 +148,7 @@ def _second_layer(
     )
     classes = sites * rule.classes_per_site
     weights = 0.02 * rng.standard_normal((classes, white.size, 3, WINDOW_SIDE_PIXELS**2)) / WINDOW_SIDE_PIXELS
-    weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # weights of luminance, which is the second plane
+    weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # plane 1 is luminance
     single = weights.reshape(classes, white.size, -1).astype(np.float32)
     return PlaneLayer(WINDOW_SIDE_PIXELS, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
 
@@ -157,7 +161,7 @@ def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
 def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
     """Return a smooth scene that covers all levels, with noise and some texture.
 
-    Neighbouring pixels therefore differ in class as often as in real frames.
+    The noise and texture make classes change between neighbouring pixels as often as in real frames.
     """
     cfa = CFAS[case.cfa]
     row, col = np.mgrid[: case.height, : case.width]
@@ -172,9 +176,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return edges that cover the frame as densely as in a busy scene.
+    """Return a factor for each pixel that adds edges as dense as in a busy scene.
 
-    Adjacent pixels of the same site therefore mostly differ in structure.
+    With these edges, most neighbouring pixels of the same CFA site differ in structure.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -200,19 +204,23 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return the measurements of a variant on a device. Without `variant`, the reference renderer is measured as well."""
+    """Return the measurements to make on a device, as functions without parameters.
+
+    Without `variant`, the default variant and the reference renderer are measured.
+    """
     planned: list[Callable[[], dict[str, Any]]] = [functools.partial(measure, case, device, variant) for case in FULL]
     return planned + [functools.partial(measure_reference, case) for case in SMALL_CASES if variant is None]
 
 
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
-    """Return the medians over FRAMES frames on an OpenCL device.
+    """Measure the time of a frame on an OpenCL device, as a median over `FRAMES` frames.
 
     Returns
     -------
     dict
-        The case, the time of a frame as seen by the caller ("frame_ms"), the times of the stages as measured by the device
-        ("stages_ms", see OpenCLRenderer.stage_times), and their sum ("stages_sum_ms").
+        The parameters of the measurement, and these results in ms: the time that the caller waits for a frame
+        ("frame_ms"), the time of each stage as measured by the device ("stages_ms", see `OpenCLRenderer.stage_times`), and
+        the sum of the stages ("stages_sum_ms").
     """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)
@@ -229,7 +237,7 @@ def measure(case: Case, device: str | None = None, variant: str | None = None) -
 
 
 def measure_reference(case: Case) -> dict[str, Any]:
-    """Return the same results as `measure` for the numpy reference, which has only three stages."""
+    """Measure the time of a frame with the reference renderer, in the same way as `measure`."""
     table, frame, display = _synthetic(case)
     renderer = ReferenceRenderer(table)
     classes = _times(lambda: renderer.labels(frame))
@@ -246,7 +254,7 @@ def _synthetic(case: Case) -> tuple[TransformTable, RawFrame, Display]:
 
 
 def _times(render: Callable[[], object]) -> list[float]:
-    """Return the durations of FRAMES calls of `render`, in ms."""
+    """Return the durations of `FRAMES` calls of `render`, in ms."""
     waits = []
     for turn in range(WARM_UP + FRAMES):
         start = time.perf_counter()

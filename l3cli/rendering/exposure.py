@@ -1,4 +1,7 @@
-"""Measures exposure without flicker (docs/method.md#display) and out-of-range pixels, on a sample of a frame's pixels."""
+"""Measures the automatic exposure of frames (docs/method.md#display), and the pixels outside the range of the training.
+
+The measurements use a sample of about 1500 pixels per frame.
+"""
 
 import functools
 import math
@@ -16,37 +19,36 @@ from l3cli.frames.frame import RawFrame, mirrored_indices
 from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
-GRID = (32, 48)  # largest number of rows and columns in the grid of measured pixels
+GRID = (32, 48)  # largest number of rows and of columns in the grid of sampled pixels
 # Relative difference of luminance that noise alone can cause where channels clip, because fewer channels measure it there.
 NOISE_WHERE_CLIPPED = 0.05
 
 
 class SpreadSamples:
-    """Samples about 1500 evenly spaced patches of a frame, all at the same CFA site, and their classes."""
+    """Takes about 1500 evenly spaced patches from a frame, all at the same CFA site, and determines their classes."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
         self._neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
-        self._orders: dict[int, TapOrder] = {}  # by CFA site
+        self._orders: dict[int, TapOrder] = {}  # CFA site → order of the taps
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Return the patches of a frame, their CFA site and their classes.
+        """Return patches of a frame, their CFA site and their classes.
 
         Parameters
         ----------
         frame : RawFrame
-            The frame.
         gains : ndarray, (channel,), optional
-            White balance gains, which are applied to the patches.
+            White balance gains to apply to the patches.
 
         Returns
         -------
         patches : RawFrame
             Values (patch, tap), with the shading of each patch.
         site : int
-            CFA site of all patches, which is the site of the frame's first pixel.
+            CFA site of all patches, which is the site of the first pixel of the frame.
         labels : ndarray, (patch,)
-            Classes of the first layer, as indices among the classes of the site.
+            Class of each patch in the first layer, numbered within the site.
         """
         table, rule = self._table, self._table.first.rule
         cut, site = self._cut(frame), frame.phase[0] * table.cfa.shape[1] + frame.phase[1]
@@ -58,16 +60,16 @@ class SpreadSamples:
         return cut, site, label_patches(cut.values, rule, self._neighbours, site, self._orders[site])
 
     def patches(self, frame: RawFrame) -> RawFrame:
-        """Return the same patches (patch, tap) without white balance."""
+        """Return the patches (patch, tap) of a frame without white balance gains."""
         return self._at_levels(self._cut(frame))
 
     def _at_levels(self, cut: RawFrame) -> RawFrame:
-        """Return patches at the table's levels."""
+        """Convert patches to the levels of the table."""
         table = self._table
         return cut.at_levels(table.black_level, table.white_level, table.bits).shading_corrected()
 
     def _cut(self, frame: RawFrame) -> RawFrame:
-        """Return patches (patch, tap) at the levels of their frame."""
+        """Return the patches (patch, tap) with the levels of the frame."""
         down, across = self._geometry(frame)
         patches = frame.values.reshape(-1).take(_places(down, across))
         shading = None
@@ -78,7 +80,7 @@ class SpreadSamples:
         return replace(frame, values=patches, shading=shading)
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
-        """Return the rows and columns of the grid of patches, which are numbered row by row."""
+        """Return the numbers of rows and columns of the grid of patches. The patches are numbered row by row."""
         down, across = self._geometry(frame)
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
@@ -88,17 +90,17 @@ class SpreadSamples:
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 
     def signal(self, patches: RawFrame) -> NDArray[np.float32]:
-        """Return values (patch, tap) as fractions of full scale."""
+        """Convert the values of patches (patch, tap) to fractions of full scale."""
         full_scale = np.float32(self._table.white_level - self._table.black_level)
         return (patches.values.astype(np.float32) - np.float32(patches.black_level)) / full_scale
 
 
 class LightMeter:
-    """Measures the 99th percentile of Y in a frame, from about 1500 pixels that are rendered on the CPU.
+    """Measures the 99th percentile of the luminance in a frame, from about 1500 pixels that are rendered on the CPU.
 
-    What noise adds near clipped pixels is removed, as for a still (`still_scale`). The result is limited to the luminance of
-    a white that clips every channel, because such a white is always shown as white. All pixels have the same CFA site,
-    because all sites respond equally to uniform areas. The result depends only on the frame and not on the device.
+    The effect of noise near clipped pixels is removed, as in `still_scale`. The result is limited to the luminance of a
+    white that clips every channel, because such a white is always displayed as white. One CFA site is sufficient, because
+    all sites respond equally to uniform areas. The result depends only on the frame and not on the device.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -108,7 +110,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return the luminance Y that should become display white, after the gains of a white balance."""
+        """Return the luminance Y that should be displayed as white, after the gains of a white balance."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -146,11 +148,12 @@ def still_scale(luminance: NDArray[np.floating], frame: RawFrame, table: Transfo
 
 
 def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float:
-    """Return the luminance that becomes display white: the 99th percentile, without what noise adds near clipped pixels.
+    """Return the luminance that should be displayed as white: the 99th percentile, corrected for noise of clipped areas.
 
-    Noise raises a percentile, so a uniform white would be shown grey. This is noticeable where channels clip, because fewer
-    channels measure the luminance there. Pixels within NOISE_WHERE_CLIPPED of the percentile are therefore averaged, in
-    which pixels that are not near a clipped pixel count with the percentile.
+    Noise raises a percentile, so a uniform white would be displayed as grey. The effect is visible in areas in which
+    channels clip, because fewer channels measure the luminance there. Therefore the pixels whose luminance differs by less
+    than `NOISE_WHERE_CLIPPED` from the percentile are averaged. In this mean, pixels outside clipped areas count with the
+    percentile instead of their own luminance.
     """
     white = white_percentile(luminance)
     alike = np.abs(luminance - white) <= NOISE_WHERE_CLIPPED * white
@@ -160,7 +163,7 @@ def _white(luminance: NDArray[np.floating], clipped: NDArray[np.bool_]) -> float
 
 
 def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """Mark the pixels (row, col) that have a marked pixel at most `radius` rows and columns away."""
+    """Return a mask (row, col) of the pixels with a marked pixel at a distance of at most `radius` rows and columns."""
     for turned in (False, True):
         marked = marked.T if turned else marked
         near = marked.copy()
@@ -171,11 +174,18 @@ def _near(marked: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
     return marked
 
 
-@functools.lru_cache(4)  # frames of a sequence share the result
+@functools.lru_cache(4)  # the result is the same for all frames of a sequence
 def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the padded indices (position, tap) of evenly spaced patches along an axis, and their source indices.
+    """Return the indices of the taps of at most `most` evenly spaced patches along one axis of a frame.
 
-    All patches are centred on samples with the CFA phase of the first sample. There are at most `most` patches.
+    All patches are centred on samples with the CFA phase of the first sample.
+
+    Returns
+    -------
+    padded : ndarray, (patch, tap)
+        Indices in the frame with its mirrored margins.
+    source : ndarray, (patch, tap)
+        Indices of the same samples in the frame without margins.
     """
     available = -(-length // period)
     spread = np.linspace(0, available - 1, min(most, available)).round().astype(int)
@@ -186,7 +196,7 @@ def _windows(length: int, period: int, patch: int, most: int) -> tuple[np.ndarra
 
 @functools.lru_cache(1)
 def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) -> np.ndarray:
-    """Return the index (patch, tap) of each tap in the flattened frame, which is twice as fast as two indices."""
+    """Return the index (patch, tap) of each tap in the flattened frame. One index is twice as fast as two indices."""
     (_, row), (_, col) = _windows(*down), _windows(*across)
     places = row[:, None, :, None].astype(np.intp) * across[0] + col[None, :, None, :]
     places.flags.writeable = False
@@ -194,11 +204,11 @@ def _places(down: tuple[int, int, int, int], across: tuple[int, int, int, int]) 
 
 
 class SteadyExposure:
-    """Computes the exposure scale of each frame of a sequence, in order.
+    """Computes the exposure scale of the frames of a sequence, one after another.
 
-    The first frame gets the scale that its brightness requires. After that, the scale approaches the required scale
-    exponentially, in log exposure. This averages the measurement noise, and follows a change of light without overshoot. A
-    change of analog gain is followed immediately. The scale does not depend on later frames.
+    The first frame gets the scale that its brightness requires. After the first frame, the logarithm of the scale approaches
+    the required value exponentially. This averages the measurement noise, and follows changes of the light without
+    overshoot. Changes of the analog gain are followed immediately. The scale does not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -206,9 +216,9 @@ class SteadyExposure:
         self._log: float | None = None
 
     def scale(self, brightness: float, gain: float = 1.0) -> float:
-        """Return the scale of the next frame, given its analog gain.
+        """Return the scale of the next frame, from its brightness and analog gain.
 
-        A completely dark frame keeps the previous scale, which is 1 at the beginning.
+        A completely dark frame has the scale of the previous frame, or 1 at the beginning of a sequence.
         """
         if brightness > 0:
             wanted = math.log(gain / brightness)
@@ -218,23 +228,23 @@ class SteadyExposure:
 
 @dataclass(frozen=True)
 class OutOfRange:
-    """Fractions of a frame's pixels for which the table was not trained. The first three do not overlap."""
+    """Fractions of the pixels of a frame for which the table was not trained. The first three fractions do not overlap."""
 
-    darker: float  # darker than every level with training patches
-    brighter: float  # brighter than every level with training patches
-    untrained: float  # between these levels, but in classes without training patches
-    saturated: float  # in saturated classes, because of clipped pixels near the centre
+    darker: float  # pixels that are darker than all levels with training patches
+    brighter: float  # pixels that are brighter than all levels with training patches
+    untrained: float  # pixels at trained levels whose classes have no training patches
+    saturated: float  # pixels in saturated classes, which are clipped or near clipped pixels
 
 
 class RangeMeter:
-    """Measures the fraction of pixels for which a table was not trained, from about 1500 pixels per frame."""
+    """Measures for which fraction of its pixels a table was not trained, from about 1500 pixels per frame."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)
         self._samples = table.first.rule.by_feature(table.first.samples)
 
     def outside(self, frame: RawFrame) -> OutOfRange:
-        """Return the fractions for a frame of any size and phase."""
+        """Return the fractions for one frame."""
         rule = self._table.first.rule
         _, site, labels = self._spread.of(frame)
         place = rule.split(labels)
@@ -246,7 +256,7 @@ class RangeMeter:
         return OutOfRange(*(float(np.mean(mask)) for mask in (darker, brighter, untrained, saturated)))
 
     def learned_range(self) -> tuple[float, float]:
-        """Return the range of signals in levels with training patches, as fractions of full scale."""
+        """Return the smallest and the largest signal of the levels with training patches, as fractions of full scale."""
         table = self._table
         learned = np.flatnonzero(self._samples.sum(axis=(0, 2, 3, 4)) > 0)
         edges = np.concatenate([[0.0], level.inner_bounds(table.first.rule, table.black_level, table.white_level), [1.0]])

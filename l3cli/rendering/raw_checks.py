@@ -1,7 +1,7 @@
 """Warnings about frames that do not fit a table.
 
-A frame may come from another camera or CFA, or have light levels for which the table was not trained. Its values may also be
-implausible because of a wrong bit depth, byte order, black level or size.
+A frame may come from another camera or have a different CFA. Its brightness may be outside the range of the training. Its
+values may be implausible because of a wrong bit depth, byte order, black level or size.
 """
 
 import re
@@ -17,46 +17,48 @@ from l3cli.frames.frame import RawFrame
 from l3cli.frames.raw_sanity import BELOW, SMALLEST_BLACK, array_doubt, phase_doubt, share_below_black
 from l3cli.rendering.conditions import FAR_GAIN, known_gains
 from l3cli.rendering.exposure import RangeMeter
+from l3cli.system.text import counted
 
-MAX_OVERSHOOT = 1.5  # highest value of a saturated pixel, relative to the white level
-SHALLOW = 0.55  # relative to the white level; a sensor with the stated bit depth does not clip at a lower value
-CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the highest value
-NEAR_BLACK = 0.75  # values count as black if their ratio to the black level lies between this number and its inverse
-BLACK_PERCENTILE = 0.1  # percentile of the values that is close to black in most pictures
-SAME_DEPTH = 0.02  # largest relative difference between the white levels of equal bit depths
-SHEARED = 1.5  # a size is wrong if rows differ more, by this factor, than after exchanging rows and columns
+MAX_OVERSHOOT = 1.5  # largest plausible value of a saturated pixel, relative to the white level
+SHALLOW = 0.55  # smallest value at which a sensor with the stated bit depth can clip, relative to the white level
+CLIPPED = 1e-3  # the sensor is assumed to clip if at least this fraction of the pixels has the largest value
+NEAR_BLACK = 0.75  # a value is near the black level if their ratio lies between this number and its reciprocal
+BLACK_PERCENTILE = 0.1  # percentile of the values that is near the black level in most pictures
+SAME_DEPTH = 0.02  # largest relative difference between white levels that belong to the same bit depth
+SHEARED = 1.5  # a size is wrong if the difference between rows exceeds that of the exchanged size by this factor
 ROW_PAIRS = 64  # number of pairs of rows that are compared
 
-NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # fraction of a frame that is reported
-# An exposure time is probably in another unit if it exceeds this number of seconds, or this multiple of the training's.
-LONG, MANY_TIMES = 60.0, 100.0
+NOTABLE = {"darker": 0.05, "brighter": 0.05, "untrained": 0.2, "saturated": 0.1}  # smallest fractions that are reported
+LONG = 60.0  # an exposure time that exceeds this number of seconds is probably in another unit
+MANY_TIMES = 100.0  # an exposure time that exceeds this multiple of the training's is probably in another unit
 
 
 @dataclass
 class FrameWarnings:
-    """Collects the warnings about the frames of a run.
+    """Collects the warnings about all frames that a command renders.
 
-    Each warning is reported once. If it concerns several frames, the worst frame is named.
+    Each warning is printed once. If several frames have the same problem, the warning names the first or the worst frame.
     """
 
     table: TransformTable
-    _seen: int = 0
-    _first_is_beyond: bool = False  # whether the first frame has values that the converter cannot give
-    _untimed: list[str] = field(default_factory=list)  # frames whose exposure time and dark level are unknown
-    _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → first frame, number of frames
-    _notes: dict[str, str] = field(default_factory=dict)  # note of a file → first frame
-    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # kind → fraction, worst frame, number of frames
+    _seen: int = 0  # number of checked frames
+    _first_is_beyond: bool = False  # whether the first frame has values that the A/D converter cannot produce
+    _untimed: list[str] = field(default_factory=list)  # names of frames without exposure time and dark frame
+    _others: dict[str, tuple[str, int]] = field(default_factory=dict)  # warning → name of the first frame, number of frames
+    _notes: dict[str, str] = field(default_factory=dict)  # remark of the reader of a file → name of the first frame
+    # field of OutOfRange → fraction and name of the worst frame, number of frames
+    _worst: dict[str, tuple[float, str, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
-        """Check a frame."""
+        """Check a frame, and store its warnings."""
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)
         of_camera = other_camera(frame, self.table), other_gain(frame, self.table)
-        misread = _misread(frame)  # if the frame is misread, other checks of its values are meaningless
+        misread = _misread(frame)  # other checks of the values are meaningless if the file was read in a wrong format
         of_values = (misread,) if misread else (other_phase(frame, self.table), *value_warnings(frame, self.table))
         for text in (*of_camera, *of_values):
             self._note(text, frame.name)
@@ -70,10 +72,10 @@ class FrameWarnings:
                 self._worst[what] = (share, frame.name, count + 1) if share > worst else (worst, name, count + 1)
 
     def check(self, frame: RawFrame, stills: bool) -> None:
-        """Check every still, or the first frame of a sequence.
+        """Check a still, or a frame of a sequence.
 
-        Later frames of a sequence are only checked for values that the converter cannot give, and only if the first frame
-        has none.
+        The first frame of a sequence is checked in the same way as a still. Later frames are only checked for values that
+        the A/D converter cannot produce, and only if the first frame has no such values.
         """
         if stills or not self._seen:
             self.measure(frame)
@@ -82,52 +84,54 @@ class FrameWarnings:
             self._note(beyond_converter(frame, self.table), frame.name)
 
     def _note(self, text: str, name: str) -> None:
-        """Count a warning about a frame. An empty text is ignored."""
+        """Store a warning about the frame `name`. An empty text is ignored."""
         if text:
             first, count = self._others.get(text, (name, 0))
             self._others[text] = first, count + 1
 
     @property
     def assumption(self) -> str:
-        """A line about the exposure time that is assumed for frames without one, or "" if there are no such frames."""
+        """A line about the exposure time that l3 assumes for frames without exposure time, or "" if all frames have one."""
         if not self._untimed:
             return ""
         exposure, dark = self.table.exposure, self.table.dark_signal(None)
         return (
-            f"{self._untimed[0]}: exposure time unknown; subtracting the dark current of the training's {exposure:.3g} s "
-            f"({dark:.2g} DN); give ‹exposure_time› or ‹dark›"
+            f"{self._untimed[0]}: the exposure time is unknown, so l3 subtracts the dark current for {exposure:.3g} s, the "
+            f"mean of the training frames ({dark:.2g} DN); set ‹exposure_time› or ‹dark›"
         )
 
     def lines(self) -> Iterator[str]:
-        """Yield one line per warning."""
+        """Yield the warnings, one line each."""
         darkest, brightest = self._meter.learned_range()
         texts = {
-            "darker": f"are darker than anything the table was trained on ({darkest:.2g} of full scale); name a "
-            "lower learning.darkest or simulate shorter exposures, and train again",
-            "brighter": f"are brighter than anything the table was trained on ({brightest:.2g} of full scale); raise "
+            "darker": f"are darker than all training samples ({darkest:.2g} of full scale); reduce learning.darkest or "
+            "simulate shorter exposures, and train again",
+            "brighter": f"are brighter than all training samples ({brightest:.2g} of full scale); increase "
             "learning.brightest or simulate longer exposures, and train again",
-            "untrained": "fall into classes that are filled from their neighbours; train on more scenes or patches",
-            "saturated": "are clipped or touch clipped ones, where colour is a guess; expose shorter, or give ‹white_level›",
+            "untrained": "belong to classes without training patches; train on more scenes or with more learning.patches",
+            "saturated": "are clipped or next to clipped pixels, where colours are estimates; use a shorter exposure, or "
+            "set ‹white_level›",
         }
         for text, (name, count) in self._others.items():
-            yield f"{name}{f' and {count - 1} more' if count > 1 else ''}: {text}"
+            others = f" and {counted(count - 1, 'other frame')}" if count > 1 else ""
+            yield f"{name}{others}: {text}"
         for note, name in self._notes.items():
             yield f"{name}: {note}"
         for what, (share, name, count) in self._worst.items():
-            where = name if self._seen == 1 else f"{count} of {self._seen} frames, most in {name}"
-            yield f"{where}: {share:.0%} of the pixels {texts[what]}"
+            affected = f" (the worst of {counted(count, 'affected frame')}, {self._seen} in total)" if self._seen > 1 else ""
+            yield f"{name}{affected}: {share:.0%} of the pixels {texts[what]}"
 
 
 def other_camera(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the file names a camera other than the table's, otherwise ""."""
+    """Return a warning if the file states a different camera from the table, otherwise ""."""
     theirs = [_words(name) for name in frame.taken_by]
     ours = _words(table.camera_name)
     if not frame.taken_by or any(ours & words - _words(frame.taken_by[0]) or ours == words for words in theirs):
         return ""
     name = max(frame.taken_by[:2], key=len)
     return (
-        f"it was taken by {name}, the table is for {table.camera_name}; give the table of this camera, or name it so in "
-        "its recipe"
+        f"the file states the camera {name}, but the table is for {table.camera_name}; use a table for this camera, or "
+        "write the stated name in the camera recipe"
     )
 
 
@@ -136,7 +140,7 @@ def _words(name: str) -> set[str]:
 
 
 def other_phase(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning, with the phase that fits, if the pixels contradict the stated CFA phase, otherwise ""."""
+    """Return a warning that suggests another phase if the pixels contradict the stated CFA phase, otherwise ""."""
     if other := _other_array(frame, table):
         return other
     doubt = phase_doubt(frame, table.cfa)
@@ -144,63 +148,67 @@ def other_phase(frame: RawFrame, table: TransformTable) -> str:
         return ""
     fitting = " or ".join(f"{row},{col}" for row, col in doubt.phases)
     return (
-        f"sites of one channel differ by {doubt.stated:.1%} on average: the stated position of its colour filter array is "
-        f"wrong; with ‹phase› {fitting} they differ by {doubt.least:.1%}"
+        "the stated phase of the colour filter array is wrong, because the sites of one channel differ by "
+        f"{doubt.stated:.1%} on average; use ‹phase› {fitting}, with which the difference is {doubt.least:.1%}"
     )
 
 
 def _misread(frame: RawFrame) -> str:
-    """Return a warning if values look like noise but would be smooth with another packing or byte order, otherwise ""."""
+    """Return a warning if the values look like noise but would be smooth in another file format, otherwise ""."""
     if not frame.misread:
         return ""
-    return f"its pixels look like noise: neighbours of one channel are unrelated; read it with {frame.misread}"
+    return f"the pixels look like noise, so the file was probably read in a wrong format; read the file with {frame.misread}"
 
 
 def _other_array(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the pixels contradict the table's CFA at any phase, otherwise ""."""
+    """Return a warning if the pixels contradict the CFA of the table at every phase, otherwise ""."""
     doubt = array_doubt(frame, table.cfa)
     if doubt is None:
         return ""
     known = {name: parse_cfa(each, name) for name, each in known_arrays().items()}
     return (
-        f"sites of one colour differ by {doubt.differ:.0%}: it has another colour filter array than the table, such as "
-        f"{' or '.join(doubt.likely(known)[:2])}; make a table for its array (‹pattern› of l3 init)"
+        "the frame has a different colour filter array from the table, probably "
+        f"{' or '.join(doubt.likely(known)[:2])}, because the sites of one colour differ by {doubt.differ:.0%}; train a "
+        "table for this array (see ‹pattern› of l3 init)"
     )
 
 
 def other_gain(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the noise at the frame's analog gain is unknown, or too large for the levels, otherwise ""."""
+    """Return a warning if the noise at the analog gain of a frame is unknown or exceeds the black level, otherwise ""."""
     if frame.gain == 1:
         return ""
-    its = f"its analog gain is {frame.gain:.3g} times that of the table's camera"
+    stated = f"the analog gain of the frame is {frame.gain:.3g} times the gain of the table's camera"
     if table.camera is None:
-        return f"{its}, whose noise is unknown, because the table does not hold its camera; train it again"
+        return f"{stated}, but the table does not contain the noise model of its camera; train the table again"
     there, (least, most) = table.camera.at_gain(frame.gain), known_gains(table)
     deviation = float(np.sqrt(np.max(there.noise_terms(channel=np.arange(len(there.channels)))[0])))
     if deviation > there.black_level:
         return (
-            f"{its}: noise in the dark is {deviation:.0f} DN, more than the black level of {there.black_level:.0f} DN; "
-            "values below 0 are cut off, and the dark becomes too bright"
+            f"{stated}, at which the noise in dark areas ({deviation:.0f} DN) exceeds the black level "
+            f"({there.black_level:.0f} DN), so values are cut off at 0 and dark areas become too bright; use a lower gain"
         )
     if least != most and not least / FAR_GAIN < frame.gain < most * FAR_GAIN:
-        return f"{its}, whose read noise is known for {least:.3g} to {most:.3g}; that of the nearest is taken"
+        return (
+            f"{stated}, but the read noise is known only from {least:.3g} to {most:.3g} times this gain; l3 uses the read "
+            "noise of the nearest known gain"
+        )
     return ""
 
 
 def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
-    """Return a warning if a given exposure time is probably not in seconds, otherwise "" or nothing."""
+    """Return a warning if a given exposure time is probably not in seconds, otherwise ""."""
     times = seconds / table.exposure if seconds is not None and table.exposure else 0.0
     if seconds is None or (seconds <= LONG and times < MANY_TIMES):
         return ""
-    compared = f", {times:.0f} times that of the training ({table.exposure:.3g} s)" if times >= MANY_TIMES else ""
+    compared = f" ({times:.0f} times the mean of the training, {table.exposure:.3g} s)" if times >= MANY_TIMES else ""
     return (
-        f"‹exposure_time› {seconds:g} is {seconds:g} seconds{compared}: dark current of "
-        f"{table.dark_signal(seconds):.3g} DN is taken off; give seconds, not milliseconds"
+        f"‹exposure_time› {seconds:g} means {seconds:g} seconds{compared}, so l3 subtracts a dark current of "
+        f"{table.dark_signal(seconds):.3g} DN; give seconds, not milliseconds"
     )
 
 
 def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
-    """Yield warnings about values that the table's camera can hardly have produced with the frame's levels and size."""
+    """Yield warnings about values that are implausible for the table's camera with the stated levels and size."""
     top = int(frame.values.max())
     too_high = top > MAX_OVERSHOOT * frame.white_level
     lower = "" if too_high else _clips_lower(frame, top) or _below_black(frame) or _fog(frame, table)
@@ -211,44 +219,44 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
-    """Return a warning about values above the white level, otherwise ""."""
+    """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame."""
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:
         return (
-            f"the bytes of its values are exchanged: no low byte is above {every & 0xFF}; give them lower byte first, or "
-            "‹byte_order› big of a headerless file"
+            f"the two bytes of each value are exchanged, because no low byte is above {every & 0xFF}; write the low byte "
+            "first, or set ‹byte_order› big for a headerless file"
         )
     if step >= 4 and top // step <= most:
         return (
-            f"all its values are multiples of {step} and reach {top}, its white level is {frame.white_level:g} DN: they are "
-            f"shifted up; divide them by {step}, or give ‹black_level› and ‹white_level› of values as these"
+            f"all values are multiples of {step} and reach {top} DN, although the white level is {frame.white_level:g} DN; "
+            f"divide the values by {step}, or multiply ‹black_level› and ‹white_level› by {step}"
         )
     if top <= most:
         return ""  # only the stated white level is too low
     return (
-        f"its values reach {top} DN, its white level is {frame.white_level:g}: they are of another depth, or not raw; "
-        "give ‹black_level› and ‹white_level›"
+        f"the values reach {top} DN, but the white level is {frame.white_level:g} DN; if the frame has a different bit "
+        "depth, set ‹black_level› and ‹white_level›"
     )
 
 
 def beyond_converter(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning about values that the camera's A/D converter cannot produce, otherwise "".
+    """Return a warning about values that the A/D converter of the camera cannot produce, otherwise "".
 
-    The frame must be at the table's levels.
+    A frame whose levels differ from the levels of the table is not checked.
     """
     most = 2**table.bits - 1
     levels = (frame.black_level, frame.white_level) == (table.black_level, table.white_level)
     if not levels or frame.values.max() <= most:
         return ""
     return (
-        f"some of its values are above {most} DN, the most that the table's {table.bits} bits hold, and are taken for "
-        "clipped: it is of another depth, or not raw; give ‹black_level› and ‹white_level›"
+        f"some values are above {most} DN, the largest value with the table's {table.bits} bits, and are treated as "
+        "clipped; if the frame has a different bit depth, set ‹black_level› and ‹white_level›"
     )
 
 
 def _clips_lower(frame: RawFrame, top: int) -> str:
-    """Return a warning if values clip at the highest value of a lower bit depth, otherwise ""."""
+    """Return a warning if the values clip at the largest value of a lower bit depth, otherwise ""."""
     depth = top.bit_length()
     if not (top > frame.black_level and 8 <= depth < 16 and top == 2**depth - 1 and top < SHALLOW * frame.white_level):
         return ""
@@ -256,25 +264,25 @@ def _clips_lower(frame: RawFrame, top: int) -> str:
     if share < CLIPPED:
         return ""
     return (
-        f"{share:.1%} of its pixels have {top} DN and none has more: it clips there, as {depth} bits do, and its "
-        f"white level is {frame.white_level:g}; give ‹black_level› and ‹white_level›"
+        f"{share:.1%} of the pixels have the value {top} DN, at which {depth}-bit values clip, but the white level is "
+        f"{frame.white_level:g} DN; set ‹black_level› and ‹white_level›"
     )
 
 
 def _below_black(frame: RawFrame) -> str:
-    """Return a warning about values that lie farther below black than noise explains, otherwise ""."""
+    """Return a warning if noise cannot explain how far values are below the black level, otherwise ""."""
     share = share_below_black(frame)
     if not share:
         return ""
     return (
-        f"{share:.0%} of its pixels have less than {BELOW * frame.black_level:.0f} DN, its black level is "
-        f"{frame.black_level:g}: the black level has been subtracted already, or the values have another bit depth; give "
+        f"{share:.0%} of the pixels are below {BELOW * frame.black_level:.0f} DN, but the black level is "
+        f"{frame.black_level:g} DN; if the black level has already been subtracted or the bit depth is different, set "
         "‹black_level› and ‹white_level›"
     )
 
 
 def _fog(frame: RawFrame, table: TransformTable) -> str:
-    """Return a warning if the darkest values lie at the camera's black level but the stated black level is far lower."""
+    """Return a warning if the darkest values are near the camera's black level but the stated level is far lower."""
     black = table.black_level
     other_depth = abs(frame.white_level - table.white_level) > SAME_DEPTH * table.white_level
     if black < SMALLEST_BLACK or frame.black_level > black / 2 or other_depth:
@@ -283,13 +291,13 @@ def _fog(frame: RawFrame, table: TransformTable) -> str:
     if not NEAR_BLACK * black <= darkest <= black / NEAR_BLACK:
         return ""
     return (
-        f"its darkest values lie at {darkest:.0f} DN, near the camera's black level of {black:g}; with the black level "
-        f"{frame.black_level:g} colours look washed out; omit ‹black_level›, or give {black:g}"
+        f"the darkest values are about {darkest:.0f} DN, near the camera's black level of {black:g} DN, but the stated "
+        f"black level is {frame.black_level:g} DN, so colours look washed out; omit ‹black_level›, or set it to {black:g}"
     )
 
 
 def _torn(frame: RawFrame, period: int) -> str:
-    """Return a warning if rows would be much smoother with rows and columns exchanged, otherwise ""."""
+    """Return a warning if the picture would be much smoother with rows and columns exchanged, otherwise ""."""
     rows, cols = frame.values.shape
     if not frame.exchangeable or rows == cols:
         return ""
@@ -299,7 +307,7 @@ def _torn(frame: RawFrame, period: int) -> str:
 
 
 def _step(values: NDArray[np.uint16], period: int) -> float:
-    """Return the mean difference between rows that are `period` rows apart and therefore have the same channels."""
+    """Return the mean absolute difference between rows at a distance of `period`, which have the same channels."""
     last = len(values) - period
     if last < 1:
         return 0.0

@@ -1,4 +1,4 @@
-"""The common interface of all renderers, and the choice of the backend."""
+"""The common interface of all renderers, and functions that create a renderer."""
 
 import importlib
 import itertools
@@ -15,46 +15,61 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.conditions import at_gain, nearest_step, noise_limits, with_edges_for
 from l3cli.rendering.display import Display
 
-# To add a backend, write a class that is constructed from a TransformTable, and add a line here. Its module is imported only
-# if the backend is used.
+# To add a backend, write a class whose constructor takes a TransformTable, and add a line here. A module is imported only if
+# its backend is used.
 BACKENDS = {
     "opencl": "l3cli.rendering.opencl.renderer:OpenCLRenderer",
     "reference": "l3cli.rendering.reference:ReferenceRenderer",
 }
 
-MAX_HELD = 16  # largest number of renderers that are kept, one per gain, each with its transforms on the device
+MAX_HELD = 16  # largest number of renderers that are kept; each renderer keeps its transforms on the device
 
 
 class Renderer(Protocol):
-    """A renderer for one table. It keeps everything that does not change from frame to frame."""
+    """A renderer for one table. It prepares everything that does not depend on the frame once."""
 
     @property
     def table(self) -> TransformTable: ...
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
-        """Return the class (row, col) of every pixel in a layer of the table. It is the same for all backends."""
+        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0.
+
+        All backends return the same classes.
+        """
 
     def outputs(self, frame: RawFrame) -> NDArray[np.float32]:
-        """Return the outputs (output, row, col) of the table, at the size of the frame."""
+        """Return the outputs (output, row, col) of the table for every pixel of the frame."""
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], Sequence[NDArray[np.integer]]]:
-        """Return the outputs, and the classes of the first layer and, if there are several layers, of the last layer."""
+        """Return the outputs and a list of classes (row, col).
+
+        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
+        """
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
         """Return the frame as a picture (row, col, 3) in uint8 or uint16.
 
-        Raises RecipeError unless the outputs are X, Y, Z or GREY.
+        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
         """
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Return the picture of each frame, in order. The next picture may be computed while the caller uses one."""
+        """Yield the picture of each frame, in the order of the frames.
+
+        While the caller uses a picture, the next picture may already be computed.
+        """
 
 
 def make_ready(backend: str, **options: str | None) -> None:
-    """Prepare a backend for any table: import modules, find the device, start its compiler.
+    """Prepare a backend before the table is known: import modules, find the device, and start the compiler.
 
-    This takes about as long as reading a table, and may run in parallel with it. Errors are left to `make_renderer`, which
-    takes the same `options`.
+    This takes about as long as reading a table, and can be done at the same time in another thread.
+
+    Parameters
+    ----------
+    backend : str
+        "opencl" or "reference".
+    **options
+        Options of the backend, as in `make_renderer`.
     """
     importlib.import_module(BACKENDS[backend].partition(":")[0])
     if backend == "opencl":
@@ -72,9 +87,13 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
         "opencl" or "reference".
     table : TransformTable
     by_noise : bool
-        Whether pixels with less noise, after a temporal filter, are rendered with the table's transforms for less noise.
+        Whether to use the table's transforms for less noise, for pixels in which a temporal filter has left little noise.
     **options
-        Options of the backend: `device` and `variant` for "opencl" (see OpenCLRenderer).
+        Options of the backend. "opencl" has the options `device` and `variant` (see `OpenCLRenderer`).
+
+    Returns
+    -------
+    Renderer
 
     Raises
     ------
@@ -90,16 +109,21 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
 
 
 class NoiseRenderer:
-    """Renderer for frames with any analog gain and noise.
+    """Renderer for frames with any analog gain and any noise.
 
-    A frame is rendered with the transforms for its analog gain. After a temporal filter, each pixel is rendered with the
-    transforms for its remaining noise. If the table has no transforms for less noise, the class edges are adjusted to the
-    frame's fraction of noise instead.
+    Each frame is rendered with the transforms for its analog gain. If a temporal filter has reduced the noise of the frame,
+    each pixel is rendered with the transforms for its remaining noise. If the table has no transforms for less noise, the
+    class edges are adapted to the mean noise of the frame.
+
+    Parameters
+    ----------
+    backend, table, **options
+        The same as for `make_renderer`.
     """
 
     def __init__(self, backend: str, table: TransformTable, **options: str | None) -> None:
         self.table, self._backend, self._options = table, backend, options
-        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # by gain and noise fraction (None: per pixel)
+        self._renderers: dict[tuple[float, float | None], Renderer] = {}  # result of `_noise` → renderer
         self._tables: dict[float, TransformTable] = {}  # gain → table
         self._of((1.0, 1.0))
 
@@ -118,13 +142,16 @@ class NoiseRenderer:
         return self._renderers[noise]
 
     def _noise(self, frame: RawFrame) -> tuple[float, float | None]:
-        """Return the gain and the noise fraction for which a frame is rendered. The fraction is None if it is per pixel."""
+        """Return the gain and the noise fraction for which a frame is rendered.
+
+        The fraction is None if the transforms are chosen for each pixel.
+        """
         gain = nearest_step(frame.gain)
         by_pixel = frame.noise_left is not None and bool(noise_limits(self._table(gain)))
         return gain, None if by_pixel else frame.noise_share
 
     def of_frame(self, frame: RawFrame) -> Renderer:
-        """Return a renderer with a single set of transforms, for the gain and the mean noise fraction of a frame."""
+        """Return a renderer with one set of transforms, for the gain and the mean noise fraction of a frame."""
         return self._of((nearest_step(frame.gain), frame.noise_share))
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.integer]:
@@ -140,13 +167,13 @@ class NoiseRenderer:
         return self._of(self._noise(frame)).picture(frame, display)
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame. On the device, the work of consecutive frames with equal noise overlaps."""
+        """Yield the picture of each frame. Consecutive frames with the same noise are processed in parallel."""
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)
 
 
 def _make_room(held: dict[Any, Any]) -> None:
-    """Drop the oldest entry if there are too many."""
+    """Remove the oldest entry if there are `MAX_HELD` entries."""
     if len(held) == MAX_HELD:
         del held[next(iter(held))]

@@ -1,4 +1,7 @@
-"""Conversion of frames to pictures: colour space, bit depth, exposure and white balance, either given or measured."""
+"""Converts frames to pictures with a colour space, bit depth, exposure and white balance.
+
+The exposure and the white balance are either set by the user or measured in the frames.
+"""
 
 import itertools
 import math
@@ -24,27 +27,27 @@ from l3cli.rendering.white.source import WhiteSource, given_white, usual_balance
 from l3cli.system.locks import ThreadLock
 
 DEPTHS = (8, 16, FLOAT_BITS)
-MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the factor on Y
-ANY_RATE = Fraction(30)  # frames/s; has no effect if only the first frame is measured
+MIN_EXPOSURE, MAX_EXPOSURE = 1e-9, 1e9  # range of the exposure, a factor on Y
+ANY_RATE = Fraction(30)  # frame rate to use if it has no effect, because only the first frame is measured
 
 
 @dataclass(frozen=True)
 class Rendition:
     """Settings for the conversion of outputs to pictures."""
 
-    balance: WhiteBalance | None  # for frames without their own balance; None if outputs are written unchanged
-    exposure: float | None  # factor on Y; None means automatic exposure
-    bits: int
-    space: Space | None = SRGB  # values are linear and floating point if it has no transfer curve; None for no colours
-    raw: bool = False  # the picture is for a raw converter: the exposure is recorded but not applied
-    mosaic: str | None = None  # if `raw`, the name of the CFA in the file format
+    balance: WhiteBalance | None  # white balance of frames without a measured white; None writes the outputs unchanged
+    exposure: float | None  # factor on Y, or None for automatic exposure
+    bits: int  # bits per value: 8, 16 or FLOAT_BITS
+    space: Space | None = SRGB  # colour space, or None if the outputs are not colours
+    raw: bool = False  # whether the picture is for a raw converter; its exposure is then recorded but not applied
+    mosaic: str | None = None  # name of the CFA in the file format, if `raw` is true and the picture is a mosaic
     stops: float = 0.0  # additional exposure in EV
-    stated_exposure: bool = False  # whether the exposure in each frame's file is an additional factor
-    tone: Tone | None = None  # tone curve
+    stated_exposure: bool = False  # whether to multiply by the exposure that the file of each frame states
+    tone: Tone | None = None  # tone curve, if any
 
     @property
     def is_linear(self) -> bool:
-        """Whether values are linear and floating point."""
+        """Whether the values of the picture are linear floating-point numbers."""
         return self.space is None or self.space.curve is None
 
     @property
@@ -54,27 +57,31 @@ class Rendition:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the three values of a pixel."""
+        """Names of the three values of a pixel, as in an OpenEXR file."""
         return ("X", "Y", "Z") if self.space and self.space.name == XYZ.name else ("R", "G", "B")
 
 
-OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # writes the table's outputs unchanged
+OUTPUTS = Rendition(None, None, FLOAT_BITS, None)  # writes the outputs of the table unchanged
 
 
 def chosen_space(name: str | None, linear: bool) -> Space:
-    """Return the colour space of pictures.
+    """Return a colour space by name.
 
     Parameters
     ----------
     name : str or None
-        None for sRGB.
+        Name of the colour space. None means sRGB.
     linear : bool
-        Whether values are linear, without the transfer curve.
+        Whether to store linear floating-point values, without the transfer curve.
+
+    Returns
+    -------
+    Space
 
     Raises
     ------
     RecipeError
-        If the space is unknown, or if it is linear but codes are requested.
+        If the name is unknown, or if `linear` is false but the colour space has no transfer curve.
     """
     if name is not None and name not in SPACES:
         raise RecipeError(f'space "{name}" is unknown; {suggestion(name, SPACES)}')
@@ -82,12 +89,15 @@ def chosen_space(name: str | None, linear: bool) -> Space:
     if linear:
         return replace(space, title=f"{space.title}, linear", curve=None) if space.curve else space
     if space.curve is None:
-        raise RecipeError(f"{name} is linear and has no codes; name an .exr, or a .tif with ‹bits› 32")
+        raise RecipeError(
+            f"{name} is a linear colour space and cannot be stored as integers; write an .exr file, or a .tif file with "
+            "‹bits› 32"
+        )
     return space
 
 
 def outputs_as_they_are(table: TransformTable) -> Rendition:
-    """Return the rendition that writes a table's outputs unchanged. X, Y, Z are labelled as colours."""
+    """Return the settings that write the outputs of a table unchanged. The file states that X, Y, Z are colours."""
     if table.outputs != ("X", "Y", "Z"):
         return OUTPUTS
     return replace(OUTPUTS, space=replace(XYZ, title="CIE XYZ", neutral=chromaticity_of(table.white_point)))
@@ -97,37 +107,41 @@ def shown_as(
     table: TransformTable, exposure: float | None, white: str | None, space: str, bits: int,
     estimated_by: TransformTable | None = None,
 ) -> tuple[Rendition, WhiteSource | None]:  # fmt: skip
-    """Return the rendition for pictures, and the source of the white of each frame.
-
-    The source is None if all frames have the white of the rendition.
+    """Return the settings of pictures, and the source of the white of each frame.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
     exposure : float or None
         Factor on Y, or None for automatic exposure.
     white : str or None
-        White, as in `white_source` and `given_white`.
+        The white, as in `white_source` and `given_white`.
     space : str
         Name of the colour space.
     bits : int
-        8, 16 or FLOAT_BITS.
+        Bits per value: 8, 16 or FLOAT_BITS.
     estimated_by : TransformTable, optional
         Table for the estimation of the white, as in `white_source`.
+
+    Returns
+    -------
+    rendition : Rendition
+    source : WhiteSource or None
+        None if all frames have the white balance of the rendition.
 
     Raises
     ------
     RecipeError
-        If an argument is invalid, or if the table's outputs are not X, Y, Z or Y.
+        If an argument is invalid, or if the outputs of the table are not X, Y, Z or only Y.
     """
     if exposure is not None and not (isinstance(exposure, Real) and MIN_EXPOSURE <= exposure <= MAX_EXPOSURE):
         given_as = f"{exposure:g}" if isinstance(exposure, Real) else f'"{exposure}"'
         raise RecipeError(
-            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit it for automatic exposure"
+            f"exposure {given_as} is not within {MIN_EXPOSURE:g}…{MAX_EXPOSURE:g} times Y; omit it to determine the "
+            "exposure automatically"
         )
     if bits not in DEPTHS:
-        raise RecipeError(f"{bits} bits is not a depth of pictures; ask for 8, 16 or {FLOAT_BITS}")
+        raise RecipeError(f"pictures cannot have {bits} bits; use 8, 16 or {FLOAT_BITS}")
     require_xyz(table.outputs)
     source = white_source(white, table, photos=True, estimated_by=estimated_by)
     given = None if source else given_white(white, table)
@@ -138,20 +152,18 @@ def shown_as(
 def rendered(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, scale: float, balance: WhiteBalance | None = None
 ) -> tuple[NDArray[Any], float]:
-    """Render a frame.
+    """Render a frame as a picture.
 
     Parameters
     ----------
     renderer : Renderer
-        The renderer.
     frame : RawFrame
-        The frame.
     rendition : Rendition
         Settings of the picture.
     scale : float
         Exposure scale, or 0 for automatic exposure.
     balance : WhiteBalance, optional
-        White balance of this frame. [default: the white balance of the rendition]
+        White balance of the frame. [default: the white balance of the rendition]
 
     Returns
     -------
@@ -177,7 +189,7 @@ def rendered(
 def frame_and_display(
     renderer: Renderer, frame: RawFrame, rendition: Rendition, balance: WhiteBalance, scale: float
 ) -> tuple[RawFrame, Display]:
-    """Apply the gains of the white balance to a frame, and return it with its display.
+    """Multiply the channels of a frame by the gains of the white balance, and determine its display settings.
 
     A `scale` of 0 means automatic exposure.
     """
@@ -190,20 +202,20 @@ def frame_and_display(
 
 
 class FrameMeter:
-    """Determines the exposure scale and the white balance of each frame, in order.
+    """Determines the exposure scale and the white balance of frames, one after another.
+
+    In a sequence, the exposure and the white balance follow the measurements smoothly. Some sources of the white keep the
+    white of the first frame. Each still has its own white, and the renderer determines its automatic exposure.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
     rendition : Rendition
         Settings of the pictures.
     source : WhiteSource or None
         Source of the white of each frame, or None for the white of the rendition.
     rate : Fraction or None
-        Frames per second of a sequence, in which exposure and white follow the measurements smoothly. (Some sources keep the
-        white of the first frame.) None for stills: each frame has its own white, and the renderer determines an automatic
-        exposure.
+        Frames per second of a sequence, or None for stills.
     """
 
     def __init__(
@@ -220,16 +232,16 @@ class FrameMeter:
         return bool(self._light or self._source or self._stated)
 
     def measured(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Return the scale, the balance and the measured white of the next frame.
+        """Measure the next frame.
 
         Returns
         -------
         scale : float
-            Exposure scale, or 0 for automatic exposure.
+            Exposure scale, or 0 if the renderer should determine the exposure.
         balance : WhiteBalance or None
-            White balance, or None for that of the rendition.
+            White balance, or None for the white balance of the rendition.
         white : SceneWhite or None
-            Measured white, or None if the frame contains nothing from which to estimate it.
+            Measured white, or None if there is no source of the white or the frame has no usable pixels.
 
         Raises
         ------
@@ -240,24 +252,29 @@ class FrameMeter:
         return self.scale(frame, brightness), balance, white
 
     def looked_at(self, frame: RawFrame) -> tuple[float, WhiteBalance | None, SceneWhite | None]:
-        """Return the brightness (0 if not measured), the balance and the white of the next frame.
+        """Measure the next frame without updating the exposure.
 
-        The exposure is not updated.
+        Returns
+        -------
+        brightness : float
+            Luminance that should be displayed as white, or 0 if the brightness is not measured.
+        balance : WhiteBalance or None
+        white : SceneWhite or None
+            The same as in `measured`.
         """
         white = self._measured_white(frame) if self._source else None
         return self._light.brightness(frame, self._balance) if self._light else 0.0, self._balance, white
 
     def scale(self, frame: RawFrame, brightness: float, flicker: float = 0.0) -> float:
-        """Return the exposure scale of the next frame, given its brightness. The result 0 means automatic exposure.
+        """Return the exposure scale of the next frame, or 0 if the renderer should determine the exposure.
 
         Parameters
         ----------
         frame : RawFrame
-            The frame.
         brightness : float
-            Brightness of the frame, as returned by `looked_at`.
+            Brightness of the frame, from `looked_at`.
         flicker : float
-            Logarithm of the factor by which flicker brightens the frame. The scale compensates it.
+            Logarithm of the factor by which flicker brightens the frame. The scale compensates for this factor.
         """
         steady = math.exp(-flicker)
         if self._light and self._exposure:
@@ -277,10 +294,10 @@ class FrameMeter:
 
 
 class Following:
-    """Determines exposure scale and white balance of frames in order, and filters them.
+    """Determines the exposure scale and the white balance of frames one after another, and applies the temporal filter.
 
-    The parameters are the same as for FrameMeter. If `rate` is None, all frames have the scale and balance of the first
-    frame. `temporal` is the temporal filter, if there is one.
+    If `rate` is None, all frames have the exposure scale and the white balance of the first frame. The other parameters are
+    the same as for `FrameMeter`. `temporal` is the temporal filter, if any.
     """
 
     def __init__(
@@ -294,9 +311,10 @@ class Following:
         self._first: tuple[float, WhiteBalance | None] | None = None
 
     def shown(self, frame: RawFrame) -> tuple[RawFrame, float, WhiteBalance | None]:
-        """Return the next frame after filtering, with its scale and its balance (None means that of the rendition).
+        """Return the filtered frame, its exposure scale and its white balance.
 
-        Raises InputFileError if the white of the frame cannot be measured.
+        The white balance is None if the frame has the white balance of the rendition. Raises an InputFileError if the white
+        of the frame cannot be measured.
         """
         with self._alone:
             measured = self._first if self._held and self._first is not None else self._meter.measured(frame)[:2]

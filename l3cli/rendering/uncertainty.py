@@ -1,15 +1,17 @@
-"""Uncertainty of rendered outputs due to the camera's noise (docs/measurement.md#uncertainty), by the parametric bootstrap.
+"""Uncertainty of rendered outputs due to the noise of the camera (docs/measurement.md#uncertainty).
+
+The standard deviation of an output at pixel p is modelled as
 
     σ(p) = G(class) · K(kind) · E(p) · s(p)
 
-s is the standard deviation of a raw value that is as bright as the output of pixel p. There is a gain G for each class of
-the last layer, and a factor K for each kind of the first layer.
+s is the standard deviation of a raw value that is as bright as the output. G is a gain for each class of the last layer. K
+is a factor for each kind (chroma or saturation case) of the first layer. E is a factor for the outermost rows and columns.
+There, windows are mirrored and contain some raw values twice, so noise is averaged less.
 
-They are determined by simulation. The rendered picture is used as the true scene. The camera is simulated several times with
-new noise, and the frames are rendered. The effect of noise on the choice of classes is thus included. G and K are fitted so
-that the mean σ of each class and kind equals the standard deviation of these renderings. At the borders of a frame, windows
-are mirrored and contain some raw values twice, so that noise is averaged less. The factors E of the outermost rows and
-columns correct this.
+G, K and E are determined by a parametric bootstrap. The rendered picture is treated as the true scene. Frames of this scene
+are simulated several times with new noise and are rendered. The factors are fitted so that the mean σ of each class, kind
+and border equals the standard deviation over these renderings. The result therefore includes the effect of noise on the
+choice of classes.
 """
 
 import math
@@ -33,21 +35,26 @@ from l3cli.rendering.renderer import Renderer
 
 Array = NDArray[np.floating]
 Labels = NDArray[np.integer]
-# Bits of a mask: CLIPPED if clipped values affect the class or the result, UNTRAINED if the class has no training patches.
-CLIPPED, UNTRAINED = 1, 2
-# Large frames: side of a piece in pixels; number of pieces per side; number of pixels ignored at seams.
-PIECE_PIXELS, PIECES_PER_SIDE, SEAM_PIXELS = 96, 4, 8
-BUDGET, DRAWS = 1 << 18, (5, 40)  # number of pixels in all renderings together; smallest and largest number of renderings
-SMOOTHED = 0.5  # pixels; σ of a Gaussian that removes the noise in the picture, which would otherwise count twice
-FITS = 3  # rounds of reweighted least squares from outputs to signals
-ROUNDS = 4  # rounds in which gains and factors are fitted, enough for convergence
-PRIOR = 50  # pixels; weight of the prior assumption that a class has the gain of a coarser class
-EDGE_PIXELS = 4  # pixels; the outermost rows and columns get their own factors; farther in, mirroring adds under 2 % to σ
-TILES = (1, 2, 4, 8, 16)  # pixels; sides of the tiles whose means are compared. Each is a divisor of PIECE.
-MIN_TILES = 9  # smallest number of tiles in a frame
-MIN_VARIANCE = 1e-30  # avoids division by zero where noise does not change raw values and σ is 0, as in a black frame
-MIN_SIDE = 32  # pixels; smallest side of a frame
-STRIP = 1 << 16  # number of pixels of the maps that are computed at once, so that they fit into the processor cache
+CLIPPED = 1  # bit of the mask: clipped values affect the class or the result
+UNTRAINED = 2  # bit of the mask: the class has no training patches
+# Large frames are not simulated as a whole, but only some square pieces of them.
+PIECE_PIXELS = 96  # approximate side of a piece
+PIECES_PER_SIDE = 4  # number of pieces along each side of the frame
+SEAM_PIXELS = 8  # width of the border of a piece that is ignored
+BUDGET = 1 << 18  # approximate number of pixels in all renderings together
+DRAWS = (5, 40)  # smallest and largest number of renderings
+SMOOTHED = 0.5  # σ, in pixels, of a Gaussian that removes noise from the picture; otherwise this noise would count twice
+FITS = 3  # number of iterations of the robust fit from outputs to signals
+ROUNDS = 4  # number of iterations of the fit of the gains and factors, which is enough for convergence
+PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
+EDGE_PIXELS = (
+    4  # number of rows and columns at each border with factors of their own; farther in, σ changes by less than 2 %
+)
+TILES = (1, 2, 4, 8, 16)  # sides, in pixels, of the tiles whose means are evaluated
+MIN_TILES = 9  # smallest number of tiles of a size
+MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
+MIN_SIDE = 32  # smallest side of a frame, in pixels
+STRIP = 1 << 16  # number of pixels that are processed together, so that their values fit into the processor cache
 SEED = 20
 
 
@@ -56,24 +63,33 @@ class NoiseGains:
     """Ratios between the noise of outputs and the noise of raw values, for all frames of one scene."""
 
     by_class: NDArray[np.float32]  # (class of the last layer, output) gain G
-    by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K of its kind
-    by_edge: NDArray[np.float32]  # (side, distance, output) factor E at the top, bottom, left and right, for EDGE distances
-    area: Array  # (tile, output) variance of a tile's mean times its number of pixels, relative to a single pixel
-    unit: float  # raw value in DN at which the brightness of the outputs is 1
+    by_kind: NDArray[np.float32]  # (class of the first layer, output) factor K
+    by_edge: NDArray[np.float32]  # (side, distance, output) factor E; the sides are top, bottom, left and right
+    area: Array  # (tile, output) variance of the mean of a tile times its number of pixels, relative to a single pixel
+    unit: float  # raw value above black, in DN, at which the brightness of the outputs is 1
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of the outputs of a frame, in upright orientation like the picture."""
+    """Uncertainty of the outputs of a frame, in the orientation of the upright picture."""
 
-    sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the camera's noise
-    mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED; 0 for reliable pixels
-    gains: NoiseGains
+    sigma: NDArray[np.float32]  # (row, col, output) standard deviation due to the noise of the camera
+    mask: NDArray[np.uint8]  # (row, col) bits CLIPPED and UNTRAINED, or 0 for reliable pixels
+    gains: NoiseGains  # result of the bootstrap, which can be used for other frames of the same scene
 
     def of_mean(self, inside: NDArray[np.bool_]) -> Array:
-        """Return the standard deviation (output) of the mean over the pixels where `inside` (row, col) is true.
+        """Return the standard deviation of the mean of the outputs over a region.
 
-        The noise is assumed to be correlated as in a square with the same number of pixels.
+        The noise is assumed to be correlated in the same way as in a square with the same number of pixels.
+
+        Parameters
+        ----------
+        inside : ndarray of bool, (row, col)
+            Mask of the region.
+
+        Returns
+        -------
+        ndarray, (output,)
         """
         pixels = int(inside.sum())
         sides = np.log2(TILES[: len(self.gains.area)])
@@ -82,27 +98,30 @@ class Uncertainty:
 
 
 def require_known_noise(table: TransformTable) -> None:
-    """Raise RecipeError if the table does not contain its camera with the noise model."""
+    """Raise a RecipeError if the table does not contain the noise model of its camera."""
     if table.camera is None:
-        raise RecipeError("the table does not hold its camera, whose noise is needed; train it again")
+        raise RecipeError("the uncertainty needs the camera's noise model, which the table does not contain; train it again")
 
 
 def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:
-    """Return the uncertainty of a frame's outputs.
+    """Return the uncertainty of the outputs of a frame.
 
     Parameters
     ----------
     renderer : Renderer
-        A renderer with one set of transforms, for the gain and noise of the frame.
+        A renderer with one set of transforms, for the gain and the noise of the frame.
     frame : RawFrame
-        The frame.
     like : Uncertainty, optional
-        Uncertainty of another frame of the same scene. Its gains are used, without a new bootstrap.
+        Uncertainty of another frame of the same scene, whose gains are used instead of a new bootstrap.
+
+    Returns
+    -------
+    Uncertainty
 
     Raises
     ------
     RecipeError
-        If the table does not contain its camera, or if the frame is too small.
+        If the table does not contain the noise model of its camera, or if the frame is too small.
     """
     table = renderer.table
     require_known_noise(table)
@@ -132,19 +151,19 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
 
 @dataclass(frozen=True)
 class RegionMean:
-    """Mean outputs over a region of a picture."""
+    """Mean of the outputs over a region of a picture."""
 
-    mean: Array  # (output)
-    sigma: Array  # (output) standard deviation of the mean due to the camera's noise
-    pixels: int
+    mean: Array  # (output) mean
+    sigma: Array  # (output) standard deviation of the mean due to the noise of the camera
+    pixels: int  # number of pixels
     unusual: float  # fraction of pixels that are clipped or whose class has no training patches
 
 
 def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tuple[float, float]]) -> RegionMean:
-    """Average the outputs over a polygon, with the uncertainty of the mean.
+    """Average the outputs over a polygon, and return the mean with its uncertainty.
 
-    The errors of neighbouring pixels are correlated, because they share raw values. The uncertainty of the mean takes this
-    into account.
+    The errors of neighbouring pixels are correlated, because neighbouring outputs are computed from the same raw values. The
+    uncertainty of the mean takes this correlation into account.
 
     Parameters
     ----------
@@ -153,18 +172,18 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     of : Uncertainty
         Uncertainty of the same frame, from `Renderer.uncertainty`.
     polygon : sequence of (float, float)
-        Corners (row, col). A pixel belongs to the region if its centre, at integer coordinates, lies inside.
+        Corners (row, col). The centres of the pixels have integer coordinates. A pixel belongs to the region if its centre
+        is inside the polygon.
 
     Returns
     -------
     RegionMean
-        `mean` and `sigma` (output), the number of `pixels`, and `unusual`, the fraction of pixels that are clipped or whose
-        class has no training patches.
+        Mean, uncertainty, number of pixels, and fraction of unusual pixels.
 
     Raises
     ------
     RecipeError
-        If no pixel lies inside the polygon, or if picture and uncertainty differ in shape.
+        If no pixel is inside the polygon, or if the picture and the uncertainty have different shapes.
 
     Examples
     --------
@@ -176,18 +195,26 @@ def region(picture: NDArray[np.floating], of: Uncertainty, polygon: Sequence[tup
     ((3,), (3,), 600)
     """
     if picture.shape != of.sigma.shape:
-        raise RecipeError(f"the picture is of shape {picture.shape}, its uncertainty {of.sigma.shape}; give one frame's")
+        raise RecipeError(
+            f"the picture has the shape {picture.shape}, but the uncertainty has the shape {of.sigma.shape}; use both "
+            "from the same frame"
+        )
     inside = within_polygon(picture.shape[:2], polygon)
     if not inside.any():
-        raise RecipeError("the polygon holds no pixel; give corners as (row, col) within the picture")
+        raise RecipeError("the polygon contains no pixel; use corners (row, col) inside the picture")
     mean = picture[inside].mean(axis=0, dtype=np.float64)
     return RegionMean(mean, of.of_mean(inside), int(inside.sum()), float((of.mask[inside] > 0).mean()))
 
 
 def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) of the pixels whose centres, at integer coordinates, lie inside a polygon.
+    """Return a mask (row, col) of the pixels whose centres are inside a polygon, by the even-odd rule.
 
-    The polygon is given by its corners (row, col). The even-odd rule applies.
+    Parameters
+    ----------
+    shape : tuple of int
+        Numbers of rows and columns.
+    polygon : sequence of (float, float)
+        Corners (row, col). The centres of the pixels have integer coordinates.
     """
     row, col = np.indices(shape)
     inside = np.zeros(shape, bool)
@@ -200,7 +227,7 @@ def within_polygon(shape: tuple[int, ...], polygon: Sequence[tuple[float, float]
 
 
 def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
-    """Return the bits of the mask for each class (class) of the first layer and of the last layer."""
+    """Return the bits of the mask for each class of the first layer, and for each class of the last layer."""
     rule, samples = table.first.rule, [table.first.samples, *(layer.samples for layer in table.later[-1:])]
     flags = [np.where(each > 0, 0, UNTRAINED).astype(np.uint8) for each in samples]
     flags[0][rule.case(rule.split(np.arange(len(table.first.weights))).kind) > 0] |= CLIPPED
@@ -208,7 +235,7 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return CLIPPED (row, col) where uniform clipped areas replace the outputs, and 0 elsewhere."""
+    """Return a mask (row, col) that is CLIPPED where the outputs of uniform clipped areas are replaced, and 0 elsewhere."""
     none = np.zeros(frame.values.shape, np.uint8)
     if not table.later or not table.later[-1].clipping:
         return none
@@ -221,16 +248,16 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(block_sides(mosaic.cfa)):
-        # Index of the block before each pixel in the padded map. The block after the pixel has the next index.
+        # Each pixel is between the centres of two blocks. These are the blocks `low` and `low + 1` of the padded map.
         low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)
     return replaced
 
 
 def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return views (…, distance, along) of the EDGE outermost rows and columns of planes (…, row, col).
+    """Return views (…, distance, along) of the outermost rows and columns of planes (…, row, col).
 
-    The sides are top, bottom, left and right. On each side, the outermost row or column comes first.
+    The sides are top, bottom, left and right. The outermost row or column of a side has distance 0.
     """
     turned = planes.swapaxes(-1, -2)
     return [each[..., :EDGE_PIXELS, :] for each in (planes, planes[..., ::-1, :], turned, turned[..., ::-1, :])]
@@ -239,10 +266,10 @@ def _sides(planes: NDArray[Any]) -> list[NDArray[Any]]:
 def _raw_sigma(
     table: TransformTable, terms: tuple[Array, Array, float], unit: float, outputs: Array, scale: Array
 ) -> Array:  # fmt: skip
-    """Return the standard deviation (…) of raw values that are as bright as outputs (output, …), multiplied by `scale` (…).
+    """Return the standard deviation of raw values that are as bright as the outputs, as a fraction of full scale.
 
-    It is a fraction of full scale, computed from the noise terms averaged over the channels. The outputs are the results of
-    transforms multiplied by `scale`.
+    The noise terms are averaged over the channels. `outputs` (output, …) are the results of the transforms, multiplied by
+    `scale` (…). The returned standard deviation (…) is multiplied by `scale`, too.
     """
     span = table.white_level - table.black_level
     constant, linear, quadratic = (np.mean(term) / span**2 for term in terms)
@@ -259,7 +286,10 @@ def _brightness(table: TransformTable, outputs: Array) -> Array:
 
 
 def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, float]:
-    """Return the noise terms (channel) of a frame at the table's levels."""
+    """Return the constant, linear and quadratic noise terms of a frame, converted to the levels of the table.
+
+    The constant and the linear term have one value per channel.
+    """
     assert table.camera is not None
     every = np.arange(len(table.channels))
     camera: CameraModel = replace(table.camera, noise_left=frame.noise_share)
@@ -272,14 +302,18 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Return the gains for the scene with the given `outputs` (output, row, col). `scale` is a factor on the transforms."""
+    """Determine the gains by a bootstrap. `outputs` are the outputs of the frame, which contain the factor `scale`."""
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
-    # Pieces begin at whole periods and blocks. The outermost pieces include the borders of the frame.
+    # Each piece begins with a CFA period and with a block. The outermost pieces include the borders of the frame.
     units = [math.lcm(side, BLOCK) for side in block_sides(table.cfa)]
     if min(frame.values.shape) < (least := max(MIN_SIDE, *units)):
-        raise RecipeError(f"the frame is smaller than {least}×{least} pixels, too small to estimate its uncertainty")
+        tall, wide = frame.values.shape
+        raise RecipeError(
+            f"the frame has {tall}×{wide} pixels, but the uncertainty needs at least {least}×{least} pixels; use a "
+            "larger frame"
+        )
     rows, cols = (_sampled(length, unit) for length, unit in zip(frame.values.shape, units, strict=True))
     shown = _cut(outputs, rows, cols) / (_cut(scale, rows, cols) if scale.ndim else scale)
     levelled = at_table_levels(frame, table)
@@ -302,7 +336,7 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
         first[draw], last[draw] = labels[0], labels[-1]
     spread = _raw_sigma(table, terms, unit, made, np.ones((), np.float32))
     deviations = made - made.mean(axis=1, keepdims=True)
-    # Expected sample standard deviation of this small number of draws, relative to the true standard deviation.
+    # Expected value of the sample standard deviation of `draws` values, relative to the true standard deviation.
     chi = math.exp(math.lgamma(draws / 2) - math.lgamma((draws - 1) / 2)) * math.sqrt(2 / draws)
     measured = np.sqrt(np.square(deviations).mean(axis=1)) / chi
     inner = np.flatnonzero(_counts(rows)), np.flatnonzero(_counts(cols))
@@ -318,9 +352,9 @@ def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Arr
 
 
 def _edge_factors(measured: Array, expected: Array, inner: tuple[Labels, Labels]) -> Array:
-    """Return the ratio (side, distance, output) of `measured` to `expected` standard deviation at the sides of a frame.
+    """Return the factors E (side, distance, output): the ratio of the measured to the expected standard deviation.
 
-    Corners and seams between pieces are left out.
+    Corners and the seams between pieces are left out.
     """
     rows, cols = inner
     pairs = zip((cols, cols, rows, rows), _sides(measured), _sides(expected), strict=True)
@@ -333,16 +367,16 @@ def _along(planes: Array, along: Labels) -> Array:
 
 
 def _cut(planes: NDArray[Any], rows: Labels, cols: Labels) -> NDArray[Any]:
-    """Return some rows and columns of planes (…, row, col)."""
+    """Select rows and columns of planes (…, row, col)."""
     return planes.take(rows, -2).take(cols, -1)
 
 
 def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labels], outputs: Array) -> tuple[Array, float]:
-    """Return a matrix (channel, output) from outputs to signals in DN, and the ratio of mean DN to mean brightness.
+    """Fit a matrix (channel, output) that converts outputs to signals in DN. Also return the mean DN per unit brightness.
 
-    The matrix is fitted by robust least squares to blocks of the `sampled` rows and columns of a frame at the table's
-    levels. Errors are relative to the brightness of a block. Means over blocks are used because fine patterns may not be
-    resolved.
+    The fit uses robust least squares over the means of blocks, because outputs do not resolve fine patterns. The errors are
+    relative to the brightness of a block. `sampled` contains the indices of the rows and columns to use. The frame has the
+    levels of the table.
     """
     sides = block_sides(table.cfa)
     rows, cols = (length // side for length, side in zip(outputs.shape[1:], sides, strict=True))
@@ -367,9 +401,9 @@ def _back(table: TransformTable, levelled: RawFrame, sampled: tuple[Labels, Labe
 
 
 def _sampled(length: int, unit: int) -> NDArray[np.int64]:
-    """Return indices along a side of a frame: all indices, or those of a few evenly spaced pieces.
+    """Return the indices of the rows or columns to simulate: all indices, or the indices of a few evenly spaced pieces.
 
-    Pieces begin at multiples of `unit`. The first piece begins and the last piece ends with the frame.
+    Pieces begin at multiples of `unit`. The first piece contains the first index, and the last piece the last index.
     """
     piece = max(PIECE_PIXELS // unit, 1) * unit
     if length <= piece * PIECES_PER_SIDE:
@@ -380,18 +414,32 @@ def _sampled(length: int, unit: int) -> NDArray[np.int64]:
 
 
 def _counts(indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask of the `_sampled` indices that lie away from the seams between pieces and from the ends."""
+    """Return a mask of the indices from `_sampled` that are far enough from the seams between pieces and from the ends."""
     seams = np.concatenate([[-0.5], np.flatnonzero(np.diff(indices) != 1) + 0.5, [indices.size - 0.5]])
     return np.asarray(np.abs(np.arange(indices.size)[:, None] - seams).min(axis=1) > SEAM_PIXELS)
 
 
 def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, measured: Array) -> tuple[Array, Array]:
-    """Fit gains (class of the last layer, output) and factors (class of the first layer, output).
+    """Fit the gains G and the factors K by iterative proportional fitting.
 
-    Iterative proportional fitting makes the mean prediction over the draws equal to the `measured` standard deviation
-    (output, row, col) in several groups: in each level, in each class within its site, in each class of the last layer, and
-    in each kind of the first layer. The prediction for a pixel is computed from its classes (draw, pixel) and its `spread`
-    (draw, pixel).
+    In each of several groups of pixels, the mean of the predicted standard deviations is made equal to the mean of the
+    measured standard deviations. The groups are the levels, the classes of the last layer joined over the sites, the classes
+    of the last layer, and the kinds of the first layer.
+
+    Parameters
+    ----------
+    table : TransformTable
+    first, last : ndarray, (draw, pixel)
+        Classes in the first and in the last layer.
+    spread : ndarray, (draw, pixel)
+        Standard deviation of the raw values.
+    measured : ndarray, (output, row, col)
+        Standard deviation over the renderings.
+
+    Returns
+    -------
+    by_class : ndarray, (class of the last layer, output)
+    by_kind : ndarray, (class of the first layer, output)
     """
     from scipy.sparse import coo_array
 
@@ -401,7 +449,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     size, cell = int(kind.max()) + 1 if table.later else 1, last.astype(np.intp)
     if table.later:
         cell = cell * size + kind[first]
-    used = np.flatnonzero(np.bincount(cell.ravel()))  # combinations of class and kind that occur
+    used = np.flatnonzero(np.bincount(cell.ravel()))  # combinations of class and kind that occur in the renderings
     number = np.zeros(used[-1] + 1, np.intp)
     number[used] = np.arange(used.size)
     cell = number[cell]
@@ -413,7 +461,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     prior = PRIOR * len(last) * measured.mean(axis=(1, 2))
     wanted = _summed(cell.ravel(), np.tile(measured.reshape(len(measured), -1), len(cell)).T, used.size)
     seen = [_summed(part, wanted, len(factor)) for part, factor in zip(parts, factors, strict=True)]
-    # Two parts of the mean over draws: the draw itself, and one other draw that represents all others.
+    # The mean over the draws consists of the draw itself, and of one other draw that represents all other draws.
     alone, others = _summed(cell.ravel(), spread.reshape(-1, 1) / len(cell), used.size), 1 - 1 / len(cell)
     by_others = coo_array((np.roll(spread * others, 1, 0).ravel(), (cell.ravel(), np.roll(cell, 1, 0).ravel()))).tocsr()
     for _ in range(ROUNDS):
@@ -426,12 +474,12 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
 
 
 def _summed(part: Labels, values: NDArray[Any], size: int) -> Array:
-    """Return the sum (part, output) of values (cell, output) over the cells of each part."""
+    """Sum values (cell, output) over the cells of each part, and return the sums (part, output)."""
     return np.stack([np.bincount(part, of, size) for of in values.T], axis=-1)
 
 
 def _areas(deviations: Array) -> Array:
-    """Return the relative variance (tile, output) of the means over tiles, given deviations (output, draw, row, col)."""
+    """Return `NoiseGains.area` from the deviations (output, draw, row, col) of the renderings from their mean."""
     areas, means = [], deviations
     for side in TILES:
         if side > 1:

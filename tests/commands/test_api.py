@@ -242,8 +242,8 @@ def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> N
     [
         ({"exposure": 0}, r"exposure 0 is not within 1e-09…1e\+09 times Y"),
         ({"exposure": float("nan")}, "exposure nan is not within"),
-        ({"exposure": "auto"}, 'exposure "auto" is not within .*; omit it for automatic exposure'),
-        ({"bits": 12}, "12 bits is not a depth of pictures; ask for 8, 16 or 32"),
+        ({"exposure": "auto"}, 'exposure "auto" is not within .*; omit the exposure'),
+        ({"bits": 12}, "pictures cannot have 12 bits; use 8, 16 or 32"),
     ],
 )
 def test_an_option_that_no_picture_has_is_described(options: dict[str, Any], described: str) -> None:

@@ -288,10 +288,8 @@ def test_frames_that_the_table_was_not_made_for_are_warned_of(pipeline: Path, tm
     assert re.fullmatch(rf"warning: {re.escape(str(raw))}: \d+% of the pixels are clipped .* --white-level\n", err)
     assert l3(*render, tmp_path / "quiet.png", "--white-level", "1200", "--quiet")[2] == ""
     err = l3(*render, tmp_path / "a.png", "--white", "0.4476,0.4074")[2]
-    assert err.startswith("warning: --white 0.4476,0.4074 is far from the mean light of the training, x,y = 0.3127,0.3290")
-    assert err.endswith(
-        ": assuming a black body or daylight; for a fluorescent or LED lamp give its name, or the ROW,COL of a grey\n"
-    )
+    assert err.startswith("warning: --white 0.4476,0.4074 is far from the mean illuminant")
+    assert err.endswith("name the illuminant or set the ROW,COL of a grey\n")
     assert l3(*render, tmp_path / "modelled.png", "--white", "A")[2] == ""  # the table's camera says what it sees of it
     assert l3(*render, tmp_path / "d.png", "--white", "D60")[2] == ""
     unseen = l3("evaluate", pipeline / "table.h5", pipeline / "training.h5", "--backend", "reference")[2]
@@ -328,7 +326,7 @@ def test_levels_without_training_are_counted(pipeline: Path, capsys: pytest.Capt
     for frame in (*frames_of(part, 0.7, 3), *frames_of(part, 0.01, 2)):
         warnings.measure(frame)
     (line,) = warnings.lines()
-    assert line.startswith("3 of 5 frames, most in frame 0: 100% of the pixels are brighter than anything")
+    assert line.startswith("frame 0 (the worst of 3 affected frames, 5 in total): 100% of the pixels are brighter than")
     assert line.endswith("simulate longer exposures, and train again")
 
 

@@ -180,7 +180,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
     ("clip", "options", "words"),
     [
         ({}, {"exposure": -1.0}, r"exposure -1 is not within 1e-09…1e\+09 times Y"),
-        ({}, {"bits": 10}, "10 bits is not a depth of pictures; ask for 8, 16 or 32"),
+        ({}, {"bits": 10}, "pictures cannot have 10 bits; use 8, 16 or 32"),
         ({}, {"white": "D5"}, "did you mean"),
         ({}, {"temporal": True}, "temporal needs the camera's noise"),
         ({}, {"size": (30, 28)}, "frames have 20×28 pixels .* not 30×28 as expected; .* give size 20x28"),

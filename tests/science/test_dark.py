@@ -207,7 +207,7 @@ def test_exposure_time_or_dark_frame_or_training_states_what_is_subtracted(leaky
     assert by_time == by_frame
     assumed, words = picture(leaky, l3)
     assert words.startswith(
-        f"{leaky / 'frame.npy'}: exposure time unknown; subtracting the dark current of the training's 0.1 s"
+        f"{leaky / 'frame.npy'}: the exposure time is unknown, so l3 subtracts the dark current for 0.1 s"
     )
     assert "(10 DN)" in words
     assert assumed != by_time
@@ -243,7 +243,7 @@ def test_frames_of_simulate_state_their_exposure_time(pipeline: Path, l3: L3, tm
         raw = next(path for path in (tmp_path / name).iterdir() if path.suffix == f".{name}")
         code, _, err = l3("render", pipeline / "table.h5", raw, "-o", tmp_path / f"{name}.png", *shown)
         assert code == 0
-        assert "exposure time unknown" not in err
+        assert "exposure time is unknown" not in err
         rendered.append(read_image(tmp_path / f"{name}.png")[0].tobytes())
     assert rendered[0] == rendered[1]
 

@@ -51,31 +51,31 @@ def test_nothing_is_reported_of_what_cameras_give(table: TransformTable) -> None
 @pytest.mark.parametrize("share", [1.2, 0.3])
 def test_bytes_that_are_exchanged_and_values_that_are_shifted_up(table: TransformTable, share: float) -> None:
     values = picture(share)
-    assert "the bytes of its values are exchanged" in words(values.byteswap(), table)
+    assert "the two bytes of each value are exchanged" in words(values.byteswap(), table)
     for shift in (2, 4):
         text = words(values << shift, table)
-        assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all its values are multiples of {2**shift}") in text
+        assert ("" if (values.max() << shift) < 1.5 * WHITE else f"all values are multiples of {2**shift}") in text
     assert "exchanged" not in words(values << 4, table)
     assert words(np.minimum(picture(), 3000), table, white=1500.0) == ""  # what is beyond a white level given too low clips
-    assert "another depth" in words(picture(1.2, 240, 16383), table)
+    assert "different bit depth" in words(picture(1.2, 240, 16383), table)
 
 
 def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
     values = picture()
     values[0, :3] = 5000
-    assert "some of its values are above 4095 DN, the most that the table's 12 bits hold" in words(values, table)
+    assert "some values are above 4095 DN, the largest value with the table's 12 bits" in words(values, table)
     assert words(values, table, white=4096.0) == ""  # the level is of its file, and so is its depth
     values[0, 0] = 65535
-    assert "its values reach 65535 DN, its white level is 4095" in words(values, table)
+    assert "the values reach 65535 DN, but the white level is 4095" in words(values, table)
 
 
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
-    assert "clips there, as 8 bits do, and its white level is 4095" in words(picture(1.5, 4, 255), table)
-    assert "clips there, as 10 bits do" in words(picture(1.5, 60, 1023), table)
-    assert "the black level has been subtracted already, or the values have another bit depth" in words(
+    assert "at which 8-bit values clip, but the white level is 4095" in words(picture(1.5, 4, 255), table)
+    assert "at which 10-bit values clip" in words(picture(1.5, 60, 1023), table)
+    assert "the black level has already been subtracted or the bit depth is different" in words(
         picture(0.5, 4, 255), table
     )
-    assert "the black level has been subtracted already" in words(picture(1.0, 0.0), table)
+    assert "the black level has already been subtracted" in words(picture(1.0, 0.0), table)
 
 
 def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:

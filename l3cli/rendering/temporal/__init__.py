@@ -1,1 +1,1 @@
-"""The temporal filter, which blends a mosaic with the previous frames before it is rendered (docs/method.md#temporal)."""
+"""The temporal filter, which blends each mosaic with the previous frames before rendering (docs/method.md#temporal)."""

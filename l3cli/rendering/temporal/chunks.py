@@ -1,8 +1,9 @@
-"""The temporal filters of a sequence. They start at fixed frames, so that the result does not depend on how it is rendered.
+"""Divides a sequence into chunks, each of which has its own temporal filter.
 
-A sequence is divided into chunks of CHUNK frames, counted from the first frame. The filter of a chunk starts LEAD frames
-before the chunk, so that little noise is left when the chunk begins. A frame therefore depends on at most LEAD + CHUNK − 1
-other frames. A resumed run reads these frames again and gives the same result.
+A chunk has `CHUNK` frames, counted from the first frame of the sequence. The filter of a chunk starts `LEAD` frames before
+the chunk, so that it has already reduced the noise when the chunk begins. These frames are called its lead-in. A filtered
+frame therefore depends on at most `LEAD` + `CHUNK` − 1 other frames. If a command is resumed, or if several machines share
+the frames, the necessary frames are read again and the results are the same.
 """
 
 import importlib
@@ -14,43 +15,58 @@ from l3cli.frames.frame import RawFrame
 from l3cli.rendering.temporal.noise import require_noise
 from l3cli.system.locks import ThreadLock
 
-CHUNK, LEAD = 240, 16  # frames
+CHUNK = 240  # number of frames in a chunk
+LEAD = 16  # number of frames in the lead-in of a chunk
 
 
 class Filter(Protocol):
-    """A recursive filter of one backend."""
+    """A recursive temporal filter of one backend."""
 
     def filtered(self, frame: RawFrame) -> RawFrame:
         """Return the next frame, blended with the previous frames."""
 
 
 class Chunks:
-    """The filters of a sequence: one per chunk, or two during the lead-in of the next chunk."""
+    """Applies the filters of a sequence. During the lead-in of the next chunk, two filters run in parallel.
+
+    Parameters
+    ----------
+    make : callable
+        Function that creates a filter.
+    """
 
     def __init__(self, make: Callable[[], Filter]) -> None:
         self._make = make
         self._filters: dict[int, Filter] = {}  # chunk → filter
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Filter the frame with index `place` in the sequence.
+        """Return the filtered frame. `place` is the index of the frame in the sequence.
 
-        Indices must increase. Frames that are not `needed` may be left out.
+        The indices of successive calls must increase. Frames for which `needed` yields false may be left out.
         """
         chunks = chunks_of(place)
         self._filters = {chunk: self._filters.get(chunk) or self._make() for chunk in chunks}
-        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # the filter of the next chunk is in its lead-in
+        made = [self._filters[chunk].filtered(frame) for chunk in chunks]  # made[1] is the lead-in of the next chunk
         return made[0]
 
 
 def chunks_of(place: int) -> range:
-    """Return the chunks whose filters read the frame with index `place`: its own and, during its lead-in, the next."""
+    """Return the numbers of the chunks whose filters read the frame with index `place`.
+
+    These are the chunk of the frame and, if the frame belongs to the lead-in of the next chunk, the next chunk.
+    """
     return range(place // CHUNK, (place + LEAD) // CHUNK + 1)
 
 
 def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
-    """Yield whether the filter must read each frame, because this frame or a later frame that depends on it is wanted.
+    """Yield, for each frame, whether the filter must read the frame.
 
-    `wanted` are the index of each frame and whether it is wanted. They are read up to LEAD + CHUNK frames ahead.
+    The filter must read a frame if the frame is wanted, or if a later frame that depends on it is wanted.
+
+    Parameters
+    ----------
+    wanted : iterable of (int, bool)
+        Index of each frame, and whether the frame is wanted. Up to `LEAD` + `CHUNK` pairs are read in advance.
     """
     prefetched: list[tuple[int, bool]] = []
     frames = iter(wanted)
@@ -65,34 +81,36 @@ def needed(wanted: Iterable[tuple[int, bool]]) -> Iterator[bool]:
 
 
 class AnyOrder:
-    """The filters of a sequence whose frames are requested in any order, as by video editors.
+    """Applies the filters of a sequence whose frames are requested in any order, for example by a video editor.
 
-    Each frame is the same as in a sequential run. If a frame does not follow the previous request, filtering begins at the
-    start of its chunk's lead-in. Several threads may share an instance, but only one works at a time.
+    The filtered frames are the same as in sequential order. If a requested frame does not follow the previous frame,
+    filtering starts again with the lead-in of its chunk. Several threads may share an instance, but only one thread at a
+    time can filter.
 
     Parameters
     ----------
     make : callable
         Function that creates a filter.
     read : callable
-        Function that takes the index of a frame, from 0, and returns the raw frame. Its exceptions are passed on.
+        Function that takes the index of a frame, counted from 0, and returns the raw frame. Its exceptions are passed on.
     most : int
-        Number of recent frames that are kept, because threads request frames in any order.
+        Number of filtered frames to keep, because several threads may request neighbouring frames out of order.
     """
 
     def __init__(self, make: Callable[[], Filter], read: Callable[[int], RawFrame], most: int) -> None:
         self._make, self._read, self._most = make, read, most
         self._alone = ThreadLock()
-        self._made: dict[int, RawFrame] = {}  # index → frame
-        self._next, self._complete = 0, 0  # index of the next frame; first index for which the result is complete
+        self._made: dict[int, RawFrame] = {}  # index → filtered frame
+        self._next = 0  # index of the next frame to filter
+        self._complete = 0  # index of the first frame whose result is valid; earlier frames belong to a lead-in
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the frame with index `place`, blended with the previous frames."""
+        """Return the filtered frame. `place` is the index of the frame in the sequence."""
         with self._alone:
             if place in self._made:
                 return self._made[place]
-            first = max(0, place // CHUNK * CHUNK - LEAD)  # earliest frame on which the result depends
+            first = max(0, place // CHUNK * CHUNK - LEAD)  # first frame on which the result depends
             if not first <= self._next <= place:
                 self._begin(first)
             for at in range(self._next, place + 1):
@@ -109,9 +127,9 @@ class AnyOrder:
             return self._made[place]
 
     def _begin(self, place: int) -> None:
-        """Restart the filter at an index where the lead-in of a chunk begins."""
+        """Restart the filter at the index `place`, which must be the first frame of a lead-in."""
         self._chunks, self._next = Chunks(self._make), place
-        self._complete = place + LEAD if place else 0  # frames of the lead-in belong to an earlier chunk
+        self._complete = place + LEAD if place else 0  # the frames of the lead-in belong to the previous chunk
         self._made = {}
 
 
@@ -122,12 +140,25 @@ FILTERS = {
 
 
 def filters(backend: str, table: TransformTable, **options: str | None) -> Callable[[], Filter]:
-    """Return a function that creates filters of a backend. The `options` are the same as for `make_renderer`.
+    """Return a function that creates temporal filters.
+
+    Parameters
+    ----------
+    backend : str
+        "opencl" or "reference".
+    table : TransformTable
+    **options
+        Options of the backend, as in `make_renderer`.
+
+    Returns
+    -------
+    callable
+        Function without parameters that returns a new `Filter`.
 
     Raises
     ------
     RecipeError
-        If the table does not contain the noise of its camera.
+        If the table does not contain the noise model of its camera.
     DeviceError
         If no device is found.
     """

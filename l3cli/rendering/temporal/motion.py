@@ -1,9 +1,10 @@
-"""Estimates motion vectors: the position of each block of a frame in the previous frame (docs/method.md#temporal).
+"""Estimates motion vectors: the displacement of each block between two frames (docs/method.md#temporal).
 
-All computations are in integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of
-these planes is halved repeatedly, until a sample is about as large as a block. The search goes from the coarsest to the
-finest plane, in whole periods, so that sites keep their channel. Most blocks do not move, or the vector of the coarser plane
-fits. If the difference is not larger than noise, a block is not searched further.
+All computations use integers. Both frames are averaged over CFA periods, which removes the mosaic. The resolution of the
+resulting planes is halved repeatedly until a sample is about as large as a block. The search starts in the coarsest plane
+and ends in the finest plane. All displacements are whole CFA periods, so that every pixel is compared with a pixel of the
+same channel. A block is not searched if it does not move, or if the vector from the coarser plane leaves only differences
+that noise explains.
 """
 
 import itertools
@@ -17,17 +18,26 @@ from l3cli.rendering.temporal.noise import DEEP, Grid, NoiseTerms
 Plane = NDArray[np.int32]
 Vectors = NDArray[np.int32]  # (block row, block col, 2) displacement in rows and columns
 
-MAX_COARSE_DISPLACEMENT = 2  # samples of the coarsest plane; largest displacement in each direction
-CLIPPED = (1 << 12) - 1  # u; differences are clamped to this value, so that column sums fit into 16 bits in kernels
-SETTLED = 5  # eighths of the noise of a difference; blocks with a smaller mean difference are not searched
-RELUCTANCE = 2  # standard deviations of noise by which a vector must fit better than the starting vector
-NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # offsets to the blocks whose coarser vectors are also tried
+MAX_COARSE_DISPLACEMENT = 2  # largest displacement in the coarsest plane, in samples of this plane
+CLIPPED = (1 << 12) - 1  # limit of differences in units u, so that column sums fit into 16 bits in kernels
+SETTLED = 5  # a block is not searched if its mean difference is at most 5/8 of the standard deviation of noise
+RELUCTANCE = 2  # a vector must fit better than the starting vector by this number of standard deviations of noise
+NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # positions of the neighbouring blocks whose vectors are also tried
 
 
 def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
-    """Return the means of a mosaic over CFA periods, the means of 2 × 2 of these, and so on.
+    """Average a mosaic over CFA periods, then repeatedly over 2 × 2 samples.
 
-    The mosaic must consist of whole blocks.
+    Parameters
+    ----------
+    values : ndarray, (row, col)
+        Mosaic, extended to whole blocks.
+    grid : Grid
+
+    Returns
+    -------
+    list of ndarray
+        Planes from the finest to the coarsest.
     """
     down, across = grid.period
     sums = values.reshape(grid.shape[0] // down, down, grid.shape[1] // across, across).sum(axis=(1, 3), dtype=np.int64)
@@ -40,9 +50,20 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
 
 
 def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTerms) -> Vectors:
-    """Return the vector of every block, in pixels.
+    """Return the motion vector of each block, in pixels.
 
-    The content of a pixel in this frame was at pixel + vector in the previous frame.
+    The object at a pixel of this frame was at pixel + vector in the previous frame.
+
+    Parameters
+    ----------
+    now, before : list of ndarray
+        Planes of this frame and of the previous frame, from `planes_of`.
+    grid : Grid
+    noise : NoiseTerms
+
+    Returns
+    -------
+    ndarray, (block row, block col, 2)
     """
     found = np.zeros((*grid.blocks, 2), np.int32)
     for level in reversed(range(grid.planes)):
@@ -59,7 +80,7 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
 
 
 class _Search:
-    """Computes the differences between the windows of all blocks at one plane level."""
+    """Compares the windows of all blocks between two frames, in the planes of one level."""
 
     def __init__(self, now: Plane, before: Plane, grid: Grid, noise: NoiseTerms, level: int) -> None:
         self._before, self._grid, self._level = before, grid, level
@@ -69,19 +90,20 @@ class _Search:
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
         spread = noise.spread[mean >> (DEEP - 8)]
-        # The sum of n absolute differences has a standard deviation of 0.6 √n, or about 5/8 √n, times that of a difference.
+        # Let σ be the standard deviation of a difference. The sum of n absolute differences has a standard deviation of 0.6 √n
+        # σ, which is approximated by 5/8 √n σ.
         self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
-        # Its mean is 0.8 n standard deviations for two unfiltered frames, and 0.58 n if one of them is filtered.
+        # The mean of this sum is 0.8 n σ for two unfiltered frames, and 0.58 n σ if the previous frame is filtered.
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)
 
     def _first(self, axis: int) -> NDArray[np.intp]:
-        """Return the first row or column of the window of every block."""
+        """Return the first row (axis 0) or column (axis 1) of the window of every block."""
         grid, unit = self._grid, self._grid.period[axis] << self._level
         margin = (grid.window(self._level)[axis] - grid.block[axis] // unit) // 2
         return np.arange(grid.blocks[axis]) * grid.block[axis] // unit - margin
 
     def _windows(self, plane: Plane, vector: Vectors) -> Plane:
-        """Return the windows (block row, block col, row, col) of a plane, displaced by vectors and extended at its edges."""
+        """Return the displaced windows (block row, block col, row, col) of a plane. The plane is extended at its edges."""
         rows = np.clip(self._rows[:, None, :] + vector[..., 0, None], 0, plane.shape[0] - 1)
         cols = np.clip(self._cols[None, :, :] + vector[..., 1, None], 0, plane.shape[1] - 1)
         return plane[rows[..., :, None], cols[..., None, :]]
@@ -91,11 +113,11 @@ class _Search:
         return np.minimum(differences, CLIPPED).sum(axis=(2, 3), dtype=np.int64)
 
     def settled(self, vector: Vectors) -> NDArray[np.bool_]:
-        """Return whether the difference of each block is no larger than noise."""
+        """Return, for each block, whether the difference with this vector can be explained by noise."""
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best vector for each block. All candidates except the first must be better by the reluctance."""
+        """Return the best vector of each block. The first candidate wins unless another fits clearly better."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:
@@ -106,7 +128,7 @@ class _Search:
         return best
 
     def _within(self, vector: Vectors) -> Vectors:
-        """Limit vectors so that the displaced blocks stay within the frame."""
+        """Limit vectors so that all displaced blocks stay inside the frame."""
         grid, limited = self._grid, vector.copy()
         for axis in (0, 1):
             unit = grid.period[axis] << self._level
@@ -123,7 +145,10 @@ def root_of(window: tuple[int, int]) -> int:
 
 
 def _neighbours(vectors: Vectors) -> Iterator[Vectors]:
-    """Yield the vectors of the neighbours of each block. At the edge, these are the vectors of the block itself."""
+    """Yield arrays with the vectors of the upper, lower, left and right neighbour of each block.
+
+    A block at the edge of the frame has its own vector in place of a missing neighbour's.
+    """
     padded = np.pad(vectors, ((1, 1), (1, 1), (0, 0)), mode="edge")
     for down, across in NEIGHBOURS:
         yield padded[1 + down : padded.shape[0] - 1 + down, 1 + across : padded.shape[1] - 1 + across]

@@ -1,7 +1,7 @@
-"""The cells and blocks into which the filter divides a frame, and the camera's noise as integers of the filter.
+"""The cells and blocks into which the temporal filter divides a frame, and the noise of the camera in integers.
 
-Values are in units u = DN / 2^spare, where `spare` is the number of unused bits among 16. The recursion therefore preserves
-fractions of a DN, and every camera uses the full range of 16 bits.
+Values of the filter are in units u of 1/2^spare DN, where `spare` is the number of bits that are unused in 16-bit values.
+The recursive filter therefore preserves fractions of a DN, and the values of every camera use all 16 bits.
 """
 
 from dataclasses import dataclass
@@ -13,29 +13,34 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame
 
-MIN_CELL, MIN_BLOCK = 4, 16  # pixels; shortest side of a cell and of a block
-LANES = 8  # number of pixels that kernels process in parallel; the columns of a block are a multiple of it
+MIN_CELL, MIN_BLOCK = 4, 16  # shortest side of a cell and of a block, in pixels
+LANES = 8  # number of pixels that kernels process in parallel; the width of a block is a multiple of this number
 DEEP = 16  # bits per value
-LINEAR_FRACTION, UNEVEN_FRACTION = 8, 24  # number of fractional bits of the linear and of the quadratic term
-NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of a camera's noise for which there are class edges
-MAX_UNEVEN, MAX_FIXED = 1 << 20, 1 << 28  # limits of the fixed-pattern terms: a quarter of the signal and of the range
-ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from every EVERY-th period of rows
+LINEAR_FRACTION = 8  # number of fractional bits of the linear noise term
+UNEVEN_FRACTION = 24  # number of fractional bits of the quadratic noise term
+NOISE_FRACTIONS = (1.0, 0.5, 0.25)  # fractions of the camera's noise variance to which class edges can be adapted
+MAX_UNEVEN = 1 << 20  # limit of the quadratic term, at which the fixed pattern is a quarter of the signal
+MAX_FIXED = 1 << 28  # limit of the constant fixed-pattern term, at which it is a quarter of the range
+ROW_PERIODS_PER_READ = 8  # the mean level of a frame is computed from one of this number of CFA periods along the rows
 TABULATED_LEVELS = 256  # number of levels for which the noise of a difference is tabulated
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The division of a frame into cells and blocks. Sizes are (rows, columns) in pixels."""
+    """The division of a frame into cells and blocks. All sizes are (rows, columns) in pixels.
 
-    period: tuple[int, int]
-    cell: tuple[int, int]  # size of a cell, in whole CFA periods; each cell has its own blending weight
-    block: tuple[int, int]  # size of a block, in whole cells; each block has its own motion vector
-    blocks: tuple[int, int]  # number of blocks
-    planes: int  # number of planes of means, each with half the resolution of the previous one
+    Each cell has its own blending weight, and each block has its own motion vector.
+    """
+
+    period: tuple[int, int]  # size of the CFA period
+    cell: tuple[int, int]  # size of a cell, a multiple of the CFA period
+    block: tuple[int, int]  # size of a block, a multiple of the size of a cell
+    blocks: tuple[int, int]  # numbers of rows and columns of blocks
+    planes: int  # number of planes in the search for motion vectors, each with half the resolution of the previous plane
 
     @staticmethod
     def of(shape: tuple[int, ...], period: tuple[int, ...]) -> "Grid":
-        """Return the grid for frames of the given shape and a CFA with the given period."""
+        """Return the grid for frames of `shape` and a CFA with `period`, each given as rows and columns."""
         down, across = (_sides(side, lanes) for side, lanes in zip(period, (1, LANES), strict=True))
         blocks = (-(-shape[0] // down[2]), -(-shape[1] // across[2]))
         planes = 1
@@ -45,12 +50,12 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the frame, extended to whole blocks."""
+        """Numbers of rows and columns of the frame after it is extended to whole blocks."""
         return self.blocks[0] * self.block[0], self.blocks[1] * self.block[1]
 
     @property
     def cells(self) -> tuple[int, int]:
-        """Number of cells (rows, columns)."""
+        """Numbers of rows and columns of cells."""
         return self.shape[0] // self.cell[0], self.shape[1] // self.cell[1]
 
     @property
@@ -59,16 +64,16 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return the rows and columns of the window for the search of a block in a plane.
+        """Return the rows and columns of the window with which the vector of a block is searched in a plane.
 
-        It is the block itself or, if the block is small, the block with two additional samples on each side.
+        The window is the block. If the block is small, the window is two samples larger on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)
         return rows, cols
 
     def padded(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) extended to whole blocks by repeating whole periods."""
+        """Extend values (row, col) to whole blocks by repeating the last CFA period."""
         if values.shape == self.shape:
             return np.ascontiguousarray(values)
         (rows, cols), made = values.shape, np.empty(self.shape, np.uint16)
@@ -79,14 +84,14 @@ class Grid:
 
 
 def _sides(period: int, lanes: int) -> tuple[int, int, int]:
-    """Return the sides of a period, a cell and a block. The side of the block is a multiple of `lanes`."""
+    """Return the sides of a period, a cell and a block along one axis. The side of a block is a multiple of `lanes`."""
     cell = period * -(-MIN_CELL // period)
     block = next(side for side in range(cell, 8 * MIN_BLOCK, cell) if side >= MIN_BLOCK and side % lanes == 0)
     return period, cell, block
 
 
 def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
-    """Return the source index of each of `wanted` samples. Beyond the end, the last period is repeated."""
+    """Return the source indices of `wanted` samples, of which only the first `there` exist. The last period is repeated."""
     index = np.arange(wanted)
     beyond = index - there
     last = index - (beyond // period + 1) * period if there >= period else np.full(wanted, there - 1)
@@ -95,26 +100,39 @@ def _repeated(there: int, wanted: int, period: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class NoiseTerms:
-    """Noise of a pixel with signal S above black, in units u.
+    """Noise of a pixel with the signal S above black, in units u.
 
     The temporal variance is (linear · S >> LINEAR_FRACTION) + constant. The variance of the fixed pattern is fixed +
-    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern matters only if different pixels are compared because of motion.
+    (uneven · S² >> UNEVEN_FRACTION). The fixed pattern has an effect only if a block moves, so that different pixels are
+    compared.
     """
 
-    protect: int  # number of bits by which a DN is shifted to the left to give u
-    black: int  # u
-    white: int  # u
+    protect: int  # number of bits by which DN are shifted to the left to convert them to u
+    black: int  # black level in u
+    white: int  # white level in u
     linear: int
     constant: int
     fixed: int
     uneven: int
-    spread: NDArray[np.int32]  # (LEVELS) u; standard deviation of the difference between two frames' means over a period
+    spread: NDArray[
+        np.int32
+    ]  # (level) standard deviation of the difference between two frames, of means over a period, in u
 
 
 def noise_of(camera: CameraModel, black_level: float, white_level: float, sites: int) -> NoiseTerms:
-    """Return the noise of a camera's frames with the given levels, including dark current.
+    """Return the noise of the frames of a camera.
 
-    `sites` is the number of pixels in a CFA period.
+    Parameters
+    ----------
+    camera : CameraModel
+    black_level, white_level : float
+        Levels of the frames, in DN.
+    sites : int
+        Number of pixels in a CFA period.
+
+    Returns
+    -------
+    NoiseTerms
     """
     protect = DEEP - int(white_level).bit_length()
     unit = 2.0**protect * (white_level - black_level) / (camera.white_level - camera.black_level)
@@ -136,10 +154,10 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
 
 
 def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
-    """Return the fraction of a camera's noise variance that remains after a filter, at the mean level of a frame.
+    """Return the fraction of the camera's noise variance that remains after the filter, at the mean level of a frame.
 
-    `left` is the remaining fraction of the temporal variance. The fixed pattern is not reduced. The result is rounded up to
-    one of SHARES.
+    The filter reduces only the temporal noise, whose remaining fraction is `left`. It does not reduce the fixed pattern. The
+    result is rounded up to one of `NOISE_FRACTIONS`.
     """
     stretch = (camera.white_level - camera.black_level) / (frame.white_level - frame.black_level)
     signal = max(_mean(frame.values, camera.cfa.shape[0]) - frame.black_level, 0.0) * stretch
@@ -151,44 +169,44 @@ def share_left(camera: CameraModel, frame: RawFrame, left: float) -> float:
 
 
 def _mean(values: NDArray[np.uint16], period: int) -> float:
-    """Return the approximate mean of values (row, col), computed from every EVERY-th period of rows."""
+    """Return the approximate mean of values (row, col), from one of `ROW_PERIODS_PER_READ` periods along the rows."""
     whole = values[: len(values) // (period * ROW_PERIODS_PER_READ) * period * ROW_PERIODS_PER_READ]
     sampled = whole.reshape(-1, period * ROW_PERIODS_PER_READ, values.shape[1])[:, :period] if whole.size else values
     return float(sampled.mean())
 
 
 def to_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert DN to u. Values that do not fit into 16 bits become the largest value. All of them exceed the white level."""
+    """Convert DN to u. Values that would not fit into 16 bits, which all exceed the white level, are limited."""
     most = np.uint16((1 << DEEP - noise.protect) - 1)
     return np.minimum(values, most) << np.uint16(noise.protect)
 
 
 def of_units(values: NDArray[np.uint16], noise: NoiseTerms) -> NDArray[np.uint16]:
-    """Convert u to DN, rounded."""
+    """Convert u to DN, rounded to the nearest DN."""
     most = (1 << DEEP - noise.protect) - 1
     return np.minimum((values.astype(np.uint32) + (1 << noise.protect >> 1)) >> noise.protect, most).astype(np.uint16)
 
 
 def kind_of(frame: RawFrame) -> tuple[object, ...]:
-    """Return the properties that frames must share to be blended."""
+    """Return the properties that must be equal in two frames so that the frames can be blended."""
     return frame.values.shape, frame.phase, frame.black_level, frame.white_level
 
 
 def settings_of(frame: RawFrame) -> tuple[float, float | None]:
-    """Return the analog gain and the exposure time of a frame, in s (None if unknown)."""
+    """Return the analog gain of a frame, and its exposure time in s or None."""
     return frame.gain, frame.exposure
 
 
 def times_brighter(now: tuple[float, float | None], before: tuple[float, float | None]) -> float:
-    """Return the ratio between the signals with the settings `now` and with the settings `before`, under the same light."""
+    """Return the factor by which the signals of the same scene differ between two results of `settings_of`."""
     times = now[1] / before[1] if now[1] and before[1] else 1.0
     return times * now[0] / before[0]
 
 
 def require_noise(camera: CameraModel | None) -> CameraModel:
-    """Return the camera whose noise the filter uses. Raises RecipeError if the table does not contain it."""
+    """Return `camera`, or raise a RecipeError if it is None because the table does not contain its camera."""
     if camera is None:
         raise RecipeError(
-            "‹temporal› needs the camera's noise, but the table does not hold its camera; train the table again"
+            "‹temporal› needs the camera's noise model, which this table does not contain; train the table again"
         )
     return camera

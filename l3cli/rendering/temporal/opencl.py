@@ -1,4 +1,4 @@
-"""The temporal filter on an OpenCL device. Each kernel in opencl/common/temporal*.cl is a step of reference.py."""
+"""The temporal filter on an OpenCL device. Each kernel in opencl/common/temporal*.cl computes one step of reference.py."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,20 +26,28 @@ from l3cli.rendering.temporal.noise import (
     times_brighter,
 )
 
-STRIPS = {"processor": 32, "graphics": 1}  # number of blocks, cells or periods per work-item
-MARGIN_PIXELS, PADDING_COLUMNS = (
-    4,
-    8,
-)  # width of the margin around a plane; number of additional columns after it
-TILE_ROWS = 4  # number of rows of a window that are read at once
+STRIPS = {"processor": 32, "graphics": 1}  # variant → number of blocks, cells or periods that a work-item processes
+MARGIN_PIXELS = 4  # width of the margin around a plane
+PADDING_COLUMNS = 8  # number of additional columns after the margin
+TILE_ROWS = 4  # number of rows of a window that are read together
 STAGES = ("upload", "download")
 KERNELS = ("planes", "search", "evidence", "weigh", "blend")
 
 
 class Device:
-    """A device, a queue, and the kernels for a CFA with a `period` of rows and columns.
+    """An OpenCL device with a queue and the kernels of the temporal filter.
 
-    Raises DeviceError if there is no device, or if it fails.
+    Parameters
+    ----------
+    period : tuple of int
+        Rows and columns of the CFA period.
+    device, variant : str, optional
+        The same as for `OpenCLRenderer`.
+
+    Raises
+    ------
+    DeviceError
+        If there is no such device, or if the device fails.
     """
 
     def __init__(self, period: tuple[int, ...], device: str | None = None, variant: str | None = None) -> None:
@@ -57,12 +65,12 @@ class Device:
             self._typed: set[str] = set()
 
     def run(self, name: str, rows: int, columns: int, *arguments: Any) -> None:
-        """Enqueue a kernel over rows and columns, with STRIP columns per work-item.
+        """Enqueue a kernel over rows and columns. A work-item processes `strip` columns.
 
         Integer arguments are passed as 32-bit integers.
         """
         kernel, grid = self.kernels[name], (-(-columns // self.strip), rows)
-        if name not in self._typed:  # argument types are declared once, as in work.Track
+        if name not in self._typed:  # the types are declared once, as in work.Track.run
             kernel.set_scalar_arg_dtypes([np.int32 if isinstance(each, int) else None for each in arguments])
             self._typed.add(name)
         kernel(self.queue, grid, (1, 1) if self.strip > 1 else None, *arguments)
@@ -116,15 +124,15 @@ def _macros(period: tuple[int, ...]) -> layout.Macros:
 
 
 class _Buffers:
-    """Buffers of a filter on the device for frames of one kind."""
+    """Device buffers of a filter, for frames with the same size, phase and levels."""
 
     def __init__(self, device: Device, grid: Grid, noise: NoiseTerms) -> None:
         pixels, blocks = (int(np.prod(sides)) for sides in (grid.shape, grid.blocks))
         flags = pyopencl().mem_flags
-        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # states after the previous frame and this frame
+        self.history = [device.buffer(2 * pixels) for _ in range(2)]  # state after the previous frame, and after this frame
         self.now, self.before = (device.buffer(2 * _units(grid)) for _ in range(2))
         self.vectors = [device.buffer(8 * blocks) for _ in range(2)]
-        # Remaining noise of the cells, with a margin around them.
+        # Remaining noise of the cells, with a margin.
         self.host_left = np.empty((grid.cells[0] + 2, grid.cells[1] + 2 * PADDING_COLUMNS), np.uint16)
         self.left = [device.cleared(self.host_left.nbytes) for _ in range(2)]
         self.weights = device.cleared(self.host_left.nbytes)
@@ -133,12 +141,22 @@ class _Buffers:
         self.cuts = device.buffer(4 * self.strips)
         read_only = flags.READ_ONLY | flags.COPY_HOST_PTR
         self.spread = pyopencl().Buffer(device.context, read_only, hostbuf=noise.spread)
-        # If the device shares the host's memory, the arrays of a frame are used as buffers and nothing is copied.
+        # A device that shares the memory of the host uses the arrays of a frame as buffers, so that nothing is copied.
         self.borders = None if device.in_place else (device.buffer(2 * pixels), device.buffer(2 * pixels))
 
 
 class OpenCLFilter:
-    """Filter of frames on a device."""
+    """Temporal filter on an OpenCL device.
+
+    Parameters
+    ----------
+    device : Device
+        Device with the kernels. Several filters may use it.
+    period : tuple of int
+        Rows and columns of the CFA period.
+    camera : CameraModel
+        Camera whose noise the filter uses.
+    """
 
     def __init__(self, device: Device, period: tuple[int, ...], camera: CameraModel) -> None:
         self._device, self._period, self._camera = device, period, camera
@@ -146,7 +164,7 @@ class OpenCLFilter:
         self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame. It is blended with the previous frames if they have the same size and levels."""
+        """Return the next frame, blended with the previous frames if all have the same size, phase and levels."""
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
             if first:
@@ -178,7 +196,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the state (row, col) of the filter after the frames so far, in u."""
+        """Return the state (row, col) of the filter after the latest frame, in u."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values
@@ -188,7 +206,7 @@ class OpenCLFilter:
         return noise_of(self._camera.at_gain(frame.gain), frame.black_level, frame.white_level, sites)
 
     def _rescale(self, frame: RawFrame) -> None:
-        """Rescale the state to the gain and exposure time of this frame. They rarely change, so this is done on the host."""
+        """Convert the state to the gain and exposure time of a frame. This rarely happens, so it is computed on the host."""
         device, buffers, grid, noises = self._device, self._buffers, self._grid, (self._noise, self._noise_of(frame))
         left = buffers.host_left[1:-1, PADDING_COLUMNS:-PADDING_COLUMNS]
         before = reference.Blend(self.history(), left.astype(np.int64))
@@ -200,20 +218,20 @@ class OpenCLFilter:
         self._planes(buffers.history[0], buffers.before, buffers.now, 0)
 
     def _planes(self, values: Any, made: Any, before: Any, free_bits: int) -> None:
-        """Compute all planes of `values`, and the coarser planes of `before`, of which the finest plane is given."""
+        """Compute all planes of `values` into `made`, and the coarser planes of `before` from its finest plane."""
         grid = self._grid
         parts = -(-grid.shape[0] // (grid.period[0] << grid.planes - 1))
         self._device.run("planes", 2 * parts, grid.blocks[1], values, made, before, free_bits, *grid.blocks)
 
     def _borders(self, work: Work, values: NDArray[np.uint16], made: NDArray[np.uint16]) -> tuple[Any, Any]:
-        """Return the buffers of the input frame and of the filtered frame."""
+        """Return the device buffer with the values of the frame, and the buffer for the filtered values."""
         device, buffers = self._device, self._buffers
         if buffers.borders is None:
             return work.in_place(device.queue, values), work.in_place(device.queue, made, written=True)
         return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
-        """Return the buffer of the motion vectors, in periods."""
+        """Compute the motion vectors, and return their buffer. Vectors are in CFA periods."""
         device, buffers, grid = self._device, self._buffers, self._grid
         self._planes(raw, buffers.now, buffers.before, self._noise.protect)
         for level in reversed(range(grid.planes)):
@@ -238,7 +256,7 @@ class OpenCLFilter:
 
 
 def _units(grid: Grid) -> int:
-    """Return the total size of all planes, including rows beyond the last plane that a window may read."""
+    """Return the number of elements of all planes, including the margins that windows may read."""
     rows, cols = (side // period for side, period in zip(grid.shape, grid.period, strict=True))
     planes = ((rows >> level, cols >> level) for level in range(grid.planes))
     return sum(
@@ -249,12 +267,14 @@ def _units(grid: Grid) -> int:
 def opencl_filters(
     period: tuple[int, ...], camera: CameraModel, device: str | None = None, variant: str | None = None
 ) -> Callable[[], OpenCLFilter]:
-    """Return a function that creates filters on a device. The device is chosen as in OpenCLRenderer.
+    """Return a function that creates temporal filters on a device.
 
-    The filters share kernels and must run in one thread.
+    The filters share their kernels, so all filters must be used in one thread. The parameters are the same as for `Device`
+    and `OpenCLFilter`.
     """
     shared = Device(period, device, variant)
-    # PoCL compiles a kernel in its first run. All kernels are run now, before a renderer in another thread compiles its own.
+    # PoCL compiles a kernel when it first runs. Two tiny frames run all kernels now, before a renderer in another thread
+    # starts to compile its own kernels.
     first, tiny = OpenCLFilter(shared, period, camera), Grid.of((1, 1), period).shape
     for _ in range(2):
         first.filtered(RawFrame("none", np.zeros(tiny, np.uint16), camera.black_level, camera.white_level))

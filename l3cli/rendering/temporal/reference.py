@@ -1,4 +1,4 @@
-"""The temporal filter in numpy. The kernels in opencl/common/temporal*.cl give exactly the same results."""
+"""The temporal filter in numpy. The kernels in opencl/common/temporal*.cl compute exactly the same results."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,39 +24,55 @@ from l3cli.rendering.temporal.noise import (
     to_units,
 )
 
-ONE = 1 << 10  # fixed-point 1 of weights and of fractions of noise
-POWER_FACTOR, POWER_FREE = 4, 5  # residual power of 3 × 3 cells above 5/4 of the noise counts as motion, with a factor of 4
-MEAN_FREE, WIDE_FREE = 2, 6  # sums over a cell and over 3 × 3 cells count as motion above these multiples of the noise
-CUT = 8  # a cell shows another scene if its residual power exceeds the noise by this factor
-CLIPPED = (1 << 14) - 1  # u; residuals are clamped to this value, so that sums of squares fit into 32 bits in kernels
-MOST_POWER, MOST_VARIANCE = (1 << 32) - 1, (1 << 29) - 1  # u²; limits for a cell, so that kernels need only 32 bits
-MOST_BEYOND = 1 << 42  # u²; limit of motion evidence, so that all sums are exact in float64 (below 2^53)
-FEW = 2  # the filter restarts if more than 1/FEW of the cells show another scene
+# Values are in units u, which the module `noise` defines. A residual is the difference between a frame and the filter state.
+ONE = 1 << 10  # the number 1 in fixed point, for weights and for fractions of noise
+# Residual power over 3 × 3 cells counts as motion, with a factor of 4, as far as it exceeds 5/4 of the expected noise.
+POWER_FACTOR, POWER_FREE = 4, 5
+MEAN_FREE = 2  # the squared sum over a cell counts as motion as far as it exceeds this multiple of the expected noise
+WIDE_FREE = 6  # the squared sum over 3 × 3 cells counts as motion as far as it exceeds this multiple of the expected noise
+CUT = 8  # a cell shows a different scene if its residual power exceeds the expected noise by this factor
+CLIPPED = (1 << 14) - 1  # limit of residuals in u, so that sums of squares fit into 32 bits in kernels
+MOST_POWER = (1 << 32) - 1  # limit of the residual power of a cell in u², so that kernels need only 32 bits
+MOST_VARIANCE = (1 << 29) - 1  # limit of the noise variance of a cell in u², so that kernels need only 32 bits
+MOST_BEYOND = 1 << 42  # limit of the motion evidence in u², so that all sums are exact in float64 (below 2^53)
+FEW = 2  # the filter restarts if more than 1/FEW of the cells show a different scene
 
 
 Cells = NDArray[np.int64]
 
-LEAST_WEIGHT = ONE // 12  # lowest weight of the new frame
+LEAST_WEIGHT = ONE // 12  # smallest weight of the new frame
 
 
 @dataclass(frozen=True)
 class Blend:
-    """The state of the filter between two frames."""
+    """The state of the filter after a frame."""
 
-    values: NDArray[np.uint16]  # (row, col) u; extended to whole blocks
-    left: Cells  # (cell row, cell col) remaining fraction of a frame's noise variance, in units of 1/ONE
+    values: NDArray[np.uint16]  # (row, col) filtered values in u, extended to whole blocks
+    left: Cells  # (cell row, cell col) remaining noise variance as a fraction of that of one frame, in units of 1/ONE
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state after the first frame of a scene. `values` (row, col) are in u and consist of whole blocks."""
+    """Return the state after the first frame of a scene. `values` (row, col) contains whole blocks, in u."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 
 def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, NoiseTerms]) -> Blend:
-    """Convert the state to another gain or exposure time (docs/method.md#temporal).
+    """Convert the state of the filter to a new gain or exposure time (docs/method.md#temporal).
 
-    Signals are multiplied by `times`. `noises` are the noise before and after the change. The remaining noise is expressed
-    as a fraction of the new noise, which is at most 1.
+    Parameters
+    ----------
+    before : Blend
+        State with the old gain and exposure time.
+    times : float
+        Factor by which signals become larger.
+    grid : Grid
+    noises : tuple of NoiseTerms
+        Noise before and after the change.
+
+    Returns
+    -------
+    Blend
+        State in which the remaining noise is a fraction of the new noise, limited to 1.
     """
     was, now = noises
     scale = np.rint(now.black + (np.arange(1 << DEEP) - was.black) * times)
@@ -71,9 +87,23 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
 
 
 def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: Grid, noise: NoiseTerms) -> Blend:
-    """Blend a frame with the previous state, displaced by `vectors`.
+    """Blend a frame with the previous state of the filter, in which blocks are displaced by the motion vectors.
 
-    The `values` (row, col) of the frame are in u and consist of whole blocks.
+    Parameters
+    ----------
+    values : ndarray, (row, col)
+        Values of the frame in u, extended to whole blocks.
+    before : Blend
+        State after the previous frame.
+    vectors : ndarray, (block row, block col, 2)
+        Motion vectors in pixels.
+    grid : Grid
+    noise : NoiseTerms
+
+    Returns
+    -------
+    Blend
+        State after the frame.
     """
     rows, cols = np.indices(grid.shape, sparse=True)
     of_pixel = vectors.repeat(grid.block[0], 0).repeat(grid.block[1], 1)
@@ -94,7 +124,7 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
 
 
 def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
-    """Return the remaining noise of each cell in the previous frame, at the displaced position of its centre."""
+    """Return, for each cell, the remaining noise of the previous state at the displaced centre of the cell."""
     rows, cols = (
         (np.arange(count) * side + side // 2 + _by_cell(vectors[..., axis], grid).swapaxes(0, axis).swapaxes(0, 1)) // side
         for axis, (count, side) in enumerate(zip(grid.cells, grid.cell, strict=True))
@@ -103,7 +133,7 @@ def _moved_left(left: Cells, vectors: Vectors, grid: Grid) -> Cells:
 
 
 def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
-    """Repeat values of blocks (block row, block col) for all their cells (cell row, cell col)."""
+    """Convert one value per block to one value per cell."""
     down, across = (block // cell for block, cell in zip(grid.block, grid.cell, strict=True))
     return of_block.repeat(down, 0).repeat(across, 1)
 
@@ -111,9 +141,10 @@ def _by_cell(of_block: NDArray, grid: Grid) -> NDArray:
 def _evidence(
     values: NDArray[np.uint16], residual: Cells, left: Cells, vectors: Vectors, grid: Grid, noise: NoiseTerms
 ) -> tuple[Cells, Cells, Cells, Cells]:
-    """Return the evidence for motion in 3 × 3 cells around each cell, and its expected value due to noise.
+    """Return three measures of motion in the 3 × 3 cells around each cell, and their expected value due to noise.
 
-    The evidence is the power of the residuals, the power of the sums over cells, and the square of the sum over all cells.
+    The measures are the sum of the squared residuals, the sum of the squared sums over cells, and the square of the sum over
+    all nine cells.
     """
     signal = np.maximum(_sums(values.astype(np.int64), grid) - grid.sites * noise.black, 0)
     variance = np.minimum((signal * noise.linear >> LINEAR_FRACTION) + grid.sites * noise.constant, MOST_VARIANCE)
@@ -128,30 +159,38 @@ def _evidence(
 
 
 def _sums(values: Cells, grid: Grid) -> Cells:
-    """Return the sums of values (row, col) over cells."""
+    """Sum values (row, col) over each cell."""
     (down, across), (tall, wide) = grid.cells, grid.cell
     return values.reshape(down, tall, across, wide).sum(axis=(1, 3))
 
 
 def _nearby(cells: Cells) -> Cells:
-    """Return the sums over 3 × 3 cells. Cells beyond the border count as zero."""
+    """Sum values over the 3 × 3 cells around each cell. Cells outside the frame count as zero."""
     padded = np.pad(cells, 1)
     tall = padded[:-2] + padded[1:-1] + padded[2:]
     return tall[:, :-2] + tall[:, 1:-1] + tall[:, 2:]
 
 
 class ReferenceFilter:
-    """Temporal filter for frames with a CFA that has a `period` of rows and columns."""
+    """Temporal filter in numpy.
+
+    Parameters
+    ----------
+    period : tuple of int
+        Rows and columns of the CFA period.
+    camera : CameraModel
+        Camera whose noise the filter uses.
+    """
 
     def __init__(self, period: tuple[int, ...], camera: CameraModel) -> None:
         self._period, self._camera = period, camera
         self._kind: tuple[object, ...] | None = None
         self._before: tuple[tuple[float, float | None], NoiseTerms] | None = None  # settings and noise of the previous frame
         self.history: Blend | None = None
-        self.vectors: Vectors | None = None  # motion vectors of the latest frame; None for the first frame
+        self.vectors: Vectors | None = None  # motion vectors of the latest frame, or None for the first frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame. It is blended with the previous frames if they have the same size and levels."""
+        """Return the next frame, blended with the previous frames if all have the same size, phase and levels."""
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(
@@ -177,5 +216,5 @@ class ReferenceFilter:
 
 
 def reference_filters(period: tuple[int, ...], camera: CameraModel) -> Callable[[], ReferenceFilter]:
-    """Return a function that creates reference filters."""
+    """Return a function that creates a `ReferenceFilter`."""
     return lambda: ReferenceFilter(period, camera)

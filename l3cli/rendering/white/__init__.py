@@ -1,1 +1,1 @@
-"""The white of a scene: its sources, and the white balance of frames."""
+"""The white of a scene: where it comes from, and the white balance that follows from it."""

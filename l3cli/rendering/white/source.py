@@ -1,7 +1,8 @@
 """Sources of the white of a scene (docs/method.md#scene-white).
 
-The white can be read from the file, measured on a grey or a ColorChecker in the frame, or estimated from the whole frame.
-The estimate uses grey edges and the white patch, and is kept near daylight and black bodies.
+The white can be read from the file, measured on a grey object or a ColorChecker in the frame, or estimated from the whole
+frame. The estimate is the mean of the grey-edge and the white-patch method, limited to illuminants near daylight and black
+bodies.
 """
 
 import re
@@ -25,20 +26,27 @@ from l3cli.rendering.white.scene_white import GREY_LEVEL, Grey, SceneWhite, Squa
 from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
-EDGE_NORM = 6  # order of the Minkowski norm over the edges, in which strong edges dominate
-PATCH_PERCENTILE = 99  # percentile of each cone response that is assumed to belong to a white patch
-MIN_SAMPLES = 24  # smallest number of samples, neither clipped nor black, for an estimate
-MIREDS = np.arange(80.0, 521.0, 20.0)  # 10^6 / K; 12 500 K to 1920 K
-GREENS = np.linspace(-0.2, 0.4, 7)  # tints, as in correlated_lights.GREENS
-SEARCH_POINTS = (111, 31)  # number of points along MIREDS and GREENS in the search for a white
-LIKELY_ERROR, LIKELY_GREEN = 0.1, 0.1  # standard deviations of log cone responses, and of the tint of illuminants
+EDGE_NORM = 6  # order of the Minkowski norm over the edges; a high order emphasises strong edges
+PATCH_PERCENTILE = 99  # percentile of each cone response that is attributed to a white patch
+MIN_SAMPLES = 24  # smallest number of samples for an estimate, without clipped and dark samples
+MIREDS = np.arange(80.0, 521.0, 20.0)  # reciprocal colour temperatures in 10^6/K, from 12 500 K to 1920 K
+GREENS = np.linspace(-0.2, 0.4, 7)  # green or magenta tints, in the units of correlated_lights.GREENS
+SEARCH_POINTS = (111, 31)  # numbers of points along MIREDS and GREENS in the search for a white
+LIKELY_ERROR = 0.1  # standard deviation of the estimated logarithms of cone ratios
+LIKELY_GREEN = 0.1  # standard deviation of the tint of illuminants
 
 
 class AutoWhite:
-    """Estimates the white of frames from about 1500 pixels of one CFA site, which are rendered on the CPU.
+    """Estimates the white of a frame from about 1500 pixels, which are rendered on the CPU.
 
-    The result depends only on the frame and not on the device. `balanced_by`, or `whites` if it is None, computes the white
-    balance.
+    The result depends only on the frame and not on the device.
+
+    Parameters
+    ----------
+    whites : Whites
+        Renders the pixels with its table.
+    balanced_by : Whites, optional
+        Computes the white balance. [default: `whites`]
     """
 
     about, held = "estimated on the frame", False
@@ -51,7 +59,7 @@ class AutoWhite:
         self._made: dict[tuple[int, int], SceneWhite] = {}
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, or None if all samples are clipped or dark."""
+        """Return the white of a frame, or None if too few pixels are neither clipped nor dark."""
         estimate = estimated(*self._samples(frame))
         if estimate is None:
             return None
@@ -62,14 +70,14 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the indices of the most likely illuminant, given an estimate."""
+        """Return the indices of the illuminant that most probably has the estimated white."""
         green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Return the signals (channel) of a grey under the illuminant with the given indices."""
+        """Return the signals of a grey under the illuminant with the indices `row` and `col`, one per channel."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], SEARCH_POINTS, strict=True)
@@ -77,9 +85,9 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask (row, col) of usable pixels.
+        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask of the pixels that can be used.
 
-        Usable pixels are neither clipped nor dark.
+        Pixels can be used if they are neither clipped nor dark.
         """
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
@@ -91,7 +99,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Return the log ratios of rendered whites on a fine grid of illuminants."""
+        """Return the logarithms of the cone ratios of rendered whites, on a fine grid of illuminants."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -101,23 +109,24 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Estimate the cone responses of white from a grid of pixels.
+    """Estimate the white of a scene from a grid of pixels.
 
-    The result is the mean of two estimates. The grey-edge method assumes that large steps between neighbours are grey (van
-    de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each cone belongs to
-    white (Land, 1977).
+    The result is the mean of two estimates. The grey-edge method assumes that large differences between neighbouring pixels
+    are grey (van de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each
+    cone belongs to white (Land, 1977).
 
     Parameters
     ----------
     cones : ndarray, (row, col, 3)
         Cone responses.
     usable : ndarray of bool, (row, col)
-        Mask of usable pixels.
+        Mask of the pixels to use.
 
     Returns
     -------
-    ndarray, (2), or None
-        Logarithms of the first and third cone responses relative to the second, or None if there are too few samples.
+    ndarray, (2,), or None
+        Logarithms of the ratios of the first and of the third cone response of white to the second, or None if there are
+        too few pixels.
     """
     if int(usable.sum()) < MIN_SAMPLES:
         return None
@@ -134,7 +143,8 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 def _neutrals(table: TransformTable) -> Array:
     """Return the signals (mired, green, channel) of a grey under illuminants near daylight and black bodies.
 
-    If the table does not contain its camera, the result is XYZ, because the table is assumed to render them correctly.
+    If the table does not contain its camera, the result is the XYZ of the illuminants, as if the table rendered all whites
+    correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -145,7 +155,7 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return the logarithms (…, 2) of the first and third cone responses relative to the second, given `cones` (…, 3)."""
+    """Return the logarithms (…, 2) of the ratios of the first and of the third cone response to the second."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
@@ -161,17 +171,18 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 
 
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square relative to a patch, so that the border of the patch is left out
-WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # nm
-MIN_R_SQUARED = 0.95  # smallest R² of a chart; 48 pictures without a chart reach at most 0.83, two with a chart 0.998
+CORE = 0.25  # half the side of the measured square, relative to the side of a patch; the border of the patch is left out
+WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # in nm
+# Smallest R² of a chart. 48 pictures without a chart have at most 0.83, and two pictures with a chart have 0.998.
+MIN_R_SQUARED = 0.95
 
 
 @dataclass(frozen=True)
 class ChartSceneWhite(SceneWhite):
-    """The white of a scene as measured on a chart."""
+    """The white of a scene, measured on a chart."""
 
-    place: str  # position of the chart in the upright picture
-    stated: SceneWhite | None  # white that the file states
+    place: str  # position of the chart in the upright picture, in words
+    stated: SceneWhite | None  # white that the file states, if any
 
     def __str__(self) -> str:
         return f"{super().__str__()}; {self.place}"
@@ -187,14 +198,14 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """Return the white of a frame. Raises InputFileError if there is no chart or none of its greys can be measured."""
+        """Return the white of a frame. Raises an InputFileError if there is no chart with measurable grey patches."""
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
         if located is None or located.fit < MIN_R_SQUARED:
             raise InputFileError(
-                f"{frame.name}: no ColorChecker of {rows}×{cols} patches found; give ‹white› as the ROW,COL of a grey, or "
-                "photograph the chart sharp, larger and evenly lit"
+                f"{frame.name}: no ColorChecker with {rows}×{cols} patches found; set ‹white› to the ROW,COL of a grey, "
+                "or take a photo in which the chart is larger, sharp and evenly lit"
             )
         greys = list(_greys(frame, located))
         usable = [grey for grey in greys if self._whites.grey.usable(frame, grey)]
@@ -204,7 +215,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """Yield the square in the middle of each neutral patch."""
+    """Yield a square in the middle of each neutral patch."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -212,11 +223,11 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
         half = int(np.hypot(*(around[1:] - around[0]).T).min())
         left, top = (int(place) - half for place in np.rint(around[0]))
         where = slice(max(top, 0), max(top, 0) + 2 * half), slice(max(left, 0), max(left, 0) + 2 * half)
-        yield Grey(f"{frame.name}: patch {patch + 1} of its ColorChecker", where)
+        yield Grey(f"{frame.name}: patch {patch + 1} of the ColorChecker", where)
 
 
 def _place(frame: RawFrame, located: Located) -> str:
-    """Return the rows and columns of a chart in the upright picture, in words."""
+    """Describe the rows and columns of a chart in the upright picture, in words."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))
     if frame.orientation & 4:
@@ -225,22 +236,22 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Mirror columns (axis 0) or rows of the sensor in the same way as the picture."""
+    """Convert columns (axis 0) or rows (axis 1) of the sensor to the mirrored picture, if the picture is mirrored."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
 TABLE, CAMERA, AUTO, CHART = "table", "camera", "auto", "chart"
-DEFAULT_SIZE = 32  # pixels; side of a square
+DEFAULT_SIZE = 32  # side of the measured square, in pixels
 PLACE, SIZE = Quantity(0, 1_000_000, "pixels", whole=True), Quantity(2, 1000, "pixels", whole=True)
-MULTIPLIER = Quantity(0.05, 20)  # range of the multiplier of a channel relative to the others
+MULTIPLIER = Quantity(0.05, 20)  # range of the multiplier of a channel
 
 
 class WhiteSource(Protocol):
-    """Something that provides the white of each frame."""
+    """A source of the white of each frame."""
 
     @property
     def about(self) -> str:
-        """Origin of the white, for messages."""
+        """Where the white comes from, in words for messages."""
         ...
 
     @property
@@ -249,14 +260,18 @@ class WhiteSource(Protocol):
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, or None if it is unknown. Raises InputFileError if it cannot be measured."""
+        """Return the white of a frame, or None if the white is unknown.
+
+        Raises an InputFileError if the white cannot be measured.
+        """
         ...
 
 
 class CameraWhite:
-    """Reads the white that the camera recorded in the file.
+    """Reads the white balance that the camera recorded in the file.
 
-    If a file states no white, the table's white is used. If `asked` is true, InputFileError is raised instead.
+    `asked` says what to do with a file that states no white balance. If it is true, an InputFileError is raised. Otherwise
+    the white of the table is used.
     """
 
     about, held = "as the file states it", False
@@ -270,8 +285,8 @@ class CameraWhite:
             if not self._asked:
                 return None
             raise InputFileError(
-                f"{frame.name} does not state a white balance; give ‹white› as auto, chart, the ROW,COL of a grey, or the "
-                "name of the light"
+                f"{frame.name} states no white balance; set ‹white› to auto, chart, the ROW,COL of a grey, or the name "
+                "of an illuminant"
             )
         if frame.neutral not in self._made:
             self._made[frame.neutral] = self._whites.of_neutral(np.array(frame.neutral))
@@ -294,27 +309,31 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the source of the white of each frame.
+    """Return the source of the white of each frame, or None if all frames have the same white.
 
     Parameters
     ----------
     text : str or None
-        "camera", "auto", "chart" or "ROW,COL[,SIZE]". For any other text, which is a white itself, the result is None.
+        Value of the option ‹white›. The texts "camera", "auto", "chart" and "ROW,COL[,SIZE]" name a source. Any other text
+        is a fixed white, which `given_white` parses.
     table : TransformTable
-        The table.
     photos : bool
-        Whether None means "camera" for files that state a white. Otherwise None means the table's white.
+        Whether to use the white that the files state if `text` is None.
     estimated_by : TransformTable, optional
-        Table that renders the samples for "auto" (docs/method.md#several-illuminants). [default: `table`]
+        Table that renders the pixels for "auto" (docs/method.md#several-illuminants). [default: `table`]
+
+    Returns
+    -------
+    WhiteSource or None
 
     Raises
     ------
     RecipeError
-        If the white is to be measured in frames, but the pictures of the table are grey and have no white.
+        If `text` names a source, but the table makes grey pictures, which need no white.
     """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
-            raise RecipeError(f"pictures by this table are grey, and ‹white› {text} changes nothing; leave it out")
+            raise RecipeError(f"‹white› {text} has no effect, because the table makes grey pictures; omit ‹white›")
         return None
     if text is None:
         return CameraWhite(table, asked=False) if photos else None
@@ -331,7 +350,7 @@ def white_source(
 def _square(text: str | None) -> Square | None:
     """Parse "ROW,COL[,SIZE]" as a square, or return None if `text` has another form.
 
-    Raises RecipeError if the numbers are out of range.
+    Raises a RecipeError if a number is out of range.
     """
     text = text or ""
     parts = text.split(",")
@@ -342,34 +361,34 @@ def _square(text: str | None) -> Square | None:
         size = int(SIZE.read(parts[2])) if len(parts) == 3 else DEFAULT_SIZE
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" is no position of a grey: {error}; give it as ROW,COL or ROW,COL,SIZE in pixels'
+            f'white "{shortened(text)}" is not a valid position of a grey: {error}; set ROW,COL or ROW,COL,SIZE in pixels'
         ) from None
     return Square(row, col, size)
 
 
 def _is_place(parts: list[str]) -> bool:
-    """Return whether the parts of a white are ROW,COL or ROW,COL,SIZE in whole numbers.
+    """Return whether `parts` are ROW,COL or ROW,COL,SIZE in whole numbers.
 
-    A square of one pixel is not permitted, so 1,1,1 is read as multipliers.
+    A square of one pixel is not allowed, so "1,1,1" is read as three multipliers.
     """
     return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Parse a white that is given without reference to a frame.
+    """Parse a fixed white, which does not depend on the frame.
 
     Parameters
     ----------
     text : str or None
-        The name of an illuminant, "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" and None mean the
-        table's white.
+        The name of an illuminant, the chromaticity "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" and
+        None mean the white of the table.
     table : TransformTable
         The table that renders the frames.
 
     Returns
     -------
     SceneWhite or None
-        The white, or None for the table's white.
+        None for the white of the table.
 
     Raises
     ------
@@ -384,18 +403,18 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
 
 
 def _multipliers(text: str, channels: Sequence[str]) -> Array:
-    """Parse one multiplier per channel. Raises RecipeError if their number is wrong or one of them is out of range."""
+    """Parse one multiplier per channel. Raises a RecipeError if their number is wrong or a value is out of range."""
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
         raise RecipeError(
-            f'white "{shortened(text)}" has {len(parts)} multipliers, but the channels are {names}; give one for each'
+            f'white "{shortened(text)}" has {len(parts)} multipliers, but the channels are {names}; set one for each channel'
         )
     try:
         return np.array([MULTIPLIER.read(part) for part in parts])
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" is not a multiplier for each of {names}: {error}; for a grey in the picture give '
-            "ROW,COL,SIZE in whole numbers"
+            f'white "{shortened(text)}" must be one multiplier per channel ({names}), or ROW,COL,SIZE of a grey area in '
+            f"pixels: {error}"
         ) from None
 
 
