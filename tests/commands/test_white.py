@@ -78,7 +78,7 @@ def test_the_white_that_the_file_states(l3: L3, table: Path, warm: Path, tmp_pat
     code, _, err = l3("render", table, warm, "--white", CAMERA, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     line, *warnings = err.splitlines()
-    assert line.startswith(f"{warm}: white as the file states it: x,y = 0.42")
+    assert line.startswith(f"{warm}: white stated in the file: x,y = 0.42")
     assert 3150 < float(line.split(" K,")[0].split()[-1]) < 3250
     assert not [each for each in warnings if "camera" in each or "array" in each]
     assert cast(tmp_path / "a.png") <= ROUNDING
@@ -95,7 +95,7 @@ def test_a_grey_of_the_picture_or_a_name_shows_it_neutral(
     """Exposure means the same whatever the white: the grey has half of white's luminance, white half of full scale."""
     code, _, err = l3("render", table, warm, "--white", white, "--exposure", 1, "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert ("about row 30, column 40" in err) == ("," in white)
+    assert ("around row 30, column 40" in err) == ("," in white)
     assert cast(tmp_path / "a.png") <= ROUNDING
     assert l3("render", table, warm, "--white", "0.42,0.4", "--exposure", 1, "-o", tmp_path / "b.png", *FAST)[0] == 0
     assert abs(grey(tmp_path / "a.png")[..., 1].mean() - grey(tmp_path / "b.png")[..., 1].mean()) < 4
@@ -131,7 +131,7 @@ def test_stated_multipliers_of_1_are_a_white(l3: L3, table: Path, bayer: CameraM
 def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table: Path, warm: Path, tmp_path: Path) -> None:
     code, _, err = l3("render", table, warm, "--white", "auto", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
-    assert "white estimated on the frame: x,y = 0." in err
+    assert "white estimated from the frame: x,y = 0." in err
     assert cast(tmp_path / "a.png") < 25
 
 
@@ -139,7 +139,7 @@ def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table
     ("code", "white", "why"),
     [
         (2, "30,40,0", "2…1000 pixels"),
-        (2, "30,40,2.5", "whole number"),
+        (2, "30,40,2.5", "whole pixels"),
         (2, "-3,40", "0…1000000 pixels"),
         (2, "30,40,3,5", "has 4 multipliers, but the channels are r, g, b"),
         (2, "2,1,1,1.5", "has 4 multipliers"),
@@ -150,9 +150,9 @@ def test_automatic_white_is_reported_and_takes_most_of_a_cast_away(l3: L3, table
         (2, "30,40,1", "0.05…20"),
         (2, "cameras", "unknown"),
         (2, "AUTO", "unknown"),
-        (3, "58,40", "not inside its 60×160 pixels"),
-        (3, "5000,5000", "not inside"),
-        (3, "30,120,1000", "not inside"),
+        (3, "58,40", "exceeds the picture of 60×160 pixels"),
+        (3, "5000,5000", "exceeds the picture"),
+        (3, "30,120,1000", "exceeds the picture"),
     ],
 )
 def test_whites_that_cannot_be(
@@ -168,7 +168,9 @@ def test_frames_whose_white_cannot_be_taken(
     np.save(tmp_path / "plain.npy", raw)
     dng(tmp_path / "none.dng", bayer, "A", raw, stated=None)
     for name in ("plain.npy", "none.dng"):
-        assert "does not state" in refused(3, "render", table, tmp_path / name, "--white", "camera", "-o", picture, *FAST)
+        assert "states no white balance" in refused(
+            3, "render", table, tmp_path / name, "--white", "camera", "-o", picture, *FAST
+        )
     raw[20:40, 20:60] = int(bayer.white_level)
     np.save(tmp_path / "clipped.npy", raw)
     assert "clipped" in refused(3, "render", table, tmp_path / "clipped.npy", "--white", "30,40,20", "-o", picture, *FAST)
@@ -192,7 +194,7 @@ def test_a_neutral_that_no_light_gives_and_another_camera_are_warned_of(
     code, _, err = l3("render", table, tmp_path / "odd.dng", "--white", "camera", "-o", tmp_path / "a.png", *FAST)
     assert code == 0
     (line,) = [each for each in err.splitlines() if "does not match any daylight, lamp or black body" in each]
-    assert "greys become neutral, other colours are not corrected" in line
+    assert "l3 makes greys neutral but does not correct other colours" in line
     assert "the file states the camera Canon EOS 550D, but the table is for small Bayer" in err
 
 
@@ -262,7 +264,7 @@ def test_python_gives_the_pictures_of_the_command(
     for white in ("camera", "auto", "30,40", "A"):
         assert l3("render", table, warm, "--white", white, "-o", tmp_path / "a.png", "--force", "--quiet", *FAST)[0] == 0
         np.testing.assert_array_equal(renderer.picture(frame, white=white), read_image(tmp_path / "a.png")[0])
-    with pytest.raises(l3cli.errors.InputFileError, match="does not state"):
+    with pytest.raises(l3cli.errors.InputFileError, match="states no white balance"):
         renderer.picture(mosaic(bayer, "A"), white="camera")
 
 
@@ -377,7 +379,7 @@ def test_its_greys_are_neutral_also_where_the_file_states_another_white(
     call = ("render", table, raw, "--bits", 16, "--backend", "reference", "-o", picture, "--force", "--white")
     code, _, err = l3(*call, "chart")
     assert code == 0
-    line = next(each for each in err.splitlines() if ": white of the greys of a ColorChecker: x,y = 0.4" in each)
+    line = next(each for each in err.splitlines() if ": white measured on a ColorChecker: x,y = 0.4" in each)
     assert 2700 < float(line.split(" K,")[0].split()[-1]) < 3000
     rows, cols = ([int(n) for n in each.split()[-1].split("–")] for each in line.split("; rows ")[1].split(", "))
     np.testing.assert_allclose([*rows, *cols], [39, 39 + 4 * PITCH, 31, 31 + 6 * PITCH], atol=6)

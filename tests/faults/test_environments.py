@@ -207,14 +207,14 @@ def test_an_error_of_a_damaged_cache_names_the_folder(tmp_path: Path) -> None:
     for path in programs:
         os.truncate(path, path.stat().st_size // 2)
     answer = compute(XDG_CACHE_HOME=str(tmp_path)).stderr
-    assert f"DeviceError: {tmp_path}/l3cli/pocl holds damaged kernels; remove that folder" in answer
+    assert f"DeviceError: {tmp_path}/l3cli/pocl contains damaged kernels; remove this folder" in answer
 
 
 def test_a_cache_that_others_may_write_to_is_not_used(tmp_path: Path) -> None:
     tmp_path.chmod(0o703)
     answer = computed(POCL_CACHE_DIR=str(tmp_path))
     assert "compiled kernels cannot be cached" in answer
-    assert "other users may write to it" in answer
+    assert "other users can write to this folder" in answer
     assert not [*tmp_path.iterdir()]
 
 

@@ -159,7 +159,7 @@ def test_no_processor_is_taken_for_one_that_can_do_more(
 
 def test_the_processor_that_kernels_are_compiled_for_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(opencl_devices, "compiled_for", lambda device: "haswell")
-    assert "; kernels for haswell, since this PoCL is older than the processor)" in survey()[0]
+    assert "; compiles for haswell, because this PoCL is older than the processor)" in survey()[0]
 
 
 def test_a_compiler_that_does_not_know_the_processor_is_one_line() -> None:

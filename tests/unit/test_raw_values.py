@@ -80,8 +80,8 @@ def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
 
 def test_a_black_level_that_leaves_fog(table: TransformTable) -> None:
     text = words(picture(), table, 0.0)
-    assert "its darkest values lie at 2" in text
-    assert "or give 240" in text
+    assert "the darkest values are about 2" in text
+    assert "or set it to 240" in text
     assert words(picture(), table, 200.0) == ""
     bright = np.maximum(picture(), 900)
     assert words(bright, table, 0.0) == ""

@@ -1,1 +1,1 @@
-"""Rendering with OpenCL kernels."""
+"""The renderer that uses OpenCL kernels."""

@@ -1,4 +1,7 @@
-"""Coarse chroma and clipping on an OpenCL device. l3cli/classes/coarse_chroma.py and clipping.py are the reference."""
+"""Coarse chroma and the replacement of clipped areas on an OpenCL device.
+
+The reference for these kernels is in l3cli/classes/coarse_chroma.py and l3cli/classes/clipping.py.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,30 +18,40 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-READ_AHEAD = 16  # number of elements after the last one that vector loads may read
+READ_AHEAD = 16  # number of elements after the end of the data that vector loads may read
 
 
 class DeviceCoarseChroma:
-    """Kernels and buffers for a table with coarse chroma. They are created for the first frame."""
+    """Kernels and buffers for the coarse chroma filter. The kernels are compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], chroma: CoarseChroma,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments, without building anything.
+        """Store the arguments. Nothing is compiled yet.
 
-        `kernel` builds a kernel from source, macros and name. `run` enqueues a kernel on a track, over rows and columns.
-        `constant` copies an array to the device.
+        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
+        kernel on a track over rows and columns. `constant` is a function that copies an array to the device.
         """
         self._make, self._run, self._constant, self._chroma, self._variant = kernel, run, constant, chroma, variant
-        self._kernels: list[Any] = []  # average, soften
-        self._scales: dict[float, list[Any]] = {}  # scale of each step, by noise fraction
+        self._kernels: list[Any] = []  # the kernels "average" and "soften"
+        self._scales: dict[float, list[Any]] = {}  # noise fraction → scale of each filter step
 
     def blocks(self, track: Track, band: Band, share: float) -> tuple[list[Any], tuple[Any, Any]]:
-        """Enqueue the smoothing of the blocks that the last layer reads for a band.
+        """Enqueue the coarse chroma filter for a band.
 
-        The result is the events, and the buffers with the blocks before and after smoothing. `share` is the fraction of the
-        camera's noise.
+        Parameters
+        ----------
+        track : Track
+        band : Band
+        share : float
+            Noise variance of the frame, as a fraction of the noise variance of the camera.
+
+        Returns
+        -------
+        events : list
+        blocks : tuple
+            Buffers with the block means before and after the filter.
         """
         if not self._kernels:
             source = paired_source(self._variant, "coarse_chroma.cl")
@@ -57,7 +70,7 @@ class DeviceCoarseChroma:
         return events, (before, last)
 
     def _room(self, track: Track, shape: tuple[int, int]) -> list[Any]:
-        """Return the track's buffers for planes of a shape. The margins around the blocks contain UNLIKE_ANY."""
+        """Return the three buffers of a track for the blocks of planes with a shape. Their margins contain `UNLIKE_ANY`."""
         if track.coarse is None or track.coarse[0] != shape:
             cl, context = pyopencl(), track.queue.context
             rows, columns = _blocks(shape)
@@ -70,21 +83,27 @@ class DeviceCoarseChroma:
 
 
 class DeviceClipping:
-    """Kernels and buffers for a table that replaces uniform clipped areas. They are created for the first frame."""
+    """Kernels and buffers for the replacement of uniform clipped areas. The kernels are compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[..., Any], run: Callable[..., Any], constant: Callable[..., Any], table: TransformTable,
         variant: str,
     ) -> None:  # fmt: skip
-        """Store the arguments, which are the same as for DeviceCoarseChroma, without building anything."""
+        """Store the arguments, which are the same as for `DeviceCoarseChroma`. Nothing is compiled yet."""
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
-        self._kernels: list[Any] = []  # measure_blocks, map_blocks, read_maps
-        self._constants: list[Any] = []  # channels of the array, response
+        self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks" and "read_maps"
+        self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
-        """Enqueue the computation of a band's maps, and return the events and the buffer with the maps of the quads.
+        """Enqueue the computation of the replacement for the quads of pixels of a band.
 
-        The frame must be at the table's levels. There is a map for each quad in the planes that the last layer reads.
+        The band includes the margins that the last layer reads. The frame must have the levels of the table.
+
+        Returns
+        -------
+        events : list
+        quads : buffer
+            Values for the replacement, one set per quad.
         """
         table = self._table
         clipping = table.later[-1].clipping

@@ -1,9 +1,9 @@
-"""Finds OpenCL devices, explains why there are none, and chooses the folder in which PoCL caches compiled kernels.
+"""Finds OpenCL devices, explains why a device is missing, and chooses the folder in which PoCL caches compiled kernels.
 
-PoCL trusts all files in its cache, and aborts the process if it cannot write there. The cache folder must therefore be
-writable only by this user, and be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md
+PoCL trusts all files in its cache, and aborts the process if it cannot write to the cache. The folder must therefore be
+writable only by this user, and must be on a disk with enough space. Otherwise a temporary folder is used. docs/limits.md
 describes the effect of a damaged file in the cache. Other drivers have their own caches. The cache of pyopencl is not used,
-because it unpickles its files.
+because pyopencl unpickles the files in its cache.
 """
 
 import atexit
@@ -23,26 +23,26 @@ from typing import Any
 from l3cli.errors import DeviceError, shortened
 from l3cli.rendering.opencl.processor import compiled_for
 
-MIN_FREE_BYTES = 16 << 20  # bytes that must be free, several times what the compilation of a table's kernels needs
-LEFT = 86400  # seconds after which empty files are removed, because each process with PoCL 3.0 leaves one
-INSTALL = 'install one, on any processor with: pip install "pyopencl[pocl]"'
-LINKER = "ld"  # linker that PoCL uses, together with the libraries of a C compiler; without them PoCL aborts the process
-REFUSES_PROCESSOR = "unknown target CPU"  # message of PoCL's compiler
-DAMAGED = "INVALID_KERNEL_NAME"  # PoCL's error for a program that comes from a damaged cache file
+MIN_FREE_BYTES = 16 << 20  # free space that is required, several times the space for the kernels of a table
+LEFT = 86400  # age, in s, at which empty files are removed; every process with PoCL 3.0 leaves an empty file
+INSTALL = 'install a driver with: pip install "pyopencl[pocl]"'
+LINKER = "ld"  # linker that PoCL calls; without it, or without the libraries of a C compiler, PoCL aborts the process
+REFUSES_PROCESSOR = "unknown target CPU"  # part of the message of PoCL's compiler for a processor that is too new
+DAMAGED = "INVALID_KERNEL_NAME"  # error of PoCL for a program from a damaged cache file
 FORKED = (
-    "this process was forked from one that uses OpenCL, which would hang here; start processes by "
-    '"spawn", multiprocessing.get_context("spawn"), and make renderers within them'
+    "this process was forked from a process that uses OpenCL, and OpenCL would hang here; start processes with "
+    'multiprocessing.get_context("spawn"), and create renderers in the new processes'
 )
 
 
 @functools.cache
 def prepare_cache() -> str:
-    """Choose the folder of PoCL's cache, before the first device is requested.
+    """Choose the folder of PoCL's cache. This function must be called before the first OpenCL function.
 
     Returns
     -------
     str
-        The reason why the folder is temporary, or "" if it is permanent.
+        The reason why a temporary folder is used, or "" if the folder is permanent.
 
     Raises
     ------
@@ -53,14 +53,14 @@ def prepare_cache() -> str:
     folder = _user_folder()
     if folder is None:
         os.environ["POCL_CACHE_DIR"] = _temporary_folder()
-        return "there is no home folder"
+        return "the user has no home folder"
     try:
-        # Parents are created one by one with safe permissions, because anybody who can write there can exchange the folder.
+        # All parent folders get safe permissions, because anybody who can write to a parent could replace the folder.
         for each in (*reversed(folder.parents), folder):
             each.mkdir(mode=stat.S_IRWXU, exist_ok=True)
         state = folder.stat()
         if state.st_uid != os.geteuid() or state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise PermissionError(errno.EPERM, "other users may write to it, which chmod go-w ends")
+            raise PermissionError(errno.EPERM, "other users can write to this folder; run chmod go-w on it")
         _require_room(folder)
         _remove_empty(folder)
     except OSError as error:
@@ -71,17 +71,20 @@ def prepare_cache() -> str:
 
 
 def cache_warning() -> str:
-    """Return a warning if compiled kernels could not be cached, otherwise ""."""
+    """Return a warning if PoCL's cache is temporary, otherwise ""."""
     if not prepare_cache.cache_info().currsize or not (reason := prepare_cache()):
         return ""
     return (
-        f"compiled kernels cannot be cached ({reason}), so each run takes seconds to compile them; "
-        "set XDG_CACHE_HOME to a writable folder on a disk with space"
+        f"compiled kernels cannot be cached ({reason}), so every l3 command needs seconds to compile kernels; "
+        "set XDG_CACHE_HOME to a writable folder on a disk with free space"
     )
 
 
 def _user_folder() -> Path | None:
-    """Return POCL_CACHE_DIR if set, otherwise a folder below XDG_CACHE_HOME or the home folder. None if there is neither."""
+    """Return the folder for PoCL's cache, or None if neither an environment variable nor the home folder determines it.
+
+    The folder is POCL_CACHE_DIR if this variable is set. Otherwise it is inside XDG_CACHE_HOME or the home folder.
+    """
     chosen, caches = Path(os.environ.get("POCL_CACHE_DIR", "")), Path(os.environ.get("XDG_CACHE_HOME", ""))
     if chosen.is_absolute():
         return chosen
@@ -92,9 +95,9 @@ def _user_folder() -> Path | None:
 
 
 def _require_room(folder: Path) -> None:
-    """Raise OSError unless compiled kernels can be written to a folder and loaded from it."""
+    """Raise an OSError if compiled kernels cannot be written to a folder or loaded from it."""
     if os.statvfs(folder).f_flag & os.ST_NOEXEC:
-        raise PermissionError(errno.EACCES, "programs cannot be run from it")
+        raise PermissionError(errno.EACCES, "programs in this folder cannot be run (noexec)")
     with tempfile.TemporaryFile(dir=folder) as room:
         os.posix_fallocate(room.fileno(), 0, MIN_FREE_BYTES)
 
@@ -108,7 +111,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def _temporary_folder() -> str:
-    """Create a folder that is removed when this process ends. Raises DeviceError if no disk has enough space."""
+    """Create a folder that is removed at the end of this process. Raises a DeviceError if no disk has enough space."""
     places = [place for place in (os.environ.get("TMPDIR"), "/tmp", "/var/tmp", "/dev/shm") if place]
     for place in places:
         with contextlib.suppress(OSError):
@@ -117,7 +120,8 @@ def _temporary_folder() -> str:
             atexit.register(_remove, folder, os.getpid())
             return folder
     raise DeviceError(
-        f"no disk has {MIN_FREE_BYTES >> 20} MB to compile kernels in ({', '.join(places)}); free some space or set TMPDIR"
+        f"none of the folders {', '.join(places)} has {MIN_FREE_BYTES >> 20} MB of free space to compile kernels; free some "
+        "space, or set TMPDIR to another folder"
     )
 
 
@@ -126,10 +130,10 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that need the linker; the wheels contain 3.0
+LINKS_BY_PROGRAM = re.compile(r"OpenCL \d+\.\d+ PoCL [1-3]\.")  # versions that need the linker; wheels contain 3.0
 
 
-_owner: int | None = None  # process id of the process that first used OpenCL
+_owner: int | None = None  # id of the process that first used OpenCL
 
 
 def pyopencl() -> Any:
@@ -139,7 +143,7 @@ def pyopencl() -> Any:
     ------
     DeviceError
         If OpenCL is not installed, or if this process was forked from a process that uses OpenCL. A fork does not copy the
-        threads of the driver, so the first call would wait forever.
+        threads of the driver, so the first OpenCL call would wait forever.
     """
     global _owner
     if _owner not in (None, os.getpid()):
@@ -154,12 +158,12 @@ def pyopencl() -> Any:
 
 
 def devices() -> list[Any]:
-    """Return all OpenCL devices, in the order of their numbers for --device and L3_DEVICE."""
+    """Return all OpenCL devices. The position in the list is the number of a device for --device and L3_DEVICE."""
     return [device for _, shown, _ in _platforms() for device in shown]
 
 
 def survey() -> list[str]:
-    """Return one line per device, with its number, and one line per platform without devices.
+    """Describe all devices, one line each, and all platforms without devices.
 
     If there are no devices, the lines explain what is missing and how to install it.
     """
@@ -171,29 +175,29 @@ def survey() -> list[str]:
                 (kind for kind in ("GPU", "CPU") if device.type & getattr(pyopencl().device_type, kind)), "accelerator"
             )
             taken = compiled_for(device)
-            as_another = f"; kernels for {taken}, since this PoCL is older than the processor" if taken else ""
+            as_another = f"; compiles for {taken}, because this PoCL is older than the processor" if taken else ""
             lines.append(f"{number}: {device.name.strip()} ({kind}, {device.max_compute_units} units; {name}{as_another})")
             number += 1
         if not shown:
-            lines.append(f"{name} shows no device: {why}")
+            lines.append(f"the OpenCL platform {name} has no device: {why}")
     return lines or [f"no OpenCL driver (ICD) is installed; {INSTALL}"]
 
 
 def _platforms() -> list[tuple[str, list[Any], str]]:
-    """Return the name and the devices of every platform, and if it has no devices the reason."""
+    """Return, for each platform, its name, its devices, and the reason if it has no devices."""
     cl = pyopencl()
     try:
         platforms = cl.get_platforms()
-    except cl.Error:  # the OpenCL loader finds no driver
+    except cl.Error:  # no driver is installed
         return []
     described = []
     for platform in platforms:
         try:
-            shown, why = platform.get_devices(), "it has none"
+            shown, why = platform.get_devices(), "the driver found no device"
         except cl.Error as error:
             shown, why = [], " ".join(str(error).split())[:200]
         if LINKS_BY_PROGRAM.match(platform.version) and not shutil.which(LINKER, path=os.environ.get("PATH", "")):
-            shown, why = [], f'it needs the linker "{LINKER}", which is not in PATH; install the system\'s package gcc'
+            shown, why = [], f'PoCL needs the linker "{LINKER}", which is not in PATH; install the package gcc'
         described.append((platform.name.strip(), shown, why))
     return described
 
@@ -204,7 +208,8 @@ def choose_device(wanted: str) -> Any:
     Parameters
     ----------
     wanted : str
-        Number of the device, or a part of its name. If empty, the first GPU is chosen, or the first device without a GPU.
+        Number of the device, or a part of its name. If empty, the first GPU is chosen, or the first device if there is no
+        GPU.
 
     Raises
     ------
@@ -228,21 +233,24 @@ def choose_device(wanted: str) -> Any:
 
 @contextlib.contextmanager
 def refusals(device: Any) -> Iterator[None]:
-    """Convert errors of OpenCL within the block to a DeviceError with a message of one line."""
+    """Convert OpenCL errors in the `with` block to a DeviceError with a message of one line."""
     cl = pyopencl()
     try:
         yield
     except cl.MemoryError as error:
-        raise DeviceError(f"{device.name.strip()} has too little memory for this table and frame") from error
+        raise DeviceError(
+            f"{device.name.strip()} has too little memory for this table and frame; choose another device with ‹device›"
+        ) from error
     except cl.Error as error:
         if REFUSES_PROCESSOR in str(error):
             raise DeviceError(
-                f"{device.name.strip()}: the compiler of this PoCL is older than the processor and does not know it; "
-                "install a newer one (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose it with ‹device›"
+                f"{device.name.strip()}: this PoCL is older than the processor and does not support the processor; install "
+                "a newer PoCL (Debian, Ubuntu: pocl-opencl-icd; conda: pocl) and choose its device with ‹device›"
             ) from error
         if DAMAGED in str(error):
             raise DeviceError(
-                f"{os.environ['POCL_CACHE_DIR']} holds damaged kernels; remove that folder, and they are compiled again"
+                f"{os.environ['POCL_CACHE_DIR']} contains damaged kernels; remove this folder, and l3 compiles the "
+                "kernels again"
             ) from error
         reason = " ".join(str(error).split())[:300]
-        raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another with ‹device›") from error
+        raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another device with ‹device›") from error

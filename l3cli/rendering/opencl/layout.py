@@ -1,4 +1,4 @@
-"""Converts a table to the form that the kernels (opencl/**/*.cl) need: macros, arrays and joined source files."""
+"""Converts a table to macros, arrays and source texts for the kernels (opencl/**/*.cl)."""
 
 import functools
 import math
@@ -24,18 +24,20 @@ from l3cli.physics.spaces import Curve, Space
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display
 
-EXTRA_CFA_COLUMNS = 31  # additional columns of a CFA row, so that two vectors of 16 can be loaded from any phase
-SIDE_BY_SIDE_OUTPUTS, SIDE_BY_SIDE_TAPS = (3, 4), 25  # for floats, the outputs and largest number of taps of side_by_side.cl
-FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # variant → folder below opencl/
+EXTRA_CFA_COLUMNS = 31  # number of additional columns per CFA row, so that two vectors of 16 can be loaded at any phase
+SIDE_BY_SIDE_OUTPUTS = (3, 4)  # numbers of floating-point outputs for which side_by_side.cl is used
+SIDE_BY_SIDE_TAPS = 25  # largest number of taps for which side_by_side.cl is used with floating-point weights
+FOLDERS = {"processor": "cpu", "graphics": "gpu"}  # variant → folder inside opencl/
 SHARED = ("common/rule.cl", "common/encoding.cl")
 TRANSFORM = ("common/ratios.cl", "cpu/folding.cl", "cpu/floating_point.cl", "cpu/side_by_side.cl", "cpu/transform.cl")
 
 
 @functools.cache
 def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
-    """Return the macros of a transfer curve for encoding.cl.
+    """Return the macros that define a transfer curve in encoding.cl.
 
-    The power function in the curve is approximated by a polynomial of the fourth root, fitted at Chebyshev nodes.
+    The power function of the curve is approximated by a polynomial of the fourth root. `steps` is the number of Newton steps
+    for the root, and `degree` the degree of the polynomial, which is fitted at Chebyshev nodes.
     """
     lowest = curve.knee**0.25
     root = lowest + (1 - lowest) * (np.cos(np.linspace(0, np.pi, 1001)) + 1) / 2
@@ -51,11 +53,11 @@ def curve_macros(curve: Curve, steps: int, degree: int) -> dict[str, int | str]:
 
 @functools.cache
 def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
-    """Return the macros of a transfer curve that is approximated by 32 parabolas.
+    """Return the macros that define a transfer curve in encoding.cl as 32 parabolas.
 
-    The result of the parabolas is a code up to `top`, plus one half for rounding. The variable is u = 2^-8 + CURVE_SHARE ·
-    x. There are four parabolas per octave of u, fitted at Chebyshev nodes, with errors up to 3e-5 of `top`. The upper bits
-    of u are the index of the parabola.
+    For a linear value x, the parabolas are functions of u = 2^-8 + CURVE_SHARE · x. The upper bits of the float u are the
+    index of the parabola, so there are four parabolas per octave of u. The result is the code between 0 and `top`, plus one
+    half for rounding. The parabolas are fitted at Chebyshev nodes, and their error is up to 3e-5 of `top`.
     """
     start, share = 2.0**-8, 1 - 2.0**-8 - 2.0**-22
     octave, quarter = np.divmod(np.arange(32), 4)
@@ -72,7 +74,7 @@ def curve_pieces(curve: Curve, top: int) -> dict[str, int | str]:
 
 @functools.cache
 def gamut_macros(space: Space) -> dict[str, int | str]:
-    """Return the macros of the gamut mapping into a space (encoding.cl)."""
+    """Return the macros that define the gamut mapping into a colour space in encoding.cl."""
     gamut = gamut_of(space)
     arrays = {"CONES": gamut.cones, "LINEAR": gamut.linear, "LUMINANCE": gamut.luminance, "LIGHTNESS": LIGHTNESS}
     return {
@@ -85,7 +87,7 @@ def gamut_macros(space: Space) -> dict[str, int | str]:
 
 
 def _literal(value: float) -> str:
-    """Return a number as a single-precision literal in OpenCL C. The exponent makes integers floating point as well."""
+    """Return a number as a single-precision literal of OpenCL C."""
     return f"{value:.8e}f"
 
 
@@ -94,12 +96,12 @@ Macros = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Cut:
-    """Division of a band into tiles. Each work-group renders a tile of `tile` columns and `band` rows."""
+    """Division of a band into tiles, each of which is rendered by one work-group."""
 
-    tile: int  # columns
-    band: int  # rows
-    group: tuple[int, int]  # work-items of a group
-    lanes: int  # number of pixels or taps that a work-item processes in parallel; if 0, the compiler decides (lanes.cl)
+    tile: int  # number of columns of a tile
+    band: int  # number of rows of a tile
+    group: tuple[int, int]  # size of a work-group
+    lanes: int  # number of pixels or taps that a work-item processes in parallel; with 0, lanes.cl decides
 
     @property
     def macros(self) -> Macros:
@@ -107,16 +109,16 @@ class Cut:
 
 
 def source_folder() -> Path:
-    """Return the folder of the .cl files. In a source checkout it lies beside the package."""
+    """Return the folder of the .cl files, which is inside the installed package or next to the package in a repository."""
     package = Path(__file__).parents[2]
     inside = package / "opencl"
     return inside if inside.is_dir() else package.parent / "opencl"
 
 
 def first_source(variant: str, rule: ClassRule) -> str:
-    """Return the joined .cl files for the first layer, which reads the mosaic, with the features of its rule.
+    """Return the source of the kernels for the first layer, including the code for the features of its class rule.
 
-    #line directives make the compiler's messages refer to the original files and lines.
+    #line directives make the messages of the compiler refer to the original files and lines.
     """
     features = [
         joined_files("common/vectors.cl", *plane_kernel.snippets(rule)),
@@ -126,7 +128,7 @@ def first_source(variant: str, rule: ClassRule) -> str:
 
 
 def refinement_source(variant: str, layer: PlaneLayer) -> str:
-    """Return the joined .cl files for a refinement layer, with the formula of its rule."""
+    """Return the source of the kernels for a refinement layer, including the code for its class rule."""
     formula, kernels = plane_kernel.rule_snippets(layer.rule)
     chroma = ("common/coarse_chroma.cl", "common/quads.cl") if layer.coarse_chroma else ()
     shared = ("common/vectors.cl", "common/encoding.cl", "common/gradient.cl", formula, *chroma)
@@ -134,18 +136,18 @@ def refinement_source(variant: str, layer: PlaneLayer) -> str:
 
 
 def encoder_source(variant: str) -> str:
-    """Return the joined .cl files that encode outputs as pictures."""
+    """Return the source of the kernel that encodes outputs as pictures."""
     return joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *VARIANTS[variant].encoder_sources)
 
 
 def joined_files(*names: str) -> str:
-    """Return files below opencl/, joined."""
+    """Return the contents of several files in the folder opencl/ as one text."""
     folder = source_folder()
     return "\n".join(f'#line 1 "{name}"\n{(folder / name).read_text(encoding="utf-8")}' for name in names)
 
 
 def paired_source(variant: str, name: str, *shared: str) -> str:
-    """Return the joined .cl files of a kernel that consists of a common part and a part for the variant.
+    """Return the source of a kernel that has one file in opencl/common/ and one file with the same name for the variant.
 
     The files `shared` come first.
     """
@@ -153,7 +155,7 @@ def paired_source(variant: str, name: str, *shared: str) -> str:
 
 
 def table_macros(table: TransformTable, sets: int = 1) -> Macros:
-    """Return the macros for a table's first layer. `sets` is the number of sets of transforms."""
+    """Return the macros for the first layer of a table. `sets` is the number of sets of transforms."""
     rule = table.first.rule
     constants = sum(len(feature.constants) for feature in rule.feature_list)
     return {
@@ -175,36 +177,36 @@ def table_macros(table: TransformTable, sets: int = 1) -> Macros:
 
 
 def white_macros(table: TransformTable) -> Macros:
-    """Return the macros that limit outputs to the clipped white, if the table has one."""
+    """Return the macros that limit outputs to the white that clips every channel, if the table contains this white."""
     return {} if table.clipped_white is None else {"WHITE_FROM": _literal(clipping.WHITE_FROM)}
 
 
 def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[np.float64]:
-    """Return the constants (12) of a display that kernels read from one buffer.
+    """Return the constants that kernels need to encode pictures.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
     matrix : ndarray, (3, 3), or None
-        Matrix from X, Y, Z to linear values of the display, or None if outputs are written unchanged.
+        Matrix from X, Y, Z to the linear values of a picture, or None if outputs are written unchanged.
 
     Returns
     -------
     ndarray, (12,)
-        The matrix, row by row, then the XYZ of the clipped white in output units. Parts that do not apply are zero.
+        The matrix, row by row, then the XYZ of the white that clips every channel, in output units. Values that do not apply
+        are zero.
     """
     white = table.clipped_white
     return np.concatenate([np.zeros(9) if matrix is None else matrix.ravel(), np.zeros(3) if white is None else white])
 
 
-COARSE_MARGIN = max(SPACINGS)  # blocks; width of the margin around a band
-UNLIKE_ANY = 1e12  # steps of a plane; value of the blocks in the margin, which is not similar to any block
+COARSE_MARGIN = max(SPACINGS)  # width of the margin around the blocks of a band, in blocks
+UNLIKE_ANY = 1e12  # value of the blocks in the margin, which is so large that no block is similar to them
 COARSE_MACROS: Macros = {"MARGIN": COARSE_MARGIN}
 
 
 def clipping_macros(table: TransformTable) -> Macros:
-    """Return the macros of the kernels for uniform clipped areas."""
+    """Return the macros for the kernels that replace uniform clipped areas."""
     rows, columns = clipping.block_sides(table.cfa)
     steps = {
         "BEGINS": clipping.BEGINS,
@@ -226,7 +228,7 @@ def clipping_macros(table: TransformTable) -> Macros:
     }
 
 
-# Macros of a layer that is not the last.
+# Macros for the transforms of a layer that outputs planes for the next layer.
 TO_PLANES: Macros = {
     "OUTPUTS": PLANES,
     "FIXED_POINT": 1,
@@ -238,7 +240,7 @@ TO_PLANES: Macros = {
 
 
 def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
-    """Return the macros for a refinement layer."""
+    """Return the macros for a refinement layer of a table."""
     return {
         "PATCH": layer.side,
         "RADIUS": layer.radius,
@@ -256,24 +258,28 @@ def refinement_macros(table: TransformTable, layer: PlaneLayer) -> Macros:
     }
 
 
-OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}
-NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # for timing: the kernel writes one number per pixel
+OUTPUTS_AS_THEY_ARE: Macros = {"PLANES": 1, "CODE": "float"}  # the kernel writes the outputs without encoding
+NOT_ENCODED: Macros = {"NOT_ENCODED": 1, "CODE": "float"}  # the kernel writes one number per pixel, which is used for timing
 
 
 def display_macros(display: Display) -> Macros:
-    """Return the macros for the codes of a display."""
+    """Return the macros for encoding pictures with the settings `display`."""
     macros: Macros = {"CODE": {8: "uchar", 16: "ushort"}[display.bits], "TOP": display.top, **gamut_macros(display.space)}
     if display.tone is not None:
         terms = {**vars(display.tone), "limit": TONE_LIMIT}
         macros = macros | {f"TONE_{name.upper()}": _literal(value) for name, value in terms.items()}
-    # The error for 8 bits is up to 8e-5, which changes one code in 200 by 1. Otherwise it is up to 1.2e-6, as for float32.
+    # With 8 bits, the error of the curve is up to 8e-5, which changes one code in 200 by 1. With 16 bits, the error is up to
+    # 1.2e-6, which is as small as the rounding error of float32.
     if display.bits == 8:
         return macros | curve_macros(display.curve, 2, 5) | curve_pieces(display.curve, display.top)
     return macros | curve_macros(display.curve, 3, 8)
 
 
 def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArray, ...]:
-    """Return the constants of the kernel `classes` in the order of its arguments. `others` are the table's other sets."""
+    """Return the constant arguments of the kernel `classes`, in their order.
+
+    `others` are tables with the transforms for less noise, if the kernel chooses between several sets of transforms.
+    """
     rule, channels = table.first.rule, len(table.channels)
     neighbours = neighbourhoods(table.cfa, rule.patch, channels)
     period = np.arange(table.cfa.shape[1] + EXTRA_CFA_COLUMNS) % table.cfa.shape[1]
@@ -296,16 +302,16 @@ def class_arrays(table: TransformTable, *others: TransformTable) -> tuple[NDArra
 
 @dataclass(frozen=True)
 class Weights:
-    """The transforms of a layer in floating point, with the taps in the order of the kernels."""
+    """The transforms of a layer in floating point, with the taps in the order that the kernels need."""
 
-    taps: NDArray[Any]  # (class, output, tap); taps are sorted by column, then row, then plane
+    taps: NDArray[Any]  # (class, output, tap); the taps of the windows are sorted by column, then row, then plane
     intercept: NDArray[Any]  # (class, output)
-    ratio_taps: int = 0  # number of taps at the end that do not belong to a window
+    ratio_taps: int = 0  # number of taps that follow the taps of the windows
 
 
 @dataclass(frozen=True)
 class WholeWeights:
-    """Fixed-point transforms of a layer with three output planes."""
+    """The transforms of a layer in fixed point. The layer outputs three planes."""
 
     taps: NDArray[np.int16]  # (class, plane, tap); taps are sorted as in `Weights`
     intercept: NDArray[np.int32]  # (class, plane)
@@ -313,24 +319,24 @@ class WholeWeights:
 
 
 def first_weights(table: TransformTable, first: MosaicLayer) -> Weights:
-    """Return the weights of a first layer that computes outputs, for signals in DN above black."""
+    """Return the weights of a first layer that computes outputs. The taps are raw values in DN above black."""
     taps = by_column(first.weights, 1) / (table.white_level - table.black_level)
     return Weights(taps.astype(np.float32), first.intercept)
 
 
 def first_plane_weights(fixed: FixedPoint, bits: int) -> WholeWeights:
-    """Return the weights of a first layer that another layer follows. `raw_middle` is subtracted from raw values."""
+    """Return the weights of a first layer that computes planes. The taps are raw values minus `raw_middle`."""
     intercept = fixed.intercept + raw_middle(bits) * fixed.weights.sum(axis=-1, dtype=np.int64)
     return WholeWeights(by_column(fixed.weights, 1), intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_plane_weights(fixed: FixedPoint) -> WholeWeights:
-    """Return the weights of a refinement layer that another layer follows."""
+    """Return the weights of a refinement layer that computes planes."""
     return WholeWeights(by_column(fixed.weights, PLANES), fixed.intercept.astype(np.int32), fixed.fraction)
 
 
 def refinement_weights(layer: PlaneLayer) -> Weights:
-    """Return the weights of a refinement layer that is the last layer, for planes in steps."""
+    """Return the weights of a refinement layer that computes outputs. The taps are planes in plane steps."""
     windows = by_column(layer.weights[..., : layer.window_taps], PLANES)
     taps = np.concatenate([windows, layer.weights[..., layer.window_taps :]], axis=-1)
     return Weights((taps * PLANE_STEP).astype(np.float32), layer.intercept, layer.ratio_taps)
@@ -338,19 +344,37 @@ def refinement_weights(layer: PlaneLayer) -> Weights:
 
 @dataclass(frozen=True)
 class PlaneStep:
-    """Buffers for the planes and classes that a refinement layer reads."""
+    """Constant buffers for the kernels that compute the planes which a refinement layer reads, and its classes."""
 
-    weights: Any  # weights of the previous layer
+    weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # unused argument, where other kernels take the matrix of a display
+    nothing: Any  # buffer of zeros for an unused argument, which contains the display constants in other kernels
 
 
 def table_buffers(
     sets: NoiseSets, variant: str, lanes: int, constant: Callable[..., Any]
 ) -> tuple[list[Any], Any, list[PlaneStep]]:
-    """Return the buffers for the class rule of the first layer, for the last transforms, and for each refinement layer.
+    """Copy the rules and transforms of a table to the device.
 
-    `constant` copies an array to the device.
+    Parameters
+    ----------
+    sets : NoiseSets
+        The table with all sets of transforms.
+    variant : str
+        A key of VARIANTS.
+    lanes : int
+        Length of the vectors.
+    constant : callable
+        Function that copies an array to the device and returns the buffer.
+
+    Returns
+    -------
+    classes : list
+        Buffers with the class rule of the first layer.
+    weights : buffer
+        Transforms of the last layer.
+    steps : list of PlaneStep
+        One per refinement layer.
     """
     table, later, steps = sets.tables[0], sets.later, []
     for number in range(len(later)):
@@ -367,7 +391,7 @@ def table_buffers(
 
 
 def by_column(weights: NDArray, planes: int) -> NDArray:
-    """Reorder the taps of weights (class, output, tap) from plane, row, column to column, row, plane."""
+    """Change the order of the taps of `weights` (class, output, tap) from plane, row, column to column, row, plane."""
     classes, outputs, taps = weights.shape
     side = math.isqrt(taps // planes)
     square = weights.reshape(classes, outputs, planes, side, side)
@@ -375,15 +399,16 @@ def by_column(weights: NDArray, planes: int) -> NDArray:
 
 
 def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
-    """Pack weights (class, …) for side_by_side.cl, or (class, group, …) for floating_point.cl.
+    """Pack floating-point weights for the processor variant.
 
-    For floating_point.cl, each group of four outputs consists of:
+    Tables with few outputs and taps use side_by_side.cl and the format of `_side_by_side`. All other tables use
+    floating_point.cl. In its format (class, group, …), each group contains up to four outputs and consists of:
 
-    1. vectors (vector, output, lane) with all taps of a window except the last,
-    2. the last taps of the four outputs,
-    3. the four intercepts,
-    4. the taps after the window, one by one,
-    5. zeros up to a multiple of 16.
+    1. vectors (vector, output, lane) with all taps of the windows except the last tap,
+    2. the last tap of each output,
+    3. the intercept of each output,
+    4. the ratio taps, one after another, each for all outputs,
+    5. zeros up to a multiple of 16 numbers.
     """
     classes, outputs, taps = layer.taps.shape
     taps, ratios = taps - layer.ratio_taps, layer.ratio_taps
@@ -410,16 +435,19 @@ def pack_in_vectors(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_vectors(layer: WholeWeights, lanes: int) -> NDArray[np.int16]:
-    """Pack fixed-point weights (class, …) for side_by_side.cl. The fraction is stored as the intercept of a fourth plane."""
+    """Pack fixed-point weights for side_by_side.cl.
+
+    The number of fractional bits is stored as the intercept of a fourth output.
+    """
     intercept = np.column_stack([layer.intercept, layer.fraction])
     return _side_by_side(layer.taps, intercept, 8)
 
 
 def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
-    """Pack the weights for side_by_side.cl.
+    """Pack weights (class, …) for side_by_side.cl.
 
-    For each class there is a header with the four intercepts at a stride of 4, followed by blocks of `once` taps for outputs
-    0 to 3 in turn. Missing outputs and taps are zero.
+    Each class begins with a header that contains the four intercepts at a stride of 4. The taps follow in blocks: `once`
+    taps of output 0, the same taps of output 1, and so on up to output 3. Missing outputs and taps are zero.
     """
     classes, outputs, count = taps.shape
     first = np.zeros((classes, 4, 4), intercept.dtype)
@@ -431,7 +459,10 @@ def _side_by_side(taps: NDArray, intercept: NDArray, once: int) -> NDArray:
 
 
 def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
-    """Pack weights (class, 1 + tap, output) for gpu/frame.cl: the intercept first, outputs padded to a multiple of four."""
+    """Pack floating-point weights for gpu/frame.cl, as (class, 1 + tap, output).
+
+    The intercept precedes the taps. The number of outputs is padded to a multiple of four with zeros.
+    """
     classes, outputs, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, -(-outputs // 4) * 4), layer.taps.dtype)
     packed[:, 0, :outputs] = layer.intercept
@@ -440,7 +471,10 @@ def pack_in_fours(layer: Weights, lanes: int) -> NDArray:
 
 
 def pack_whole_in_fours(layer: WholeWeights, lanes: int) -> NDArray[np.int32]:
-    """Pack weights (class, 1 + tap, 4) for gpu/frame.cl: three intercepts and the fraction, then the taps."""
+    """Pack fixed-point weights for gpu/frame.cl, as (class, 1 + tap, 4).
+
+    The three intercepts and the number of fractional bits precede the taps.
+    """
     classes, planes, taps = layer.taps.shape
     packed = np.zeros((classes, 1 + taps, 4), np.int32)
     packed[:, 0] = np.column_stack([layer.intercept, layer.fraction])
@@ -455,21 +489,20 @@ def _cut_for_graphics(table: TransformTable, lanes: int) -> Cut:
 
 @dataclass(frozen=True)
 class Variant:
-    """The arrangement of the computation for one kind of device."""
+    """Kernels, division of the work and format of the weights for one type of device."""
 
-    # Files below opencl/ for the first layer, in this order, after the files of the features.
-    sources: tuple[str, ...]
+    sources: tuple[str, ...]  # files in opencl/ for the first layer, which follow the files for the class features
     refinement_sources: tuple[str, ...]  # files for a refinement layer
     encoder_sources: tuple[str, ...]  # files for the encoder, which converts outputs to pictures
-    encoder_cut: Cut
-    joins: bool  # whether one kernel may compute both classes and transforms of the first layer
-    cut: Callable[[TransformTable, int], Cut]  # returns the division of a band for a number of lanes
-    pack: Callable[[Weights, int], NDArray]  # packs weights for a number of lanes
-    pack_whole: Callable[[WholeWeights, int], NDArray]
+    encoder_cut: Cut  # division of a band for the encoder
+    joins: bool  # whether one kernel can both determine the classes and apply the transforms of the first layer
+    cut: Callable[[TransformTable, int], Cut]  # function that returns the division of a band for a length of the vectors
+    pack: Callable[[Weights, int], NDArray]  # function that packs floating-point weights for a length of the vectors
+    pack_whole: Callable[[WholeWeights, int], NDArray]  # function that packs fixed-point weights
 
 
 VARIANTS = {
-    # A few long work-items, which are vectorised over pixels for classes and over taps for transforms.
+    # Each work-item renders many pixels, with vectors of pixels for the classes and vectors of taps for the transforms.
     "processor": Variant(
         (*SHARED, "cpu/ingest.cl", "cpu/statistics.cl", "cpu/classes.cl", "cpu/rows.cl", *TRANSFORM, "cpu/joined.cl"),
         ("cpu/ingest.cl", "cpu/rows.cl", *TRANSFORM, "cpu/plane_rows.cl"),
@@ -480,7 +513,7 @@ VARIANTS = {
         pack_in_vectors,
         pack_whole_in_vectors,
     ),
-    # One work-item per pixel. The device runs them in parallel.
+    # Each work-item renders one pixel.
     "graphics": Variant(
         (*SHARED, "gpu/frame.cl"),
         ("gpu/frame.cl",),

@@ -1,9 +1,9 @@
-"""Selects a target processor for PyPI's PoCL 3.0 if its compiler does not know the actual processor.
+"""Selects the target processor for PoCL 3.0 from PyPI if its compiler is older than the processor.
 
-PoCL asks its compiler, LLVM 14 of 2022, for the name of the processor. LLVM calls newer processors "generic", but does not
-accept this name as a target, so that no kernel can be built (https://github.com/pocl/pocl/issues/1049). PoCL has no option
-or variable for another name. This module therefore changes the name in PoCL's device structure to that of a processor that
-LLVM knows and whose instruction sets the actual processor supports (docs/limits.md).
+PoCL asks its compiler, LLVM 14 from 2022, for the name of the processor. LLVM calls newer processors "generic", but does not
+accept this name as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option
+for another name. This module therefore replaces the name in PoCL's device structure. The new name is that of a processor
+that LLVM knows, and all of whose instruction sets the actual processor supports (docs/limits.md).
 """
 
 import ctypes
@@ -13,26 +13,25 @@ from pathlib import Path
 from typing import Any
 
 PLATFORM = "PoCL 3.0"
-UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # in the version of a device
+UNKNOWN_PROCESSOR = re.compile(r" PoCL HSTR: pthread-x86_64-.*-generic$")  # matches the version of a device
 UNKNOWN = b"generic\0"
-NAME_OFFSET = 640  # bytes from the start of the device structure to the pointer to the name
+NAME_OFFSET = 640  # position of the pointer to the name in the device structure, in bytes
 POINTER = ctypes.sizeof(ctypes.c_void_p)
-# LLVM's names of processors, starting with the newest, and the CPU flags that each requires, as named by Linux.
+# Processor name in LLVM → CPU flags that the processor must have, as named by Linux. The newest processor comes first.
 HASWELL = frozenset(["avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "abm"])
 PROCESSORS = {
     b"skylake-avx512": HASWELL | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"]),
     b"haswell": HASWELL,
     b"x86-64": frozenset[str](),
 }
-# The device points to one of these buffers, so they must exist as long as the process.
+# PoCL's device structure points to one of these buffers, so all of them must exist until the process ends.
 _names = {name: ctypes.create_string_buffer(name) for name in PROCESSORS}
 
 
 def compiled_for(device: Any) -> str:
-    """Return the processor for which kernels of an OpenCL device are compiled, or "" for PoCL's own choice.
+    """Select the target processor if PoCL's compiler does not know the actual processor, and return its name.
 
-    If PoCL's compiler does not know the actual processor, this function first selects a known one. Repeated calls change
-    nothing.
+    The result is "" if PoCL chooses the target itself. Repeated calls return the same name.
     """
     if PLATFORM not in device.platform.version or not UNKNOWN_PROCESSOR.search(device.version):
         return ""
@@ -46,7 +45,7 @@ def compiled_for(device: Any) -> str:
 
 
 def _read(place: int, size: int) -> bytes:
-    """Return the bytes at an address, or b"" if it cannot be read. (A direct read would then abort the process.)"""
+    """Return the bytes at an address, or b"" if the address is invalid, in which case a direct access would crash."""
     with open("/proc/self/mem", "rb", buffering=0) as memory:
         try:
             return os.pread(memory.fileno(), size, place)

@@ -1,4 +1,4 @@
-"""The OpenCL programs of a table. Each program is built when a frame needs it for the first time."""
+"""The OpenCL programs of a table. Each program is compiled when a frame needs it for the first time."""
 
 import functools
 import os
@@ -16,43 +16,43 @@ from l3cli.rendering.opencl.devices import choose_device, pyopencl, refusals
 from l3cli.rendering.opencl.processor import compiled_for
 
 BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
-TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # omits the kernel for classes, which is in another program
-# If classes and transforms may be joined, each program has a single kernel, so that unused kernels are not compiled.
-CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}
-JOINED: layout.Macros = {"JOINED": 1}  # puts classes and transforms of the first layer into one kernel
+# Macros that select the kernels of a program, so that unused kernels are not compiled.
+TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # only the kernel for the transforms
+CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # only the kernel for the classes of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # only the kernel for both the classes and the transforms of the first layer
 Key = tuple[Any, ...]
 
 
 class Compiler:
-    """Builds programs for a device, and reuses programs that this process has already built."""
+    """Compiles programs for a device, and reuses programs that this process has already compiled."""
 
     def __init__(self, context: Any, device: Any) -> None:
         self.context, self._device = context, device
         self._built: dict[tuple[str, ...], Any] = {}  # source and options → program
 
     def build(self, source: str, macros: layout.Macros) -> Any:
-        """Build a program."""
+        """Return the compiled program for a source text and macros."""
         options = [*BUILD_OPTIONS, *(f"-D{name}={value}" for name, value in macros.items())]
-        if name := compiled_for(self._device):  # keeps PoCL from reusing cached kernels for another processor
+        if name := compiled_for(self._device):  # PoCL must not use cached kernels for other processors
             options.append(f"-DCOMPILED_FOR={name}")
         key = (source, *options)
         if key not in self._built:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # pyopencl warns whenever the compiler prints anything
+                warnings.simplefilter("ignore")  # pyopencl warns about any output of the compiler
                 self._built[key] = pyopencl().Program(self.context, source).build(options)
         return self._built[key]
 
 
 @functools.cache
 def compiler_of(device: Any) -> Compiler:
-    """Return the compiler of a device in this process, so that renderers share their programs."""
+    """Return the compiler of a device. All renderers of a process share it."""
     return Compiler(pyopencl().Context([device]), device)
 
 
 def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
-    """Return the device and the variant for a renderer (see OpenCLRenderer).
+    """Return the device and the variant of the kernels. The parameters are the same as for `OpenCLRenderer`.
 
-    Raises DeviceError if there is no such device, and RecipeError if the variant is unknown.
+    Raises a DeviceError if there is no such device, and a RecipeError if the variant is unknown.
     """
     found = choose_device(os.environ.get("L3_DEVICE", "") if device is None else device)
     name = variant or ("graphics" if found.type & pyopencl().device_type.GPU else "processor")
@@ -62,16 +62,16 @@ def chosen(device: str | None, variant: str | None) -> tuple[Any, str]:
 
 
 def make_ready(device: str | None = None, variant: str | None = None) -> None:
-    """Build the programs that renderers need for any table. Raises the same errors as `chosen`."""
+    """Compile the encoder, which is the same for all tables. The parameters and errors are the same as for `chosen`."""
     found, name = chosen(device, variant)
     with refusals(found):
         usual_encoder(compiler_of(found), name)
 
 
 def usual_encoder(compiler: Compiler, variant: str) -> int:
-    """Build the encoder for 8-bit sRGB pictures, and return the number of lanes, which is part of its kernel's name.
+    """Compile the encoder for 8-bit sRGB pictures, and return the length of the device's vectors.
 
-    The kernel is run once on a single pixel, so that PoCL compiles it now.
+    The length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -85,28 +85,28 @@ def usual_encoder(compiler: Compiler, variant: str) -> int:
 
 
 class Programs:
-    """The kernels of a table's layers, which are counted from 0, and of the encoder.
+    """The kernels for the layers of a table, which are counted from 0, and for the encoder.
 
-    In the methods, `ending` are the macros that determine the output of the transforms (layout.py).
+    The parameter `ending` of the methods contains the macros that determine the form of the results: planes, outputs or
+    encoded pictures (layout.py).
 
     Parameters
     ----------
     compiler : Compiler
         The compiler of the device.
     table : TransformTable
-        The table.
     variant : str
         A key of layout.VARIANTS.
     lanes : int or None
-        Length of the vectors in the processor variant. None selects the width of the device's registers.
+        Length of the vectors in the processor variant, or None for the width of the device's registers.
     sets : int
-        Number of sets of transforms from which one is chosen for each pixel.
+        Number of sets of transforms.
     """
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # layer (-1 for the encoder) and ending → program
-        self._kernels: dict[Key, Any] = {}  # program and name → kernel
+        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder) and macros of the ending → program
+        self._kernels: dict[Key, Any] = {}  # key of the program and name of the kernel → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
         self.joins = made_for.joins
@@ -116,18 +116,18 @@ class Programs:
     def transforms(self, ending: layout.Macros, joined: bool = False) -> Any:
         """Return the kernel for the transforms of the last layer.
 
-        If this is the only layer and `joined` is true, the kernel also decides the classes.
+        If `joined` is true, which requires a table with one layer, the kernel also determines the classes.
         """
         return self._transforms(self._last, ending, joined)
 
     def first_outputs(self) -> Any:
-        """Return the kernel that computes the outputs of the first layer, for tables whose last layer corrects them."""
+        """Return the kernel for the outputs of the first layer, if the last layer of the table corrects these outputs."""
         return self._transforms(0, layout.OUTPUTS_AS_THEY_ARE, joined=False)
 
     def planes(self, layer: int, joined: bool = False) -> Any:
-        """Return the kernel that computes the planes of `layer`, which layer `layer` + 1 reads.
+        """Return the kernel for the planes that `layer` outputs and the next layer reads.
 
-        For the first layer, the kernel also decides the classes if `joined` is true.
+        If `joined` is true, which requires the first layer, the kernel also determines the classes.
         """
         return self._transforms(layer, layout.TO_PLANES, joined)
 
@@ -137,7 +137,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that decides the classes of a layer, from any program that contains it."""
+        """Return the kernel that determines the classes of a layer. It may be part of several programs."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")
@@ -155,7 +155,7 @@ class Programs:
         return self._kernels[*key, name]
 
     def _built(self, layer: int, ending: layout.Macros) -> Key:
-        """Build a program if necessary, and return its key."""
+        """Compile a program if necessary, and return its key in `_programs`."""
         key = (layer, *ending.items())
         if key not in self._programs:
             self._programs[key] = self._compiler.build(*self._program(layer, ending))

@@ -1,8 +1,8 @@
 """Rendering on an OpenCL device: upload, one or two kernels per layer (opencl/*.cl), download (docs/method.md#rendering).
 
-A frame is processed in horizontal bands, so that the memory on the device is limited for frames of any size. A frame of
-usual size is a single band. Bands, including those of consecutive frames, alternate between two tracks. A track is a queue
-with its own buffers. While one track computes, the other can upload and download.
+A frame is divided into horizontal bands, so that the memory on the device does not grow with the size of the frame. A frame
+of usual size has a single band. Successive bands alternate between two tracks, each of which has its own queue and buffers.
+While one track computes, the other track can upload and download.
 """
 
 from collections import deque
@@ -38,21 +38,22 @@ from l3cli.rendering.opencl.work import (
 )
 from l3cli.rendering.reference import SPECTRA_DARKEST
 
-LONG_RUN = 1 << 14  # pixels per work-item, in the variant with vectors
-GROUP = 64  # work-items per group, in the variant with one pixel per work-item
+LONG_RUN = 1 << 14  # number of pixels per work-item of the shading kernel in the variant with vectors
+GROUP = 64  # number of work-items per group of the shading kernel in the variant with one pixel per work-item
 
 
 class DeviceShading:
-    """Kernel and buffers for lens shading. They are created for the first frame with shading.
+    """Kernel and buffers for lens shading.
 
-    Buffers are reused as long as frames have the same shading.
+    The kernel is compiled for the first frame with colour shading. Buffers are reused as long as frames have the same
+    shading.
     """
 
     def __init__(self, kernel: Callable[[str, Macros, str], Any], constant: Callable[[NDArray], Any], lanes: int) -> None:
-        """Store the arguments, without building anything.
+        """Store the arguments. Nothing is compiled yet.
 
-        `kernel` builds a kernel from source, macros and name. `constant` copies an array to the device. `lanes` is the
-        length of the vectors.
+        `kernel` is a function that compiles a kernel from its source, macros and name. `constant` is a function that copies
+        an array to the device. `lanes` is the length of the vectors.
         """
         self._make, self._constant, self._run = kernel, constant, LONG_RUN if lanes > 1 else 1
         self._kernel: Any = None
@@ -61,20 +62,20 @@ class DeviceShading:
 
     @staticmethod
     def macros(shading: Shading | None) -> Macros:
-        """Return the macros for a kernel of the last layer."""
+        """Return the macros for the kernels of the last layer, for frames with or without shading."""
         return {} if shading is None else {"SHADED": 1, "GAIN_STEP": NODE_SPACING_COLUMNS}
 
     def gain(self, shading: Shading | None, rows: slice) -> tuple[Any, ...]:
-        """Return the buffer with the gains of a band, as additional argument of kernels for frames with shading."""
+        """Return the additional arguments of the last layer's kernels: the gains of a band, if the frame has shading."""
         return () if shading is None else (self._buffer(shading, "gain", rows),)
 
     @staticmethod
     def corrects(frame: RawFrame) -> bool:
-        """Return whether a frame has colour shading, in which case its values on the device must be writable."""
+        """Return whether a frame has colour shading. Its raw values on the device must then be writable."""
         return frame.shading is not None and frame.shading.colour is not None
 
     def correct(self, frame: RawFrame, track: Track, band: Band) -> Any:
-        """Enqueue the correction of colour shading in a band's raw values. The frame must be at the table's levels."""
+        """Enqueue the correction of colour shading for a band. The frame must have the levels of the table."""
         if self._kernel is None:
             macros: Macros = {"FRACTION": FRACTION, "RUN": self._run}
             self._kernel = self._make(
@@ -98,14 +99,15 @@ class DeviceShading:
 
 
 class DeviceSpectra:
-    """The kernel that smooths spectra. It is built for the first frame."""
+    """The kernel that smooths spectra. It is compiled for the first frame."""
 
     def __init__(
         self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
     ) -> None:
-        """Store the arguments, without building anything.
+        """Store the arguments. Nothing is compiled yet.
 
-        `kernel` builds a kernel from source, macros and name. `run` enqueues a kernel on a track, over rows and columns.
+        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
+        kernel on a track over rows and columns.
         """
         assert table.spectra is not None
         self._make, self._run, self._variant = kernel, run, variant
@@ -113,13 +115,16 @@ class DeviceSpectra:
         self._kernel: Any = None
 
     def room(self, track: Track, band: Band) -> Any:
-        """Return the track's buffer for the outputs of a band before smoothing."""
+        """Return the buffer of a track for the outputs of a band before smoothing."""
         size = 4 * self._outputs * (band.made.stop - band.made.start) * band.columns
         track.made = scratch(track.queue.context, track.made, size)
         return track.made
 
     def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer `room`. Only its own rows go to `result`."""
+        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
+
+        The smoothed outputs of the band, without the margins above and below, are written to `result`.
+        """
         if self._kernel is None:
             macros: Macros = {
                 "OUTPUTS": self._outputs,
@@ -137,43 +142,42 @@ class DeviceSpectra:
 
 @dataclass(frozen=True)
 class Unread:
-    """Outputs of a frame that are still on the device."""
+    """Outputs of a frame that are still in a buffer on the device, so that the frame need not be rendered again."""
 
     frame: RawFrame
-    values: NDArray[np.uint16]  # copy of the frame's values, which the caller may change
+    values: NDArray[np.uint16]  # copy of the values of the frame, because the caller may change the original
     track: Track
     result: Any  # buffer with the outputs
 
     def are_of(self, frame: RawFrame) -> bool:
-        """Return whether the outputs belong to this frame."""
+        """Return whether the outputs belong to a frame, and its values have not changed."""
         return self.frame is frame and np.array_equal(self.values, frame.values)
 
 
 TRACKS = 2
-Labels = Mapping[int, NDArray]  # layer → array (row, col) that receives its classes
+Labels = Mapping[int, NDArray]  # layer → array (row, col) to which the classes are written
 NO_LABELS: Labels = {}
-READ_AHEAD_BYTES = 16  # number of bytes after the last pixel that vector loads may read
+READ_AHEAD_BYTES = 16  # number of elements after the last pixel that vector loads may read
 
 
 class OpenCLRenderer:
     """Renderer on an OpenCL device.
 
-    Programs, kernels and the buffers of the table are created once, and the buffers of bands once per frame size. Only one
-    thread at a time may use a renderer. Other threads can run while it waits for the device.
+    The programs and the buffers for the table are created once. The buffers for bands are created once per frame size. Only
+    one thread at a time may use a renderer. While the renderer waits for the device, other threads can run.
 
     Parameters
     ----------
     table : TransformTable
-        The table.
     device : str, optional
-        Number of the device, or a part of its name. [default: the environment variable L3_DEVICE, otherwise the first GPU,
-        otherwise the first device]
+        Number of the device, or a part of its name. [default: the value of the environment variable L3_DEVICE, otherwise the
+        first GPU, otherwise the first device]
     variant : str, optional
         A key of layout.VARIANTS. [default: the variant for the type of the device]
     lanes : int, optional
         Length of the vectors in the processor variant. [default: the width of the device's registers]
     by_noise : bool
-        See `make_renderer`.
+        The same as in `make_renderer`.
 
     Raises
     ------
@@ -188,7 +192,7 @@ class OpenCLRenderer:
         require_known_layers(table)
         self.table, self.stages, self._sets = table, stages_of(table), NoiseSets(table, by_noise)
         self.device, self.variant = chosen(device, variant)
-        self._corrects = bool(table.later and table.components)  # whether the last layer adds to the first layer's outputs
+        self._corrects = bool(table.later and table.components)  # whether the last layer corrects the first layer's outputs
         with refusals(self.device):
             self._compiler = compiler_of(self.device)
             self._context = self._compiler.context
@@ -205,7 +209,7 @@ class OpenCLRenderer:
             self._frame_bands: tuple[tuple[int, ...], tuple[Band, ...]] | None = None
             self._unread: Unread | None = None
             self._in_place = shares_memory(self.device)
-            self._joined = self._programs.joins  # whether one kernel computes classes and transforms of the first layer
+            self._joined = self._programs.joins  # whether one kernel determines classes and applies transforms
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
             chroma = table.later[-1].coarse_chroma if table.later else None
@@ -214,7 +218,7 @@ class OpenCLRenderer:
             self._clipping = clips and DeviceClipping(self._kernel, self._run, self._constant, table, self.variant)
 
     def labels(self, frame: RawFrame, layer: int = 0) -> NDArray[np.uint32]:
-        """Return the class (row, col) of every pixel in a layer of the table."""
+        """Return the class (row, col) of every pixel. `layer` is the number of the layer in the table, counted from 0."""
         labels = np.empty(frame.values.shape, np.uint32)
         if self._layers and self._unread is not None and self._unread.are_of(frame):  # the classes are still on the device
             work, track = Work(self.device, self.stages), self._unread.track
@@ -225,9 +229,9 @@ class OpenCLRenderer:
         return labels
 
     def classified(self, frame: RawFrame) -> tuple[NDArray[np.float32], list[NDArray[np.uint32]]]:
-        """Compute outputs and classes in one pass.
+        """Return the outputs and a list of classes (row, col).
 
-        The classes (row, col) are those of the first layer and, if there are several layers, of the last layer.
+        The list contains the classes of the first layer and, if the table has several layers, of the last layer.
         """
         labels = {layer: np.empty(frame.values.shape, np.uint32) for layer in {0, len(self._layers)}}
         joined, self._joined = self._joined, self._joined and bool(self._layers)  # a joined kernel does not store classes
@@ -252,16 +256,19 @@ class OpenCLRenderer:
         return planes
 
     def picture(self, frame: RawFrame, display: Display) -> NDArray:
-        """Return the frame as a picture (row, col, 3), encoded on the device.
+        """Return the frame as a picture (row, col, 3), which is encoded on the device.
 
-        Raises RecipeError unless the outputs are X, Y, Z or GREY.
+        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
         """
         picture, work = self._start_picture(frame, display)
         work.end()
         return picture
 
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
-        """Yield the picture of each frame, in order. While the caller uses a picture, the next one is computed."""
+        """Yield the picture of each frame, in the order of the frames.
+
+        While the caller uses a picture, the device already computes the next picture.
+        """
         started: deque[tuple[NDArray, Work]] = deque()
         for frame, display in frames:
             started.append(self._start_picture(frame, display, borrow=False))
@@ -274,12 +281,21 @@ class OpenCLRenderer:
             yield picture
 
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
-        """Measure the time, in ms, that the device spends in each of `stages`.
+        """Measure the time that the device spends in each of `stages`, in ms.
 
-        The times are for a picture, or for outputs if `display` is None. Classes and transforms of the first layer are timed
-        separately, even if they are usually computed by one kernel. "transforms" is the time of a kernel without encoding,
-        which writes one number per pixel. "encode" is the additional time of the kernel with encoding. The first call
-        includes compilation, so call this method twice and use the second result.
+        The classes and the transforms of the first layer are timed separately, even if one kernel usually computes both. The
+        time of "transforms" is that of a kernel without encoding, which writes one number per pixel. The time of "encode" is
+        the additional time of the kernel with encoding. The first call includes compilation, so its result is useless.
+
+        Parameters
+        ----------
+        frame : RawFrame
+        display : Display or None
+            Settings of the picture, or None to render outputs.
+
+        Returns
+        -------
+        dict of str to float
         """
         self._unread = None
         joined, self._joined = self._joined, False
@@ -311,12 +327,26 @@ class OpenCLRenderer:
         self, frame: RawFrame, results: Sequence[NDArray], ending: layout.Macros | None, matrix: NDArray | None = None,
         labels: Labels = NO_LABELS, borrow: bool = True,
     ) -> Work:  # fmt: skip
-        """Start to render a frame.
+        """Enqueue all commands to render a frame.
 
-        The kernel `transform` with the given ending fills `results`, which are one or several arrays (row, …) and are
-        contiguous on the device. `labels` are arrays (row, col), by layer, that receive the classes. If `borrow` is true,
-        the values of the frame may be read until all work is done. Otherwise they are copied, because the caller may change
-        them.
+        Parameters
+        ----------
+        frame : RawFrame
+        results : sequence of ndarray, (row, …)
+            Arrays to which the results are written. On the device, the results are consecutive in one buffer.
+        ending : dict or None
+            Macros that determine the form of the results, or None if only classes are wanted.
+        matrix : ndarray, (3, 3), optional
+            Matrix from outputs to the linear values of a picture.
+        labels : dict of int to ndarray, (row, col)
+            Arrays to which the classes are written, by the number of the layer.
+        borrow : bool
+            Whether the device may read the values of the frame until all commands have finished. Otherwise the values are
+            copied first, so that the caller may change the frame.
+
+        Returns
+        -------
+        Work
         """
         levelled = frame.rescaled(self.table.black_level, self.table.white_level, self.table.bits)
         work, values = Work(self.device, self.stages), np.ascontiguousarray(levelled.values)
@@ -335,7 +365,7 @@ class OpenCLRenderer:
                 if not self._joined or (kernel is None and not any(labels)):
                     arguments = (*self._decides(track, band), *self._site(band, levelled))
                     work.add("classes", self._run(self._programs.classes(0), track, band.shape(0), *arguments))
-                if encoding is None:  # prepared only after the first kernel is enqueued, so that the device is not idle
+                if encoding is None:  # computed after the first kernel is enqueued, so that the device is busy meanwhile
                     encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
@@ -351,7 +381,7 @@ class OpenCLRenderer:
         return work
 
     def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
-        """Start to encode outputs that are still on the device."""
+        """Enqueue the encoding of outputs that are still on the device."""
         work, track = Work(self.device, self.stages), unread.track
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
@@ -365,7 +395,7 @@ class OpenCLRenderer:
         return work
 
     def _bring(self, values: NDArray, frame: RawFrame, track: Track, band: Band, work: Work) -> None:
-        """Upload a band, including the adjacent rows that refinement layers read."""
+        """Enqueue the upload of a band, including the rows above and below that the layers read."""
         source, (rows, columns) = values[band.raw_rows], band.shape(0)
         track.labels = self._scratch(track.labels, 4 * rows * columns)
         if self._in_place and not self._shading.corrects(frame):
@@ -379,7 +409,7 @@ class OpenCLRenderer:
             work.add("classes", self._shading.correct(frame, track, band))
 
     def _chosen(self, frame: RawFrame, track: Track, band: Band, work: Work) -> tuple[Any, ...]:
-        """Return the buffer with the index of the set of transforms for each pixel of a band."""
+        """Return the buffer with the number of the set of transforms for each pixel of a band."""
         rows = band.reads[0]
         pixels = np.zeros((rows.stop - rows.start) * band.columns + READ_AHEAD_BYTES, np.uint8)
         pixels[:-READ_AHEAD_BYTES].reshape(-1, band.columns)[...] = self._sets.chosen(frame)[rows]
@@ -389,7 +419,7 @@ class OpenCLRenderer:
         return (work.upload(track.queue, pixels, track.sets),)
 
     def _decides(self, track: Track, band: Band) -> tuple[Any, ...]:
-        """Return the buffers from which the classes of the first layer are decided, and the buffer for the classes."""
+        """Return the buffers from which the classes of the first layer are determined, and the buffer for the classes."""
         return track.raw, *band.mosaic_source, *self._class_buffers, *track.chosen, track.labels
 
     def _site(self, band: Band, frame: RawFrame) -> tuple[np.int32, np.int32]:
@@ -397,7 +427,10 @@ class OpenCLRenderer:
         return np.int32((frame.phase[0] + band.reads[0].start) % self.table.cfa.shape[0]), np.int32(frame.phase[1])
 
     def _classify_refinement(self, number: int, track: Track, band: Band, frame: RawFrame, work: Work) -> None:
-        """Enqueue the computation of the planes that refinement layer `number` reads for a band, and of its classes."""
+        """Enqueue the computation of the planes that refinement layer `number` reads, and of the classes in this layer.
+
+        Refinement layers are counted from 0.
+        """
         step, (rows, columns), made = self._layers[number], band.shape(number), band.shape(number + 1)
         track.planes[number] = self._scratch(track.planes[number], 4 * layout.PLANES * rows * columns)
         kernel = self._programs.planes(number, self._joined and not number)
@@ -409,10 +442,10 @@ class OpenCLRenderer:
         work.add("structures", self._run(self._programs.classes(number + 1), track, made, *buffers, np.int32(rows)))
 
     def _reads(self, number: int, track: Track, band: Band, frame: RawFrame) -> tuple[tuple[Any, ...], tuple[np.int32, ...]]:
-        """Return the buffers that the transforms of a layer read, and the integers that follow them as arguments.
+        """Return the arguments of the kernel for the transforms of a layer: the first buffers, and the last integers.
 
-        The buffers are the source, the indices of its padded rows and columns, and either the classes or the buffers from
-        which they are decided.
+        The buffers contain the raw values or planes, the sources of the padded rows and columns, and the classes. If the
+        kernel also determines the classes, the buffers that it needs for this purpose come before the classes.
         """
         if self._joined and not number:
             return self._decides(track, band), self._site(band, frame)
@@ -424,9 +457,9 @@ class OpenCLRenderer:
     def _transform(
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
     ) -> None:
-        """Enqueue the last transforms of a band, followed by encoding or smoothing. They write to `result`.
+        """Enqueue the transforms of the last layer for a band, and the encoding or smoothing of the outputs.
 
-        If the table has a single layer, the kernel also decides the classes.
+        The results are written to `result`.
         """
         number = len(self._layers)
         into = self._spectra.room(track, band) if self._spectra else result
@@ -447,7 +480,7 @@ class OpenCLRenderer:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
-        """Enqueue the computation of the first layer's outputs, which the last transforms correct. Return their buffer."""
+        """Enqueue the computation of the first layer's outputs, which the last layer corrects, and return their buffer."""
         (rows, columns), step = band.shape(0), self._layers[0]
         size = 4 * len(self.table.outputs) * rows * columns
         track.first = self._scratch(track.first, size + 4 * READ_AHEAD_BYTES)
@@ -457,10 +490,9 @@ class OpenCLRenderer:
         return (track.first,)
 
     def _target(self, track: Track, parts: list[NDArray], work: Work) -> Any:
-        """Return the buffer for the result.
+        """Return the buffer for the results of a band.
 
-        If there is a single array and the device shares the host's memory, the buffer is this array. Otherwise it is the
-        track's buffer.
+        If there is one array and the device shares the memory of the host, the buffer uses the memory of the array.
         """
         if self._in_place and len(parts) == 1:
             return work.in_place(track.queue, parts[0], written=True)
@@ -468,18 +500,18 @@ class OpenCLRenderer:
         return track.result
 
     def _run(self, kernel: Any, track: Track, shape: tuple[int, int], *arguments: Any, cut: layout.Cut | None = None) -> Any:
-        """Enqueue a kernel over rows and columns, whose numbers are its last arguments."""
+        """Enqueue a kernel over rows and columns. The numbers of rows and columns are the last arguments of the kernel."""
         rows, columns = shape
         cut = cut or self._cut
         grid = (-(-columns // cut.tile) * cut.group[0], -(-rows // cut.band) * cut.group[1])
         return track.run(kernel, grid, cut.group, *arguments, np.int32(rows), np.int32(columns))
 
     def _kernel(self, source: str, macros: layout.Macros, name: str) -> Any:
-        """Return a kernel of a separate program."""
+        """Compile a program for a single kernel, and return the kernel."""
         return pyopencl().Kernel(self._compiler.build(source, {**macros, **self._cut.macros}), name)
 
     def _bands(self, shape: tuple[int, ...]) -> tuple[Band, ...]:
-        """Return the bands for frames of a shape (row, col). They are kept until a frame has another shape."""
+        """Return the bands of frames with a shape (rows, columns). The bands of the latest shape are kept."""
         if self._frame_bands is None or self._frame_bands[0] != shape:
             self._frame_bands = shape, tuple(bands(self.table, shape, self._constant))
         return self._frame_bands[1]

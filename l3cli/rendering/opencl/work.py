@@ -1,6 +1,7 @@
-"""Work on an OpenCL device: queues with their buffers, events, and the bands of a frame.
+"""Queues and buffers on an OpenCL device, the commands for a frame, and the division of a frame into bands.
 
-A band defines which rows every layer reads, and the source of each padded row and column.
+A band is a range of rows that is rendered as a whole. `Band` contains the rows that every layer reads for a band, and the
+source of each padded row and column.
 """
 
 import os
@@ -22,14 +23,14 @@ STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
 COARSE_CHROMA = "coarse chroma"  # stage between structures and transforms, for tables with coarse chroma
 SPECTRA = "spectra"  # stage between transforms and encoding, for tables that smooth spectra
-BAND_PIXELS = 1 << 22  # number of pixels of a band, without margins
+BAND_PIXELS = 1 << 22  # approximate number of pixels of a band, without margins
 
 
-Source = Any  # a buffer of indices
+Source = Any  # a device buffer with the source index of each padded row or column
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
-    """Return the stages into which the time of a frame is divided."""
+    """Return the names of the stages for which rendering times are measured."""
     stages = REFINEMENT_STAGES if table.later else STAGES
     if table.later and table.later[-1].coarse_chroma:
         stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
@@ -37,47 +38,47 @@ def stages_of(table: TransformTable) -> tuple[str, ...]:
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
-    """Return a device buffer with the contents of an array."""
+    """Copy an array to a new read-only device buffer."""
     flags = pyopencl().mem_flags
-    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # buffers must not be empty
+    array = np.ascontiguousarray(array if array.size else np.zeros(1, array.dtype), dtype)  # OpenCL has no empty buffers
     return pyopencl().Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=array)
 
 
 def scratch(context: Any, buffer: Any, size: int) -> Any:
-    """Return the buffer if it has at least `size` bytes, otherwise a new one."""
+    """Return `buffer` if it has at least `size` bytes, otherwise a new buffer of this size."""
     if buffer is None or buffer.size < size:
         buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
     return buffer
 
 
 class Track:
-    """A queue and the buffers of one band. The buffers grow when needed."""
+    """A queue and the device buffers for one band. Buffers are replaced by larger buffers when necessary."""
 
     def __init__(self, context: Any, layers: int) -> None:
         """Create a track without buffers, for a table with the given number of refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None  # raw values that kernels read
-        self.uploaded: Any = None  # copy of the host's raw values, unless the device reads the host's memory
-        self.labels: Any = None
-        self.sets: Any = None  # copy of the index of the set of transforms for each pixel
-        self.chosen: tuple[Any, ...] = ()  # `sets` or the host's array; empty if there is only one set
+        self.raw: Any = None  # raw values that the kernels read: `uploaded`, or the memory of the host
+        self.uploaded: Any = None  # copy of the raw values, if the device has its own memory
+        self.labels: Any = None  # classes in the first layer
+        self.sets: Any = None  # copy of the number of the set of transforms for each pixel
+        self.chosen: tuple[Any, ...] = ()  # `sets` or the memory of the host; empty if the table has one set of transforms
         self.planes: list[Any] = [None] * layers  # planes that each refinement layer reads
-        self.refined_labels: list[Any] = [None] * layers
+        self.refined_labels: list[Any] = [None] * layers  # classes in each refinement layer
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
         self.means: Any = None  # block means of the mosaic, if uniform clipped areas are replaced
-        self.maps: Any = None  # maps of blocks, computed from the means
-        self.quads: Any = None  # maps of quads, interpolated from the maps of blocks
+        self.maps: Any = None  # values for the replacement of clipped areas, per block
+        self.quads: Any = None  # the same values, interpolated to quads of pixels
         self.first: Any = None  # outputs of the first layer, if the last layer corrects them
-        self.made: Any = None  # outputs before smoothing of spectra
-        self.result: Any = None
-        self._typed: set[Any] = set()  # kernels whose argument types pyopencl knows
+        self.made: Any = None  # outputs before the smoothing of spectra
+        self.result: Any = None  # outputs, or codes of the picture
+        self._typed: set[Any] = set()  # kernels whose argument types have been declared
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Enqueue a kernel.
 
-        The types of its arguments are declared once. Otherwise pyopencl would determine them in every call, which would take
-        longer than all other steps before the first kernel of a frame.
+        The argument types of a kernel are declared at its first call. Otherwise pyopencl would determine the types in every
+        call, which would take longer than all other steps before the first kernel of a frame.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
@@ -86,14 +87,14 @@ class Track:
 
 
 def shares_memory(device: Any) -> bool:
-    """Return whether a device shares the host's memory, so that nothing needs to be copied."""
+    """Return whether a device shares the memory of the host, so that nothing needs to be copied."""
     return bool(device.type & pyopencl().device_type.CPU)
 
 
 class Work:
-    """The work that was started for one frame: its events by stage, and the arrays that the device still uses.
+    """The commands that were enqueued for one frame: their events by stage, and the arrays that the device uses.
 
-    References to the arrays are kept until the work is done, even after an interrupt.
+    The arrays are kept until all commands have finished, even if the program is interrupted.
     """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
@@ -101,17 +102,17 @@ class Work:
         self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
         self.arrays: list[NDArray] = []
         self._queues: list[Any] = []
-        self._in_place: list[Any] = []  # buffers in the memory of host arrays
-        self._mapped: list[tuple[Any, Any]] = []  # pairs of queue and mapping
+        self._in_place: list[Any] = []  # buffers that use the memory of host arrays
+        self._mapped: list[tuple[Any, Any]] = []  # queue and mapping of each mapped buffer
         self._owner = os.getpid()
 
     def __del__(self) -> None:
-        if self._owner == os.getpid():  # in a forked process the queue would never finish
+        if self._owner == os.getpid():  # in a forked process, `finish` would wait forever
             for queue in self._queues:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """Return a buffer in the memory of a contiguous array, for a device that shares the host's memory."""
+        """Return a buffer that uses the memory of a contiguous array. The device must share the memory of the host."""
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -120,15 +121,15 @@ class Work:
         return self._in_place[-1]
 
     def upload(self, queue: Any, array: NDArray, buffer: Any) -> Any:
-        """Start to copy a contiguous array into a buffer, and return the buffer."""
+        """Enqueue a copy of a contiguous array to a buffer, and return the buffer."""
         self.arrays.append(array)
         self.add("upload", pyopencl().enqueue_copy(queue, buffer, array, is_blocking=False))
         return buffer
 
     def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
-        """Start to copy a buffer, from byte `offset` on, into consecutive contiguous arrays.
+        """Enqueue a copy of a buffer to contiguous arrays, one after another, beginning with byte `offset` of the buffer.
 
-        Buffers in host memory are mapped instead of copied.
+        Buffers that use the memory of the host are mapped instead of copied.
         """
         cl = pyopencl()
         for array in arrays:
@@ -143,13 +144,16 @@ class Work:
             self.add("download", event)
 
     def end(self) -> "Work":
-        """Wait until the work is done, while other threads may run. Raises DeviceError if the device fails."""
+        """Wait until all commands have finished. Other threads can run meanwhile.
+
+        Raises a DeviceError if the device fails.
+        """
         with refusals(self._device):
             for event in self.events["download"]:
                 event.wait()
             while self._mapped:
                 queue, mapping = self._mapped.pop()
-                mapping.release(queue).wait()  # now the array belongs to the caller again
+                mapping.release(queue).wait()  # from now on, the caller may change the array
         self._queues.clear()
         return self
 
@@ -157,7 +161,7 @@ class Work:
         self.events[stage].append(event)
 
     def milliseconds(self) -> dict[str, float]:
-        """Return the time in ms that the device spent in each stage, after the work is done."""
+        """Return the time that the device spent in each stage, in ms. All commands must have finished."""
         return {
             stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
             for stage, events in self.events.items()
@@ -166,53 +170,54 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """The source of each padded row and column of planes, for a refinement layer."""
+    """Sources of the padded rows and columns of the planes that a refinement layer reads."""
 
-    classes: tuple[Source, Source, Source]  # (padded row) in the planes and in the first layer's classes; (padded col)
-    transforms: tuple[Source, Source]  # (padded row); (padded col)
+    classes: tuple[Source, Source, Source]  # for the classes: rows of the planes, rows of the first layer's classes, columns
+    transforms: tuple[Source, Source]  # for the transforms: rows and columns of the planes
 
 
 @dataclass(frozen=True)
 class Band:
-    """A range of rows of a frame, and the rows that every layer reads for it."""
+    """A range of rows of a frame that is rendered as a whole, and the rows that every layer reads for the band."""
 
-    # Rows of the planes that each refinement layer reads, then rows of outputs if spectra are smoothed, then the band's own
-    # rows.
+    # Rows of the planes that each refinement layer reads, then the rows of outputs before the smoothing of spectra (if the
+    # table smooths spectra), then the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # raw rows that the patches of `reads[0]` cover
-    columns: int
-    mosaic_source: tuple[Source, Source]  # (padded row) in the raw rows; (padded col)
-    later: tuple[PlaneSource, ...]
+    raw_rows: slice  # raw rows that the windows of the first layer need
+    columns: int  # number of columns of the frame
+    mosaic_source: tuple[Source, Source]  # sources of the padded rows, as indices in `raw_rows`, and of the padded columns
+    later: tuple[PlaneSource, ...]  # one per refinement layer
 
     @property
     def rows(self) -> slice:
+        """Rows of the band itself."""
         return self.reads[-1]
 
     @property
     def made(self) -> slice:
-        """Rows that the last layer computes."""
+        """Rows of the outputs of the last layer."""
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Return the rows and columns of `reads[number]`."""
+        """Return the number of rows in `reads[number]`, and the number of columns."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands for frames of a shape (row, col). `constant` copies indices (int32) to the device."""
+    """Yield the bands of frames with a shape (rows, columns). `constant` is a function that copies indices to the device."""
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
     coarse = bool(table.later and table.later[-1].coarse_chroma)
-    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # the taller a band, the smaller the relative margins
+    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # margins of coarse chroma are wide, so bands are taller
 
     sides = {BORDER_PIXELS, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return where in the slice `there` to find the rows `seen` and `margin` further rows on both sides.
+        """Return the positions, in the slice `there`, of the rows `seen` with a margin of `margin` rows on both sides.
 
-        Rows beyond the edges of the frame are mirrored.
+        Rows outside the frame are mirrored.
         """
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
@@ -226,7 +231,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BLOCK  # blocks are aligned with the frame and not with the band
+                above -= above % BLOCK  # blocks must have the same positions in the frame for every band
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

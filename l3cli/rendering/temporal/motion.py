@@ -90,8 +90,8 @@ class _Search:
         self._now = self._windows(now, np.zeros((*grid.blocks, 2), np.int32))
         mean = self._now.sum(axis=(2, 3)) // (tall * wide)
         spread = noise.spread[mean >> (DEEP - 8)]
-        # Let σ be the standard deviation of a difference. The sum of n absolute differences has a standard deviation of 0.6 √n
-        # σ, which is approximated by 5/8 √n σ.
+        # If a difference has the standard deviation σ, the sum of n absolute differences has 0.6 √n σ. This is approximated
+        # by 5/8 √n σ.
         self._reluctance = (spread * (RELUCTANCE * 5 * root_of((tall, wide)))) >> (7 + level)
         # The mean of this sum is 0.8 n σ for two unfiltered frames, and 0.58 n σ if the previous frame is filtered.
         self._settled = (spread * (SETTLED * tall * wide)) >> (3 + level)

@@ -49,7 +49,7 @@ class AutoWhite:
         Computes the white balance. [default: `whites`]
     """
 
-    about, held = "estimated on the frame", False
+    about, held = "estimated from the frame", False
 
     def __init__(self, whites: Whites, balanced_by: Whites | None = None) -> None:
         self._whites, self._table, self._balances = whites, whites.table, balanced_by or whites
@@ -191,7 +191,7 @@ class ChartSceneWhite(SceneWhite):
 class ChartWhite:
     """Measures the white on the grey patches of a ColorChecker in the frame."""
 
-    about, held = "of the greys of a ColorChecker", True
+    about, held = "measured on a ColorChecker", True
 
     def __init__(self, table: TransformTable) -> None:
         self._whites, self._table = Whites(table), table
@@ -274,7 +274,7 @@ class CameraWhite:
     the white of the table is used.
     """
 
-    about, held = "as the file states it", False
+    about, held = "stated in the file", False
 
     def __init__(self, table: TransformTable, asked: bool = True) -> None:
         self._whites, self._asked = Whites(table), asked
@@ -299,7 +299,7 @@ class SquareWhite:
     held = True
 
     def __init__(self, table: TransformTable, square: Square) -> None:
-        self.about = f"of {square.size}×{square.size} pixels about row {square.row}, column {square.col}"
+        self.about = f"measured on {square.size}×{square.size} pixels around row {square.row}, column {square.col}"
         self._whites, self._square = Whites(table), square
 
     def white(self, frame: RawFrame) -> SceneWhite:
@@ -413,8 +413,8 @@ def _multipliers(text: str, channels: Sequence[str]) -> Array:
         return np.array([MULTIPLIER.read(part) for part in parts])
     except NoSuchNumber as error:
         raise RecipeError(
-            f'white "{shortened(text)}" must be one multiplier per channel ({names}), or ROW,COL,SIZE of a grey area in '
-            f"pixels: {error}"
+            f'white "{shortened(text)}" must be one multiplier per channel ({names}), or ROW,COL,SIZE in whole pixels of a '
+            f"grey area: {error}"
         ) from None
 
 

@@ -70,7 +70,7 @@ class WhiteReport:
             self._report(self._source, frame.name, white)
         if not self._warned:
             self._warned = True
-            doubts = [implausible(f"{frame.name}: its white, {self._source.about},", white)]
+            doubts = [implausible(f"{frame.name}: the white {self._source.about}", white)]
             if isinstance(white, ChartSceneWhite) and white.stated is not None:
                 doubts.append(unlike_stated(frame.name, white, white.stated))
             for doubt in filter(None, doubts):
