@@ -1,1 +1,1 @@
-"""Physics of light: spectra, lenses and displays. Functions take and return arrays and know nothing of cameras or files."""
+"""Spectra, lenses, colour spaces and displays. The functions use only arrays, and do not depend on cameras or files."""

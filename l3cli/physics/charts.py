@@ -1,4 +1,4 @@
-"""Test charts with known reflectances, by name."""
+"""Colour charts with known reflectances."""
 
 import functools
 import re
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from l3cli.errors import RecipeError, suggestion
 from l3cli.physics import spectra
 
-CLASSIC = (4, 6)  # rows and columns of patches
+CLASSIC = (4, 6)  # numbers of rows and columns of patches
 AVERAGE, STANDARD = "BabelColor Average", "ISO 17321-1"
 SINCE_2014 = "ColorChecker24 - After November 2014"
-CHARTS = {  # name: (measured spectra, colours that the manufacturer states for newer charts)
+CHARTS = {  # name → name of the measured spectra, and name of the manufacturer's colours for newer charts or None
     "classic": (AVERAGE, None),
     "classic ISO 17321": (STANDARD, None),
     "classic 2014": (AVERAGE, SINCE_2014),
@@ -20,25 +20,26 @@ CHARTS = {  # name: (measured spectra, colours that the manufacturer states for 
     "passport 2": (AVERAGE, SINCE_2014),
 }
 NO_SPECTRA = (
-    "only its colours are published, not its reflectances; give these as a CSV file with the wavelength and one column per "
-    'patch, row by row: chart = "sg.csv", layout = [10, 14]'
+    "the reflectances of this chart are not published; set chart to a CSV file with the wavelength and one column of "
+    'reflectances per patch, row by row: chart = "sg.csv", layout = [10, 14]'
 )
-CORRECTION_NM = 60.0  # nm; correlation length of the correction for the dyes of newer charts
+CORRECTION_NM = 60.0  # correlation length of the correction for the dyes of newer charts, in nm
 Array = NDArray[np.floating]
 
 
 def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return the patches of a chart with CLASSIC rows and columns, row by row.
+    """Return the names and reflectances of the patches of a ColorChecker, row by row.
 
-    "classic" and "passport" are ColorCheckers made before November 2014: the average of thirty charts (BabelColor) and the
-    single chart in ISO 17321-1. Later charts have other dyes, whose spectra are not published. For "classic 2014" and
-    "passport 2", the older spectra are multiplied by the smoothest factors that give the colours stated by the manufacturer.
+    The charts "classic" and "passport" were made before November 2014. Their spectra are the average of thirty charts
+    (BabelColor), and those of "classic ISO 17321" are from the chart in ISO 17321-1. Later charts have different dyes, whose
+    spectra are not published. For "classic 2014" and "passport 2", the older spectra are therefore multiplied by smooth
+    factors so that their colours are those that the manufacturer states.
 
     Parameters
     ----------
     name : str
         A key of CHARTS.
-    wavelength : ndarray, (wavelength)
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
 
     Returns
@@ -56,7 +57,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
     if name not in CHARTS:
         if re.search(r"\bsg\b|semi.?gloss", name.casefold()):
             raise RecipeError(f'chart "{name}": {NO_SPECTRA}')
-        raise RecipeError(f'chart "{name}" is unknown; {suggestion(name, CHARTS)} (and CSV files of reflectances)')
+        raise RecipeError(f'chart "{name}" is unknown; {suggestion(name, CHARTS)} (or a CSV file of reflectances)')
     measured, stated = CHARTS[name]
     patches = spectra.colour_science().SDS_COLOURCHECKERS[measured]
     reflectance = np.array([np.interp(wavelength, patch.wavelengths, patch.values) for patch in patches.values()])
@@ -64,7 +65,7 @@ def chart(name: str, wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 
 def _corrected(reflectance: Array, wavelength: Array, stated: str) -> Array:
-    """Multiply reflectances by the smoothest factors that give the stated colours."""
+    """Multiply reflectances by the smoothest factors with which the colours are those that the manufacturer states."""
     target = _stated_xyz(stated)
     light = spectra.illuminant("D50", wavelength)
     weights = spectra.xyz_weights(wavelength) * light

@@ -1,4 +1,5 @@
-"""Estimates the illuminant of a scene from a white point or from the camera's signal for grey (docs/method.md#scene-white).
+"""Estimates the illuminant of a scene from its white point, or from the camera signals of a grey
+(docs/method.md#scene-white).
 
 Illuminants are modelled as black bodies or daylight with a green or magenta tint.
 """
@@ -13,37 +14,42 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.floating]
 
-WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm; visible range
-MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])  # 10^6 / K; 25 000 K to 1600 K
-DAYLIGHT_MIRED = 250.0  # 10^6 / K; up to this value (4000 K) the model is daylight, above it a black body
-GREENS = np.arange(-0.8, 1.01, 0.1)  # natural log of the excess in the green over a black body or daylight
-GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # nm; centre and width of the tint, as caused by the lines of fluorescent lamps
-SAME_MIRED = 1.0  # 10^6 / K; colour temperatures that differ by less (42 K at 6500 K) look the same
-FINER = 10  # number of steps of the second search within one step of the first
+WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # visible wavelengths in nm
+# Reciprocal colour temperatures in mired (10^6/K), from 25 000 K to 1600 K.
+MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
+DAYLIGHT_MIRED = 250.0  # the model is daylight up to this value in mired (from 4000 K upwards), and a black body above it
+GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor by which green light is increased
+GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, as in the spectra of fluorescent lamps
+SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same
+FINER = 10  # number of steps of the second, finer search within one step of the first search
 
 
 @dataclass(frozen=True)
 class CorrelatedLight:
     """An illuminant, described by its colour temperature and its distance from the black-body locus."""
 
-    xyz: NDArray[np.float64]  # (3) XYZ of a perfect white, with Y = 1
+    xyz: NDArray[np.float64]  # (3,) XYZ of a perfect white, with Y = 1
     kelvin: float  # correlated colour temperature in K
-    duv: float  # distance from the black-body locus in CIE 1960 uv, positive if greener
-    misfit: float  # RMS difference between the logarithms of the channel signals, modelled and given
-    radiance: Array | None  # (wavelength) relative photon radiance on the camera's wavelength grid, or None if unknown
+    duv: float  # distance from the black-body locus in CIE 1960 uv, which is positive for greenish illuminants
+    misfit: float  # RMS difference between the logarithms of the modelled and of the measured signals
+    radiance: Array | None  # (wavelength,) relative photon radiance on the wavelength grid of the camera, or None if unknown
 
 
 def radiance(mired: float, green: float, wavelength: Array) -> Array:
-    """Return the relative photon radiance (wavelength) of a model illuminant.
+    """Return the relative photon radiance of a model illuminant.
 
     Parameters
     ----------
     mired : float
-        Reciprocal correlated colour temperature, 10^6 / K.
+        Reciprocal correlated colour temperature in mired (10^6/K).
     green : float
-        Tint, as in GREENS.
-    wavelength : ndarray, (wavelength)
+        Tint, in the unit of GREENS.
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
+
+    Returns
+    -------
+    ndarray, (wavelength,)
     """
     kelvin = 1e6 / mired
     plain = spectra.illuminant(f"{'D' if mired <= DAYLIGHT_MIRED else ''}{kelvin:.6f}K", wavelength)
@@ -51,26 +57,27 @@ def radiance(mired: float, green: float, wavelength: Array) -> Array:
 
 
 def _greener(green: float, wavelength: Array) -> Array:
-    """Return the factor (wavelength) that adds a green tint to an illuminant."""
+    """Return the factor, for each wavelength, that gives an illuminant a green tint."""
     return np.asarray(np.exp(green * np.exp(-(((wavelength - GREEN_NM) / GREEN_WIDTH) ** 2))))
 
 
 def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> CorrelatedLight:
-    """Find the illuminant under which a grey surface has the camera signals `neutral`.
+    """Find the illuminant under which a grey surface has the given camera signals.
+
+    The illuminant minimises the squared error of the logarithms of the signals.
 
     Parameters
     ----------
     weights : ndarray, (channel, wavelength)
         Responsivities of the camera.
-    wavelength : ndarray, (wavelength)
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
-    neutral : ndarray, (channel)
-        Signals of a grey surface, at any scale. Channels without a positive signal are ignored.
+    neutral : ndarray, (channel,)
+        Signals of a grey surface, in any unit. Channels without a positive signal are ignored.
 
     Returns
     -------
     CorrelatedLight
-        The illuminant with the smallest squared error in the logarithms of the signals.
     """
     mired, green, misfit = _nearest(weights, wavelength, neutral)
     xyz = spectra.xyz_weights(WAVELENGTH) @ radiance(mired, green, WAVELENGTH)
@@ -78,16 +85,26 @@ def light_of_neutral(weights: Array, wavelength: Array, neutral: Array) -> Corre
 
 
 def light_of_white(white: Array, wavelength: Array) -> CorrelatedLight:
-    """Find the illuminant with a given white point (3), and its radiance on a camera's grid `wavelength`.
+    """Find the illuminant with a given white point.
 
-    Its `misfit` is computed from X, Y and Z instead of channel signals.
+    Parameters
+    ----------
+    white : ndarray, (3,)
+        XYZ of the white point, at any luminance.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths of the camera in nm, at which the radiance is returned.
+
+    Returns
+    -------
+    CorrelatedLight
+        The illuminant, whose `misfit` is computed from X, Y and Z.
     """
     mired, green, misfit = _nearest(spectra.xyz_weights(WAVELENGTH), WAVELENGTH, white)
     return CorrelatedLight(white / white[1], *temperature(white), misfit, radiance(mired, green, wavelength))
 
 
 def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, float, float]:
-    """Return the mired value, tint and misfit of the illuminant under which grey has the signals `neutral` (channel)."""
+    """Return the mired value, tint and misfit of the illuminant under which a grey best has the signals `neutral`."""
     used = neutral > 0
     wanted = _centred(np.log(neutral[used]))
     mireds, greens = MIREDS, GREENS
@@ -103,15 +120,15 @@ def _nearest(weights: Array, wavelength: Array, neutral: Array) -> tuple[float, 
 
 
 def light_of(white: Array) -> CorrelatedLight:
-    """Return an illuminant of which only the white point (3) is known."""
+    """Return an illuminant of unknown spectrum with the white point `white`, given as XYZ."""
     return CorrelatedLight(np.asarray(white / white[1], np.float64), *temperature(white), 0.0, None)
 
 
 def temperature(xyz: Array) -> tuple[float, float]:
-    """Return the correlated colour temperature (K) of a white (3) and its distance Duv from the black-body locus.
+    """Return the correlated colour temperature, in K, of a white given as XYZ, and its distance from the black-body locus.
 
-    The temperature is limited to 1600…25 000 K. Duv is in CIE 1960 uv, and positive if the white is greener than a black
-    body.
+    The temperature is limited to the range from 1600 K to 25 000 K. The distance is in CIE 1960 uv. It is positive if the
+    white is greener than a black body.
     """
     mireds, locus = _black_bodies()
     point = uv(xyz)
@@ -125,7 +142,7 @@ def temperature(xyz: Array) -> tuple[float, float]:
 
 
 def mired_of(xyz: Array) -> float:
-    """Return the reciprocal colour temperature (10^6 / K) of a white (3), limited as in `temperature`."""
+    """Return the reciprocal colour temperature, in mired, of a white given as XYZ, limited as in `temperature`."""
     return 1e6 / temperature(xyz)[0]
 
 
@@ -137,7 +154,7 @@ def uv(xyz: Array) -> NDArray[np.float64]:
 
 @functools.cache
 def _black_bodies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the reciprocal colour temperatures (mired) and the CIE 1960 uv coordinates (…, 2) of black bodies."""
+    """Return the reciprocal colour temperatures, in mired, and the CIE 1960 uv coordinates of a series of black bodies."""
     mireds = np.arange(MIREDS[0], MIREDS[-1] + 1, 5.0)
     lights = np.array([spectra.illuminant(f"{1e6 / each:.6f}K", WAVELENGTH) for each in mireds])
     return mireds, uv(lights @ spectra.xyz_weights(WAVELENGTH).T)

@@ -1,7 +1,7 @@
-"""Conversion of XYZ to a displayed picture and back, with adaptation, exposure and sRGB, and CIELAB colour differences.
+"""Conversion between XYZ and displayed pictures, and colour differences (docs/method.md#display).
 
-XYZ means CIE 1931. A picture is linear sRGB (row, col, 3), where 1 is display white, unless a name says "codes"
-(docs/method.md#display).
+XYZ means CIE 1931. A picture is an array (row, col, 3) of linear sRGB values, where 1 is display white. Integer values of a
+picture file are called *codes*.
 """
 
 import functools
@@ -17,15 +17,15 @@ from l3cli.physics.spectra import colour_science, white_point
 from l3cli.system.text import Quantity
 
 Array = NDArray[np.floating]
-XYZ = ("X", "Y", "Z")  # names of outputs that are CIE 1931 tristimulus values
-CHROMATICITY = Quantity(0.001, 0.999)  # range of x and of y of a white
-WHITE_PERCENTILE = 99  # percentile of Y that is mapped to display white, as in the authors' pictures
+XYZ = ("X", "Y", "Z")  # names of the outputs if they are CIE 1931 tristimulus values
+CHROMATICITY = Quantity(0.001, 0.999)  # range of x and y of a white
+WHITE_PERCENTILE = 99  # percentile of Y that is displayed as white, as in the pictures of the L3 paper
 LUMA = np.array([0.2126, 0.7152, 0.0722])  # luminance weights of the sRGB primaries (Rec. 709)
-FLOAT_BITS = 32  # bits per value of linear pictures, which are floating point
+FLOAT_BITS = 32  # bits per value of linear pictures in floating point
 CODES = {8: np.uint8, 16: np.uint16}  # bits per code → type
-AT_ONCE = 1 << 13  # number of colour differences computed at once, so that they fit into the CPU cache
-TONE_LIMIT = 1e6  # linear values are clipped here; tone curves have reached white far below
-PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tolerance does not change any result
+AT_ONCE = 1 << 13  # number of colour differences that are computed together, so that they fit into the processor cache
+TONE_LIMIT = 1e6  # linear values are clipped to this limit, far above the value at which tone curves reach white
+PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tolerance does not change the results
 
 
 # ------------------------------------------------------------------------------------------- white and exposure
@@ -33,28 +33,28 @@ PRECISION = 1e-3  # tolerance of the gradient in the optimisation; a smaller tol
 
 @functools.cache
 def daylight() -> Array:
-    """Return XYZ (3) of D65, the white of displays, with Y = 1."""
+    """Return the XYZ of D65, the white of displays, with Y = 1."""
     return white_point("D65")
 
 
 def display_white() -> Array:
-    """Return XYZ (3) of display white according to the rounded matrix of sRGB. It is D65 with Y = 1, to four digits."""
+    """Return the XYZ of display white according to the rounded matrix of sRGB, which equals D65 to four digits."""
     return np.linalg.solve(SRGB_FROM_XYZ, np.ones(3))
 
 
 def white_luminance(luminance: Array) -> float:
-    """Return the luminance that is mapped to display white: the 99th percentile of `luminance` (row, col).
+    """Return the luminance that is displayed as white: the 99th percentile of `luminance` (row, col).
 
-    The result is in the unit of `luminance`. It is 1 if the scene is dark.
+    If the scene is completely dark, the result is 1.
     """
     bright = white_percentile(luminance)
     return bright if bright > 0 else 1.0
 
 
 def white_percentile(values: Array) -> float:
-    """Return the same bits as np.percentile(values, 99) in less time.
+    """Return the 99th percentile of `values`, with the same bits as np.percentile.
 
-    np.percentile imports numpy's masked arrays, which takes a twentieth of the time of rendering a picture.
+    np.percentile would import numpy's masked arrays, which takes a twentieth of the time for rendering a picture.
     """
     flat = values.ravel()
     place = (flat.size - 1) * (WHITE_PERCENTILE / 100)
@@ -68,22 +68,22 @@ def white_percentile(values: Array) -> float:
 
 
 def exposure_scale(luminance: Array) -> float:
-    """Return the scale that maps the 99th percentile of Y (row, col) to display white, or 1 if the scene is dark."""
+    """Return the factor that maps the 99th percentile of `luminance` (row, col) to 1. It is 1 if the scene is dark."""
     return 1.0 / white_luminance(luminance)
 
 
 def scene_white(text: str) -> NDArray[np.float64]:
-    """Parse a white given as chromaticity "x,y" or as the name of an illuminant.
+    """Parse a white, which is either a chromaticity "x,y" or the name of an illuminant.
 
     Returns
     -------
-    ndarray, (3)
+    ndarray, (3,)
         XYZ with Y = 1.
 
     Raises
     ------
     RecipeError
-        If the text is neither of these.
+        If the text is neither a chromaticity nor the name of an illuminant.
     """
     if "," not in text:
         return np.asarray(white_point(text), np.float64)
@@ -92,11 +92,9 @@ def scene_white(text: str) -> NDArray[np.float64]:
         x, y = (CHROMATICITY.read(part) for part in parts)
     except ValueError as error:
         why = f": {error}" if len(parts) == 2 else ""
-        raise RecipeError(
-            f'white "{shortened(text)}" is not a chromaticity{why}; give it as x,y such as 0.3127,0.3290'
-        ) from None
+        raise RecipeError(f'white "{shortened(text)}" is not a chromaticity{why}; set x,y such as 0.3127,0.3290') from None
     if x + y > CHROMATICITY.most:
-        raise RecipeError(f"white {text} is not a chromaticity; x + y must be at most {CHROMATICITY.most}")
+        raise RecipeError(f"white {text} is not a chromaticity; set x and y with a sum of at most {CHROMATICITY.most}")
     return np.array([x, y, 1 - x - y]) / y
 
 
@@ -104,36 +102,36 @@ def scene_white(text: str) -> NDArray[np.float64]:
 
 
 def xyz_from_srgb_matrix() -> Array:
-    """Return the matrix (3, 3) from linear sRGB to XYZ, with white at Y = 1."""
+    """Return the matrix (3, 3) that converts linear sRGB to XYZ. White has Y = 1."""
     return np.linalg.inv(SRGB_FROM_XYZ)
 
 
 def srgb_curve(linear: Array) -> Array:
-    """Encode linear values as non-linear sRGB, clipped to 0…1 (IEC 61966-2-1)."""
+    """Encode linear values as non-linear sRGB (IEC 61966-2-1). The values are first clipped to 0…1."""
     return SRGB_CURVE.encoded(linear)
 
 
 def srgb_decoded(encoded: Array) -> Array:
-    """Decode non-linear sRGB in 0…1 to linear values (IEC 61966-2-1). This is the inverse of `srgb_curve`."""
+    """Decode non-linear sRGB values in 0…1 to linear values (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def codes(encoded: Array, bits: int = 8) -> NDArray[Any]:
-    """Convert encoded values in 0…1 to integer codes of a picture file: round((2^bits − 1) · value).
+    """Convert encoded values in 0…1 to the codes of a picture file: round((2^bits − 1) · value).
 
-    `bits` is a key of CODES.
+    `bits` is 8 or 16.
     """
     return np.floor(encoded * (2**bits - 1) + 0.5).astype(CODES[bits])
 
 
 def srgb_codes(linear: Array, bits: int = 8) -> NDArray[Any]:
-    """Encode linear sRGB as integer codes of a picture file."""
+    """Encode linear sRGB as the codes of a picture file."""
     return codes(srgb_curve(linear), bits)
 
 
 @dataclass(frozen=True)
 class Tone:
-    """Tone curve for linear values x: x (a x + b) / (x (c x + d) + e), limited to 0…1."""
+    """A tone curve for linear values x: x (a x + b) / (x (c x + d) + e), limited to 0…1."""
 
     a: float
     b: float
@@ -142,52 +140,52 @@ class Tone:
     e: float
 
     def toned(self, linear: Array) -> Array:
-        """Apply the tone curve. The result is linear too."""
+        """Apply the tone curve. The result is still linear, without a transfer curve."""
         x = np.clip(linear, 0.0, TONE_LIMIT)
         return np.minimum(x * (self.a * x + self.b) / (x * (self.c * x + self.d) + self.e), 1.0)
 
 
-# K. Narkowicz, ACES Filmic Tone Mapping Curve, 2016: a fit to the ACES output transform.
+# A fit to the output transform of ACES, from K. Narkowicz, "ACES Filmic Tone Mapping Curve", 2016.
 TONES = {"aces": Tone(2.51, 0.03, 2.43, 0.59, 0.14)}
 
 
-# ------------------------------------------------------------------------------------------------ as it is seen
+# ------------------------------------------------------------------------------------------ pictures on a display
 
 
 def displayed(xyz: Array, white: Array, scale: float) -> Array:
-    """Convert XYZ planes to a picture, clipped to 0…1.
+    """Convert XYZ to a picture.
 
     Parameters
     ----------
     xyz : ndarray, (3, row, col)
         CIE 1931 XYZ.
-    white : ndarray, (3)
-        XYZ of the scene's white, which is adapted to D65.
+    white : ndarray, (3,)
+        XYZ of the white of the scene, which is adapted to D65.
     scale : float
-        Luminance Y that is mapped to 1.
+        Luminance Y that becomes display white.
 
     Returns
     -------
     ndarray, (row, col, 3)
-        Linear sRGB.
+        Linear sRGB, clipped to 0…1.
     """
     matrix = SRGB_FROM_XYZ @ adaptation_matrix(white, daylight()) / scale
     return np.clip(np.einsum("oc,crk->rko", matrix, xyz), 0.0, 1.0)
 
 
 def scene_xyz(linear: Array, white: Array, scale: float) -> Array:
-    """Convert a picture to XYZ planes (3, row, col). This is the inverse of `displayed`, except for clipped values."""
+    """Convert a picture to XYZ (3, row, col). This function is the inverse of `displayed`, except for clipped values."""
     matrix = adaptation_matrix(daylight(), white) @ xyz_from_srgb_matrix() * scale
     return np.einsum("co,rko->crk", matrix, linear)
 
 
 def displayed_xyz(linear: Array) -> Array:
-    """Return XYZ (row, col, 3) of a picture on a display. White has Y = 1."""
+    """Convert a picture to the XYZ (row, col, 3) that a display emits. White has Y = 1."""
     return linear @ xyz_from_srgb_matrix().T
 
 
 def lab(xyz: Array, white: Array) -> Array:
-    """Convert XYZ (…, 3) to CIE L*a*b* relative to `white` (3) at the same scale (CIE 15)."""
+    """Convert XYZ (…, 3) to CIE L*a*b* (CIE 15). `white` is the XYZ of white in the same unit."""
     share = np.asarray(xyz, np.float64) / white
     root = np.where(share > (6 / 29) ** 3, np.cbrt(share), share * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = np.moveaxis(root, -1, 0)
@@ -195,19 +193,19 @@ def lab(xyz: Array, white: Array) -> Array:
 
 
 def lightness(linear: Array) -> Array:
-    """Return CIE L* (row, col), from 0 to 100, of a displayed picture."""
+    """Convert a picture to CIE L* (row, col), from 0 to 100."""
     return np.asarray(colour_science().lightness(100.0 * (linear @ LUMA), method="CIE 1976"))
 
 
 def srgb_from_lab(lab_values: Array) -> Array:
-    """Convert CIE L*a*b* relative to D65 to linear sRGB (…, 3), without clipping."""
+    """Convert CIE L*a*b* (…, 3) relative to D65 to linear sRGB (…, 3), without clipping."""
     colour = colour_science()
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     return np.asarray(colour.Lab_to_XYZ(lab_values, white) @ SRGB_FROM_XYZ.T)
 
 
 def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
-    """Return the CIEDE2000 colour difference between two L*a*b* arrays (…, 3)."""
+    """Return the CIEDE2000 colour differences (…) between two arrays of L*a*b* values (…, 3)."""
     one, other = np.broadcast_arrays(lab_a, lab_b)
     flat = one.reshape(-1, 3), other.reshape(-1, 3)
     difference = np.empty(len(flat[0]))
@@ -218,21 +216,21 @@ def delta_e_2000(lab_a: Array, lab_b: Array) -> Array:
 
 
 def _delta_e_2000(one: Array, other: Array) -> Array:
-    """Return CIEDE2000 (colour) between two arrays of L*, a*, b* (3, colour) (Sharma, Wu and Dalal 2005).
+    """Return the CIEDE2000 differences between two arrays of L*, a*, b* (3, colour), as in Sharma, Wu and Dalal (2005).
 
-    Hues are represented by unit vectors, and the mean hue by their bisector. This needs one angle instead of two angles and
-    their cosines.
+    A hue is represented by a unit vector, and the mean of two hues by the bisector of their vectors. The formula then needs
+    one angle instead of two angles and their cosines.
     """
     (light_1, a_1, b_1), (light_2, a_2, b_2) = one, other
     stretch = 1.5 - 0.5 * _vivid((_length(a_1, b_1) + _length(a_2, b_2)) / 2)
     a_1, a_2 = a_1 * stretch, a_2 * stretch
     chroma_1, chroma_2 = _length(a_1, b_1), _length(a_2, b_2)
     both, dot, cross = chroma_1 * chroma_2, a_1 * a_2 + b_1 * b_2, a_1 * b_2 - b_1 * a_2
-    opposed = both + dot <= 1e-9 * both  # hues are opposite, or one of the colours is grey
+    opposed = both + dot <= 1e-9 * both  # whether the hues are opposite or a colour is grey
     far = np.copysign(np.sqrt(np.maximum(2 * (both - dot), 0)), cross)
     hue = np.where(opposed, far, cross * np.sqrt(2 / np.where(opposed, 1, both + dot)))  # 2 √(C₁C₂) sin(Δh/2)
     x, y = (np.where(both > 0, p * chroma_2 + q * chroma_1, p + q) for p, q in ((a_1, a_2), (b_1, b_2)))
-    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # selects the mean of the angles for opposite hues
+    sign = np.where((b_1 > 0) | (b_1 == 0) & (a_1 > 0), 1, -1)  # opposite hues have two bisectors; this selects one
     x, y = (np.where((x == 0) & (y == 0), each, of) for of, each in ((x, -sign * b_1), (y, sign * a_1)))
     length = _length(x, y)
     mean = (x + 1j * y) / np.where(length > 0, length, 1) + (length == 0)
@@ -249,7 +247,7 @@ def _delta_e_2000(one: Array, other: Array) -> Array:
 
 
 def _length(x: Array, y: Array) -> Array:
-    """Return √(x² + y²) in a fifth of the time of np.hypot, which guards against an overflow that colours cannot cause."""
+    """Return √(x² + y²). np.hypot would take five times as long, because it avoids overflows that colours cannot cause."""
     return np.sqrt(x * x + y * y)
 
 
@@ -260,15 +258,13 @@ def _vivid(chroma: Array) -> Array:
 
 
 def displayed_delta_e(one: Array, other: Array) -> Array:
-    """Return CIEDE2000 (row, col) between two displayed pictures."""
+    """Return the CIEDE2000 differences (row, col) between two pictures on a display."""
     labs = [lab(displayed_xyz(picture), daylight()) for picture in (one, other)]
     return delta_e_2000(*labs)
 
 
 def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, noise: Array | float = 0.0) -> Array:
-    """Fit a matrix by least squares, with the constraint that it maps one given input exactly.
-
-    The constraint is imposed with a Lagrange multiplier.
+    """Fit a matrix M by least squares, with the constraint M @ known = answer.
 
     Parameters
     ----------
@@ -276,17 +272,21 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
         Inputs.
     outputs : ndarray, (surface, output)
         Outputs to approximate.
-    known : ndarray, (input)
-        Input of the constraint.
-    answer : ndarray, (output)
-        Output of the constraint: M @ known = answer.
-    noise : ndarray, (input), or float
-        Noise variances of the inputs. They penalise noise amplification.
+    known : ndarray, (input,)
+        Input that must be mapped exactly.
+    answer : ndarray, (output,)
+        Output for this input.
+    noise : ndarray, (input,), or float
+        Noise variances of the inputs, which limit the amplification of noise.
 
     Returns
     -------
     ndarray, (output, input)
         The matrix M.
+
+    Notes
+    -----
+    The constraint is imposed with a Lagrange multiplier.
     """
     gram = inputs.T @ inputs + len(inputs) * np.diag(np.broadcast_to(noise, inputs.shape[1:]))
     free = np.linalg.solve(gram, inputs.T @ outputs).T
@@ -294,37 +294,37 @@ def fit_through(inputs: Array, outputs: Array, known: Array, answer: Array, nois
     return free + np.outer(answer - free @ known, towards / (known @ towards))
 
 
-DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives, the square root of float64's precision
+DERIVATIVE_STEP = 2.0**-26  # step of numerical derivatives: the square root of the precision of float64
 
 
 def refinement(xyz: Array, wanted: Array, white: Array) -> Array:
-    """Return the matrix near the identity that minimises squared CIEDE2000 errors and preserves white.
+    """Find a matrix R that minimises the squared CIEDE2000 errors of R @ xyz and preserves white.
 
     Parameters
     ----------
     xyz : ndarray, (surface, 3)
-        XYZ of the colours to be transformed.
+        XYZ of the colours to correct.
     wanted : ndarray, (surface, 3)
-        XYZ of the target colours.
-    white : ndarray, (3)
-        White point, which the matrix does not change.
+        XYZ of the correct colours.
+    white : ndarray, (3,)
+        XYZ of white.
 
     Returns
     -------
     ndarray, (3, 3)
-        Matrix R, applied as R @ xyz.
+        The matrix R, which is near the identity.
     """
     from scipy.optimize import minimize
 
-    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # directions (2, 3) orthogonal to white
+    goal, free = lab(wanted, white), np.linalg.svd(white[None])[2][1:]  # `free`: two directions orthogonal to white
 
     def turned(changes: Array) -> Array:
         return np.eye(3) + changes.reshape(-1, 3, 2) @ free
 
-    def errors(changes: Array) -> Array:  # squared, because squares are smooth where an error vanishes
+    def errors(changes: Array) -> Array:  # squares are smooth functions even at an error of 0
         return np.square(delta_e_2000(lab(xyz @ turned(changes).swapaxes(1, 2), white), goal)).mean(axis=1)
 
-    def sloped(change: Array) -> tuple[float, Array]:  # evaluating all neighbours at once takes a fifth of the time
+    def sloped(change: Array) -> tuple[float, Array]:  # evaluating all steps together takes a fifth of the time
         first, *others = errors(change + np.vstack([np.zeros(6), DERIVATIVE_STEP * np.eye(6)]))
         return float(first), (np.array(others) - first) / DERIVATIVE_STEP
 

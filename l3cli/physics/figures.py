@@ -8,16 +8,16 @@ from l3cli.system.text import figure as number
 
 @dataclass(frozen=True)
 class Figure:
-    """Names, unit and format of a metric on pages, in tables and in sentences."""
+    """How a metric is displayed."""
 
-    heading: str  # heading on a page
+    heading: str  # name and unit in reports
     short: str  # heading of a column in the terminal
-    unit: str = ""  # text after the value of a difference
-    more_is_better: bool = False
-    digits: int = 2
+    unit: str = ""  # unit with a leading space, for differences in sentences
+    more_is_better: bool = False  # whether larger values are better
+    digits: int = 2  # number of decimal places
 
 
-FIGURES = {  # metrics of frames in the order of display, then metrics from standards (docs/measurement.md)
+FIGURES = {  # metrics of frames in the order in which they are displayed, then metrics of standards (docs/measurement.md)
     "mean_delta_e": Figure("mean ΔE00", "ΔE00 mean", " ΔE00"),
     "median_delta_e": Figure("median ΔE00", "median", " ΔE00"),
     "p95_delta_e": Figure("95 % ΔE00", "95 %", " ΔE00"),
@@ -46,7 +46,7 @@ FIGURES = {  # metrics of frames in the order of display, then metrics from stan
 
 
 def figure_text(figure: str, value: float | None) -> str:
-    """Format the value of a metric without its unit. A missing value is a dash."""
+    """Format the value of a metric, without its unit. A missing value becomes a dash."""
     return "–" if value is None else number(value, f".{FIGURES[figure].digits}f")
 
 
@@ -57,7 +57,7 @@ def known_mean(values: Sequence[float | None]) -> float | None:
 
 
 def sign(figure: str) -> float:
-    """Return 1 if larger values of a metric are better, otherwise −1. The result for unknown metrics is −1."""
+    """Return 1 if larger values of a metric are better, and −1 otherwise or if the metric is unknown."""
     known = FIGURES.get(figure)
     return 1.0 if known and known.more_is_better else -1.0
 

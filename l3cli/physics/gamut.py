@@ -1,21 +1,21 @@
-"""Maps colours outside a colour space into its gamut, along lines of constant hue (docs/method.md#gamut).
+"""Maps colours outside the gamut of a colour space into the gamut, along lines of constant hue (docs/method.md#gamut).
 
-A colour is a vector c of linear values of the space. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
-scaled to give 1 for white. Its lightness is L = λ · s. Greys have s = (L, L, L), so the colours with one lightness and hue
-lie on the line s(t) = L + t (s − L). Along it, linear values are cubic polynomials in t.
+Let c be the vector of the linear values of a colour. Its OkLab cone responses are s = (A c)^(1/3), where the rows of A are
+scaled so that white has s = (1, 1, 1). Its lightness is L = λ · s. Greys have s = (L, L, L), so all colours with the same
+lightness and hue are on the line s(t) = L + t (s − L). Along this line, each linear value is a cubic polynomial in t.
 
-1. Negative values: the colour moves towards grey until no value is below 0. The position t is the smallest root of the
-   cubics. It is approximated by one step of Halley's method. The step starts at the zero of the straight line between the
-   ends of the cubic whose value at t = 1 is lowest.
-2. Values above 1: the colour is darkened until no value is above 1, which preserves its OkLab hue. As the luminance Y
-   approaches 1, darkening is replaced gradually by clipping of each value, with the weight Y⁴. Highlights are thus as
-   bright as possible and end in white.
+1. **Negative values.** The colour moves towards grey until no value is negative. The position t is the smallest root of the
+   cubics. The root is approximated by one step of Halley's method. The step starts at the zero of a straight line, which
+   connects the ends of the cubic with the lowest value at t = 1.
+2. **Values above 1.** The colour is darkened until no value is above 1, which preserves the OkLab hue. As the luminance Y
+   approaches 1, darkening is gradually replaced by clipping of each value, with the weight Y⁴. Highlights therefore become
+   as bright as possible and end in white.
 
 References
 ----------
-B. Ottosson, "A perceptual color space for image processing", 2020: the matrix and λ.
-B. Ottosson, "sRGB gamut clipping", 2021: lines of constant hue and lightness, cubics, Halley's method.
-CSS Color Module Level 4, W3C, section 13: chroma is reduced at constant OkLCh lightness and hue.
+B. Ottosson, "A perceptual color space for image processing", 2020 (the matrix and λ).
+B. Ottosson, "sRGB gamut clipping", 2021 (lines of constant hue and lightness, cubics, Halley's method).
+CSS Color Module Level 4, W3C, section 13 (reduction of chroma at constant OkLCh lightness and hue).
 """
 
 import functools
@@ -33,25 +33,25 @@ CONES_FROM_XYZ = np.array(
         [0.0482003018, 0.2643662691, 0.6338517070],
     ]
 )
-LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of cone responses
-LEAST_CONE = 1e-12  # smallest cone response, which black gets
+LIGHTNESS = np.array([0.2104542553, 0.7936177850, -0.0040720468])  # weights λ of the cube roots of the cone responses
+LEAST_CONE = 1e-12  # smallest cone response, which black has
 CONE_SHARE = 0.02  # smaller cone responses are raised to this fraction of the largest; real colours have at least 0.07
-LEAST_LIGHTNESS = 1e-4  # avoids division by zero
-MIN_DIVISOR = 1e-30  # avoids division by zero
+LEAST_LIGHTNESS = 1e-4  # avoids a division by zero
+MIN_DIVISOR = 1e-30  # avoids a division by zero
 
 
 @dataclass(frozen=True)
 class Gamut:
-    """The colours that a space can show, as matrices between its linear values (0…1) and cone responses."""
+    """Matrices between the linear values of a colour space and cone responses."""
 
-    cones: NDArray[np.float64]  # (3, 3) from linear values to cone responses; white has (1, 1, 1)
-    linear: NDArray[np.float64]  # (3, 3) the inverse of `cones`
-    luminance: NDArray[np.float64]  # (3) weights of linear values in Y; white has Y = 1
+    cones: NDArray[np.float64]  # (3, 3) converts linear values to cone responses; white has (1, 1, 1)
+    linear: NDArray[np.float64]  # (3, 3) inverse of `cones`
+    luminance: NDArray[np.float64]  # (3,) weights of the linear values in Y; white has Y = 1
 
 
 @functools.cache
 def gamut_of(space: Space) -> Gamut:
-    """Return the gamut of a space with the white point D65."""
+    """Return the gamut of a colour space, whose white point must be D65."""
     to_xyz = np.linalg.inv(space.from_xyz)
     cones = CONES_FROM_XYZ @ to_xyz
     cones /= cones.sum(axis=1, keepdims=True)
@@ -59,22 +59,22 @@ def gamut_of(space: Space) -> Gamut:
 
 
 def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) -> NDArray[np.float64]:
-    """Map colours outside a gamut into it. Other colours do not change.
+    """Map colours outside a gamut into the gamut. Colours inside the gamut do not change.
 
     Parameters
     ----------
     linear : ndarray, (…, 3)
-        Linear values of the space.
+        Linear values.
     gamut : Gamut
-        Gamut of the space.
+        Gamut of the colour space.
     bounded : bool
-        Whether values above 1 are mapped. Use False if a tone curve follows that maps them itself.
+        Whether to map values above 1. Set this to False if a tone curve follows, which maps these values itself.
 
     Returns
     -------
     ndarray, (…, 3)
-        Linear values. The caller must clip them, because a few may remain outside 0…1. Deep blues exceed the range by up to
-        2 % of their largest value.
+        Linear values, which the caller must clip to 0…1. Deep blues can exceed this range by up to 2 % of their largest
+        value.
     """
     shown = linear.copy()
     negative = linear.min(axis=-1) < 0
@@ -86,7 +86,7 @@ def into_gamut(linear: NDArray[np.float64], gamut: Gamut, bounded: bool = True) 
 
 
 def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Move colours (colour, 3) towards the grey of their lightness until no value is negative."""
+    """Move colours (colour, 3) towards the grey with the same lightness until no value is negative."""
     responses = linear @ gamut.cones.T
     least_responses = np.maximum(CONE_SHARE * responses.max(axis=1, keepdims=True), LEAST_CONE)
     roots = np.cbrt(np.maximum(responses, least_responses))
@@ -105,7 +105,7 @@ def _less_chromatic(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.flo
 
 
 def _darker(linear: NDArray[np.float64], gamut: Gamut) -> NDArray[np.float64]:
-    """Darken colours (colour, 3) with values above 1. The nearer they are to white, the more they are clipped instead."""
+    """Darken colours (colour, 3) until no value is above 1. Colours near white are clipped instead of darkened."""
     square = np.square(np.clip(linear @ gamut.luminance, 0, 1))[:, None]
     clipped, scaled = np.minimum(linear, 1), linear / linear.max(axis=1, keepdims=True)
     return scaled + square * square * (clipped - scaled)

@@ -1,7 +1,7 @@
-"""Lens optics: camera equation, fall-off towards the corners, and blur by diffraction and defocus.
+"""Lens optics: camera equation, cos⁴ falloff, and blur by diffraction and defocus (docs/method.md#optics).
 
-The formulas are the same as in ISETCam and are tested against it (docs/method.md#optics). Lengths are in m unless a name
-says otherwise.
+The formulas are the same as in ISETCam, with whose results they are compared in tests. Lengths are in m unless stated
+otherwise.
 """
 
 import numpy as np
@@ -11,9 +11,9 @@ Array = NDArray[np.floating]
 
 
 def image_distance(focal_length: float, object_distance: float) -> float:
-    """Return the distance between lens and sensor if the object is in focus: f d / (d − f).
+    """Return the distance from the lens to the sensor for an object in focus: f d / (d − f).
 
-    An `object_distance` of 0 means infinity. The result is then the focal length.
+    An `object_distance` of 0 means an object at infinity, for which the result is the focal length.
     """
     if object_distance > 0:
         return focal_length * object_distance / (object_distance - focal_length)
@@ -21,19 +21,23 @@ def image_distance(focal_length: float, object_distance: float) -> float:
 
 
 def magnification(focal_length: float, object_distance: float) -> float:
-    """Return the magnification |m| of an object in focus: f / (d − f), or 0 at infinity (`object_distance` 0)."""
+    """Return the magnification |m| of an object in focus: f / (d − f).
+
+    An `object_distance` of 0 means an object at infinity, for which the result is 0.
+    """
     return focal_length / (object_distance - focal_length) if object_distance > 0 else 0.0
 
 
 def irradiance_per_radiance(f_number: float, magnification: float) -> float:
-    """Return the ratio, in sr, of sensor irradiance to scene radiance on the axis: π / (1 + 4 N² (1 + |m|)²)."""
+    """Return the ratio of sensor irradiance to scene radiance on the optical axis, in sr: π / (1 + 4 N² (1 + |m|)²)."""
     return float(np.pi / (1.0 + 4.0 * f_number**2 * (1.0 + magnification) ** 2))
 
 
 def relative_illumination(image_distance: float, pixel_pitch: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the illumination (row, col) of a uniform scene relative to the centre of the frame.
+    """Return the illumination (row, col) of the sensor by a uniform scene, relative to the centre of the frame.
 
-    It is (D² / (D² + r²))², the cos⁴ law, where D is the image distance and r the distance from the centre.
+    By the cos⁴ law, the illumination is (D² / (D² + r²))², where D is the image distance and r is the distance of a pixel
+    from the centre.
     """
     down, across = ((np.arange(length) - (length - 1) / 2) * pixel_pitch for length in shape)
     squared = image_distance**2
@@ -41,29 +45,37 @@ def relative_illumination(image_distance: float, pixel_pitch: float, shape: tupl
 
 
 def diffraction_transfer(frequency: Array, wavelength: Array, f_number: float) -> Array:
-    """Return the MTF (frequency, wavelength) of an aberration-free lens: 2/π (acos u − u √(1 − u²)), u = f λ N.
+    """Return the MTF of a diffraction-limited lens: 2/π (acos u − u √(1 − u²)) with u = f λ N.
 
     Parameters
     ----------
-    frequency : ndarray, (frequency)
-        Spatial frequency in cycles/m on the sensor.
-    wavelength : ndarray, (wavelength)
+    frequency : ndarray, (frequency,)
+        Spatial frequency f in cycles/m on the sensor.
+    wavelength : ndarray, (wavelength,)
         Wavelength λ in nm.
     f_number : float
         F-number N.
+
+    Returns
+    -------
+    ndarray, (frequency, wavelength)
     """
     u = np.minimum(frequency[:, None] * (wavelength * 1e-9) * f_number, 1.0)
     return 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u**2))
 
 
 def gaussian_transfer(frequency: Array, deviation: float) -> Array:
-    """Return the MTF (frequency) of a Gaussian blur: exp(−2 (π σ f)²).
+    """Return the MTF of a Gaussian blur: exp(−2 (π σ f)²).
 
     Parameters
     ----------
-    frequency : ndarray, (frequency)
+    frequency : ndarray, (frequency,)
         Spatial frequency f in cycles/m on the sensor.
     deviation : float
         Standard deviation σ in m on the sensor.
+
+    Returns
+    -------
+    ndarray, (frequency,)
     """
     return np.asarray(np.exp(-2.0 * (np.pi * deviation * frequency) ** 2))

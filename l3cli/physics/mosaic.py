@@ -1,4 +1,4 @@
-"""Colour filter arrays: patterns of channels that repeat over a sensor."""
+"""Colour filter arrays, as arrays of channel numbers for one period."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 
 def tiled(pattern: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return a pattern repeated to a shape (row, col), starting at the first pixel."""
+    """Repeat a pattern over an area of the given shape, starting with the first element of the pattern."""
     rows, cols = pattern.shape
     return pattern[np.arange(shape[0])[:, None] % rows, np.arange(shape[1]) % cols]
 
 
 def shifted_cfa(cfa: NDArray[np.uint8], phase: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the super-pixel as seen from a frame whose first pixel has the site `phase`."""
+    """Shift a CFA so that it begins with the site `phase`, which is the site of the first pixel of a frame."""
     return np.roll(cfa, (-phase[0], -phase[1]), axis=(0, 1))
 
 
 def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
-    """Return the smallest array whose repetition gives a pattern (row, col)."""
+    """Return the smallest part of a pattern (row, col) whose repetition gives the whole pattern."""
     lengths = []
     for axis, length in enumerate(pattern.shape):
         periods = (each for each in range(1, length + 1) if length % each == 0)
@@ -28,5 +28,5 @@ def least_period(pattern: NDArray[Any]) -> NDArray[Any]:
 
 
 def array_rows(channels: Sequence[str], cfa: NDArray[np.integer], between: str = " ") -> list[str]:
-    """Return the rows of an array (row, col) of channels as text: names, separated by `between`."""
+    """Return the rows of a CFA as text, in which the channel names are separated by `between`."""
     return [between.join(channels[site] for site in row) for row in cfa]

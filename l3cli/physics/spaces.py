@@ -1,6 +1,7 @@
-"""Colour spaces of output pictures: primaries, white point and transfer curve (docs/method.md#display).
+"""Colour spaces of pictures: primaries, white point and transfer curve (docs/method.md#display).
 
-Sources: IEC 61966-2-1 (sRGB), SMPTE EG 432-1 with the sRGB curve (Display P3), ITU-R BT.2020-2, Academy S-2014-004 (ACEScg).
+The definitions are from IEC 61966-2-1 (sRGB), SMPTE EG 432-1 with the curve of sRGB (Display P3), ITU-R BT.2020-2 (Rec.
+2020) and Academy S-2014-004 (ACEScg).
 """
 
 from dataclasses import dataclass
@@ -10,17 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.floating]
-XY: TypeAlias = tuple[float, float]  # chromaticity
+XY: TypeAlias = tuple[float, float]  # chromaticity x, y
 
-# Both matrices also exist in colour-science, but importing it takes longer than rendering a frame, which needs only these.
+# colour-science contains both matrices, too, but its import would take longer than rendering a frame.
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])  # IEC 61966-2-1
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])  # XYZ to cones
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)  # XYZ to cone responses
 D65: XY = (0.3127, 0.3290)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Transfer curve for linear x in 0…1: gain · x^exponent − offset above `knee`, and slope · x below."""
+    """A transfer curve for linear values x in 0…1.
+
+    The curve is slope · x up to `knee`, and gain · x^exponent − offset above.
+    """
 
     knee: float
     slope: float
@@ -29,7 +35,7 @@ class Curve:
     exponent: float
 
     def encoded(self, linear: Array) -> Array:
-        """Encode linear values. Inputs are clipped to 0…1."""
+        """Encode linear values, which are first clipped to 0…1."""
         clipped = np.clip(linear, 0.0, 1.0)
         power = self.gain * np.maximum(clipped, 1e-9) ** self.exponent - self.offset
         return np.where(clipped <= self.knee, self.slope * clipped, power)
@@ -41,29 +47,29 @@ BT2020_CURVE = Curve(0.018053968510807, 4.5, 1.09929682680944, 0.09929682680944,
 
 @dataclass(frozen=True)
 class Space:
-    """An RGB colour space, or XYZ. A colour with three equal components has the chromaticity `white`."""
+    """A colour space with three components, such as RGB or XYZ."""
 
-    name: str  # value of the option that selects this space
-    title: str
-    primaries: tuple[XY, XY, XY]
-    white: XY
-    curve: Curve | None  # None if values are linear and not clipped
+    name: str  # value of the option that selects the colour space
+    title: str  # name for users
+    primaries: tuple[XY, XY, XY]  # chromaticities of the components
+    white: XY  # chromaticity of a colour with three equal components
+    curve: Curve | None  # transfer curve, or None if values are linear and not clipped
     neutral: XY | None = None  # chromaticity of a white surface, if it differs from `white`
 
     @property
     def neutral_xyz(self) -> Array:
-        """XYZ (3) of a white surface with Y = 1."""
+        """XYZ of a white surface with Y = 1."""
         return xyz_of(self.neutral) if self.neutral else np.linalg.solve(self.from_xyz, np.ones(3))
 
     @property
     def to_xyz(self) -> Array:
-        """Matrix (3, 3) from linear values to XYZ, computed from the primaries."""
+        """Matrix (3, 3) that converts linear values to XYZ, computed from the primaries and the white point."""
         columns = np.array([(x, y, 1 - x - y) for x, y in self.primaries]).T
         return columns * np.linalg.solve(columns, xyz_of(self.white))
 
     @property
     def from_xyz(self) -> Array:
-        """Matrix (3, 3) from XYZ to linear values. For sRGB, it is the rounded matrix in the standard."""
+        """Matrix (3, 3) that converts XYZ to linear values. For sRGB, this is the rounded matrix of the standard."""
         return SRGB_FROM_XYZ.copy() if self.name == SRGB.name else np.linalg.inv(self.to_xyz)
 
 
@@ -84,24 +90,28 @@ SPACES = {
 
 
 def xyz_of(chromaticity: XY) -> Array:
-    """Return XYZ (3) with Y = 1 for a chromaticity x, y."""
+    """Return the XYZ of a chromaticity x, y, with Y = 1."""
     x, y = chromaticity
     return np.array([x, y, 1 - x - y]) / y
 
 
 def chromaticity_of(xyz: Array) -> XY:
-    """Return the chromaticity x, y of XYZ (3)."""
+    """Return the chromaticity x, y of a colour, given as XYZ."""
     x, y, _ = np.asarray(xyz, np.float64) / np.sum(xyz)
     return float(x), float(y)
 
 
 def adaptation_matrix(white: Array, to: Array) -> Array:
-    """Return the Bradford matrix (3, 3) that adapts XYZ from one white to another.
+    """Return the Bradford matrix that adapts XYZ from one white to another white.
 
     Parameters
     ----------
-    white, to : ndarray, (3)
-        XYZ of the two whites, at any luminance.
+    white, to : ndarray, (3,)
+        XYZ of the original white and of the new white, at any luminance.
+
+    Returns
+    -------
+    ndarray, (3, 3)
     """
     gain = (BRADFORD @ to / to[1]) / (BRADFORD @ white / white[1])
     return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)

@@ -1,6 +1,6 @@
-"""Wavelengths, illuminants, observers and reflectances. Only this module uses colour-science.
+"""Wavelength grids, illuminants, observers and reflectances. All other modules use colour-science through this module.
 
-Spectra are arrays on a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless a name says otherwise.
+Spectra are arrays on a wavelength grid in nm. Radiance is in photons/s/sr/m²/nm unless stated otherwise.
 """
 
 import functools
@@ -17,18 +17,18 @@ from l3cli.system.text import NoSuchNumber, Quantity
 PLANCK = 6.62607015e-34  # J s
 LIGHT_SPEED = 299792458.0  # m/s
 LUMINOUS_EFFICACY = 683.0  # lm/W
-BLACK_BODY = Quantity(500, 100_000, "K")  # cooler black bodies emit no visible light
-DAYLIGHT = Quantity(4000, 25_000, "K")  # range in which CIE daylight is defined
-# Correlated colour temperatures of CIE daylight in K, for the present value of the second radiation constant (CIE 15).
+BLACK_BODY = Quantity(500, 100_000, "K")  # colour temperatures of black bodies that emit visible light
+DAYLIGHT = Quantity(4000, 25_000, "K")  # colour temperatures for which CIE daylight is defined
+# Correlated colour temperatures of CIE daylight in K, with the present value of the second radiation constant (CIE 15).
 DAYLIGHT_KELVIN = {f"D{hundreds}": hundreds * 100 * 1.4388 / 1.4380 for hundreds in (50, 55, 65, 75)}
-UNSEEN = 1e-9  # light counts as invisible below this luminance, relative to light of equal power
-LONGEST_NM = 20_000  # wavelength, of any spectrum
-SPRAGUE_STEP = 20.0  # nm; largest band spacing at which reflectances are interpolated as smooth curves
+UNSEEN = 1e-9  # light is invisible if its luminance, relative to light of equal power, is below this fraction
+LONGEST_NM = 20_000  # largest wavelength of any spectrum
+SPRAGUE_STEP = 20.0  # largest band spacing, in nm, at which reflectances are interpolated by Sprague polynomials
 Array = NDArray[np.floating]
 
 
 def colour_science() -> Any:
-    """Import colour-science on first use, because this takes two seconds, and suppress its warnings."""
+    """Import colour-science without its warnings. The import takes two seconds, so it is delayed until the first use."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour
@@ -36,14 +36,19 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a spectrum (…, wavelength) from energy (W…) to photons (photons/s…)."""
+    """Convert a spectrum (…, wavelength) from a unit of power, such as W/nm, to photons/s in place of W."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
 def bin_edges(wavelength: Array) -> Array:
-    """Return the edges (wavelength + 1), in nm, of the bins around the samples of an increasing grid.
+    """Return the edges of the bins around the samples of an increasing wavelength grid, in nm.
 
-    Edges lie midway between samples. Each outermost bin is symmetric about its sample. A single sample has a bin of 1 nm.
+    The edges are midway between the samples. The first and the last bin are symmetric about their samples. A single sample
+    has a bin of 1 nm.
+
+    Returns
+    -------
+    ndarray, (wavelength + 1,)
     """
     if wavelength.size == 1:
         return wavelength[0] + np.array([-0.5, 0.5])
@@ -52,20 +57,20 @@ def bin_edges(wavelength: Array) -> Array:
 
 
 def bin_widths(wavelength: Array) -> Array:
-    """Return the width (wavelength), in nm, of the bin around each sample, so that Σ f·Δλ is the integral of f."""
+    """Return the width of the bin around each sample of a wavelength grid, in nm. Σ f·Δλ is then the integral of f."""
     return np.abs(np.gradient(wavelength)) if wavelength.size > 1 else np.ones(1)
 
 
 def ascending(wavelength: NDArray[np.float64], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Reverse a decreasing wavelength grid and its values (…, wavelength). Other grids are returned unchanged."""
+    """Reverse a decreasing wavelength grid and its values (…, wavelength). Any other grid is returned unchanged."""
     falls = wavelength.size > 1 and (np.diff(wavelength) < 0).all()
     return (wavelength[::-1], values[..., ::-1]) if falls else (wavelength, values)
 
 
 def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the two samples of an increasing grid around each wavelength, and their linear weights, both (2, at).
+    """Return the two samples of an increasing grid around each wavelength in `at`, and their weights, as arrays (2, at).
 
-    Values are held constant beyond the ends.
+    The weights are those of linear interpolation. Beyond the ends of the grid, the outermost sample has the weight 1.
     """
     if grid.size == 1:
         return np.zeros((2, at.size), np.intp), np.array([[1.0], [0.0]]) * np.ones(at.size)
@@ -75,12 +80,12 @@ def _neighbours(grid: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def light_grid(seen: Array) -> Array:
-    """Return a grid with steps of 1 nm that covers the observer and a camera with the wavelengths `seen`."""
+    """Return a wavelength grid with steps of 1 nm that covers the CIE observer and the wavelengths `seen` of a camera."""
     return np.arange(np.floor(min(360.0, seen[0])), max(830.0, seen[-1]) + 1.0)
 
 
 def interpolation_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) for linear interpolation. It is zero outside the range of `source`."""
+    """Return the matrix (grid, source) that interpolates linearly. The result is zero outside the range of `source`."""
     matrix = np.zeros((grid.size, source.size))
     samples, shares = _neighbours(source, grid)
     inside = (grid >= source[0]) & (grid <= source[-1])
@@ -91,14 +96,15 @@ def interpolation_matrix(source: Array, grid: Array) -> Array:
 def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
     """Return the matrix (grid, source) that averages a spectrum over the bins of `grid`.
 
-    Raises ValueError if a wavelength occurs twice.
+    Raises a ValueError if a wavelength occurs twice in a grid.
 
     Notes
     -----
-    The source is linear between its samples and constant in the outer half of its outermost bins. Farther outside it is
-    zero, or constant if `extended` is true. The samples of both grids divide the range into pieces. The integral over each
-    piece is split between the two nearest samples of `grid`, with the weights of linear interpolation. This preserves the
-    power and its mean wavelength. For equal grids the matrix is the identity.
+    The spectrum is assumed to be linear between its samples, and constant in the outer halves of its first and last bin.
+    Beyond these bins, the spectrum is zero, or constant if `extended` is true. The samples of both grids divide the range
+    into pieces. The integral over each piece is divided between the two nearest samples of `grid`, with the weights of
+    linear interpolation. This preserves the power and the mean wavelength. If both grids are equal, the matrix is the
+    identity.
     """
     rising, aim = np.argsort(source), np.argsort(grid)
     low, high = source[rising], grid[aim]
@@ -117,35 +123,46 @@ def _step_matrix(source: Array, grid: Array, extended: bool) -> Array:
 
 
 def sampling_matrix(source: Array, grid: Array) -> Array:
-    """Return the matrix (grid, source) that resamples a spectral density, such as power or photons per nm.
+    """Return the matrix (grid, source) that resamples a spectral density, such as power per nm or photons per nm.
 
-    The results are means over the bins of `grid`, so that the sum of value × bin width is preserved even if spectral lines
-    lie between the samples. On a finer grid, this is linear interpolation. On the same grid, it is the identity. The result
-    is zero beyond the bins of `source`. Both grids may be in any order.
+    Each resampled value is a mean over a bin of `grid`. The integral is preserved even if spectral lines are between the
+    samples of `grid`. If `grid` is finer than `source`, the matrix interpolates linearly. If both grids are equal, it is the
+    identity. The density is zero beyond the bins of `source`. The wavelengths of both grids may be in any order.
     """
     return _step_matrix(source, grid, extended=False)
 
 
 def resample(spectrum: Array, source: Array, grid: Array) -> Array:
-    """Resample a density (…, source) with `sampling_matrix`."""
+    """Resample a spectral density (…, source) to the wavelengths `grid` with `sampling_matrix`."""
     return spectrum @ sampling_matrix(source, grid).T
 
 
 def average(curve: Array, source: Array, grid: Array) -> NDArray[np.float64]:
-    """Average a ratio (…, source), such as a transmittance or responsivity, over the bins of another grid.
+    """Average a ratio, such as a transmittance or a responsivity, over the bins of another grid.
 
-    In the bins at the ends of its range, the average is taken over the part where the ratio is known. It is zero at
-    wavelengths outside the range.
+    A bin that extends beyond the known range is averaged over its known part. Outside the known range, the result is zero.
+
+    Parameters
+    ----------
+    curve : ndarray, (…, source)
+        Values of the ratio.
+    source, grid : ndarray
+        Wavelengths of the values and of the result, in nm.
+
+    Returns
+    -------
+    ndarray, (…, grid)
     """
     inside = (grid >= source.min()) & (grid <= source.max())
     return np.asarray(curve @ (_step_matrix(source, grid, extended=True) * inside[:, None]).T, dtype=np.float64)
 
 
 def held_interpolation(bands: Array, wavelength: Array) -> Array:
-    """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over bins.
+    """Return the matrix (wavelength, band) that interpolates a reflectance and averages it over wavelength bins.
 
-    Beyond its ends, the reflectance is constant (CIE 15). Evenly spaced bands up to 20 nm apart are interpolated with
-    Sprague polynomials, as in CIE 167 and colour-science. All others are interpolated linearly.
+    Evenly spaced bands with steps of at most 20 nm are interpolated with Sprague polynomials, as in CIE 167 and
+    colour-science. Other bands are interpolated linearly. Beyond the first and the last band, the reflectance is constant
+    (CIE 15).
     """
     return _held_interpolation(tuple(bands), tuple(wavelength))
 
@@ -167,17 +184,17 @@ def _held_interpolation(bands: tuple[float, ...], wavelength: tuple[float, ...])
 OBSERVERS = {"CIE 1931": "CIE 1931 2 Degree Standard Observer", "CIE 1964": "CIE 1964 10 Degree Standard Observer"}
 
 
-INFRARED = 740.0, 780.0, 1000.0  # nm; start of near_infrared, start of its full sensitivity, and its end
-LUMINOUS_WIDTH = 106.86  # nm; integral of ȳ of CIE 1931
-SAMPLED = np.arange(400.0, 701.0, 10.0)  # nm; bands of spectral outputs
-# Names as in OpenEXR files (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021)
+INFRARED = 740.0, 780.0, 1000.0  # wavelengths at which `near_infrared` begins, reaches its full sensitivity, and ends
+LUMINOUS_WIDTH = 106.86  # integral of ȳ of CIE 1931, in nm
+SAMPLED = np.arange(400.0, 701.0, 10.0)  # wavelengths of spectral outputs, in nm
+# Names as in OpenEXR files (Fichet, Pacanowski and Wilkie, "An OpenEXR Layout for Spectral Images", JCGT 10, 2021).
 REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for kind in ("T", "S0"))
 
 
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
-    """Return x̄ ȳ z̄ (3, wavelength) of an observer, which is a key of OBSERVERS.
+    """Return the colour-matching functions x̄ ȳ z̄ (3, wavelength) of an observer, which is a key of OBSERVERS.
 
-    They are interpolated linearly in a table with steps of 1 nm.
+    The functions are interpolated linearly from tables with steps of 1 nm.
     """
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')
@@ -186,39 +203,42 @@ def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> 
 
 
 def near_infrared(wavelength: Array) -> Array:
-    """Return a sensitivity (wavelength) for the near infrared.
+    """Return the sensitivity, at each wavelength, of an output for the near infrared.
 
-    It rises from 740 nm, where the eye's range ends, to 780 nm, where CIE IR-A begins, and is zero beyond 1000 nm. Its scale
-    is such that light with equal power at all wavelengths up to 830 nm gives the same value as Y.
+    The sensitivity rises between 740 nm, the end of the visible range, and 780 nm, the beginning of CIE IR-A. It is zero
+    beyond 1000 nm. Light with equal power at all wavelengths up to 830 nm has the same value in this output as in Y.
     """
     band = np.clip((wavelength - INFRARED[0]) / (INFRARED[1] - INFRARED[0]), 0.0, 1.0) * (wavelength <= INFRARED[2])
     return np.asarray(band * (LUMINOUS_WIDTH / (830.0 - (INFRARED[0] + INFRARED[1]) / 2)))
 
 
 def sampled_radiance(wavelength: Array) -> Array:
-    """Return the functions (output, wavelength) of the outputs RADIANCES: the mean over each bin of SAMPLED.
+    """Return the functions (output, wavelength) of the outputs RADIANCES, which are means over the bins of SAMPLED.
 
-    Their scale is such that light with equal power at all wavelengths gives the same value as Y in each output.
+    Light with equal power at all wavelengths has the same value in each of these outputs as in Y.
     """
     return np.asarray(LUMINOUS_WIDTH * sampling_matrix(wavelength, SAMPLED) / bin_widths(wavelength))
 
 
 def is_spectrum(outputs: tuple[str, ...], channels: tuple[str, ...]) -> bool:
-    """Whether the outputs are a spectrum: reflectances, radiances, or the bands of a camera with the given channels."""
+    """Return whether the outputs are a spectrum: reflectances, radiances, or the channels of the camera."""
     return outputs in (channels, REFLECTANCES, RADIANCES)
 
 
 def matching_weights(functions: Array, wavelength: Array) -> Array:
-    """Return weights (output, wavelength) for photon radiance from matching functions (output, wavelength).
+    """Convert matching functions (output, wavelength) to weights (output, wavelength) for a photon radiance.
 
-    Outputs are weights @ radiance, with radiance in photons/s/sr/m²/nm. For x̄ ȳ z̄ they are in cd/m².
+    The outputs of a radiance in photons/s/sr/m²/nm are weights @ radiance. With the functions x̄ ȳ z̄, they are in cd/m².
     """
     energy_per_photon = PLANCK * LIGHT_SPEED / (wavelength * 1e-9)
     return LUMINOUS_EFFICACY * functions * energy_per_photon * bin_widths(wavelength)
 
 
 def xyz_weights(wavelength: Array) -> Array:
-    """Return the weights (3, wavelength) for CIE 1931 XYZ: XYZ (cd/m²) = weights @ radiance (photons/s/sr/m²/nm)."""
+    """Return weights (3, wavelength) with which XYZ = weights @ radiance, for CIE 1931.
+
+    XYZ is in cd/m², and the radiance is in photons/s/sr/m²/nm.
+    """
     return matching_weights(colour_matching_functions(wavelength), wavelength)
 
 
@@ -227,27 +247,32 @@ USUAL_LIGHTS = 'A, D50, D65, F2, F11, LED-B3, "3200K" (a black body) and "D6000K
 
 @functools.cache
 def illuminant_names() -> tuple[str, ...]:
-    """Return the names of the tabulated illuminants.
+    """Return the names of all illuminants whose spectra are tabulated.
 
-    "F1" to "F12" are aliases of FL1 to FL12. Black bodies ("3200K") and daylight ("D6000K") are computed and not listed.
+    The aliases "F1" to "F12" of FL1 to FL12 are not included, and neither are black bodies such as "3200K" and daylight such
+    as "D6000K", whose spectra are computed.
     """
     return tuple(sorted(colour_science().SDS_ILLUMINANTS))
 
 
 def illuminant(name: str, wavelength: Array) -> Array:
-    """Return the relative photon radiance (wavelength) of a standard illuminant, with mean 1.
+    """Return the relative photon radiance of an illuminant. Its mean over the wavelengths is 1.
 
     Parameters
     ----------
     name : str
-        A CIE illuminant, a black body such as "3200K", or daylight of a given colour temperature such as "D6000K".
-    wavelength : ndarray, (wavelength)
+        A CIE illuminant, a black body such as "3200K", or daylight with a colour temperature such as "D6000K".
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
+
+    Returns
+    -------
+    ndarray, (wavelength,)
 
     Raises
     ------
     RecipeError
-        If the name is unknown.
+        If the name is unknown, or if the colour temperature is out of range.
     """
     temperature = re.fullmatch(r"(D?)(\d+(?:\.\d+)?) ?K", name, re.ASCII)
     if temperature:
@@ -255,7 +280,7 @@ def illuminant(name: str, wavelength: Array) -> Array:
         try:
             kelvin = kind.read(temperature[2])
         except NoSuchNumber as error:
-            raise RecipeError(f'illuminant "{shortened(name)}" is not a light of {what}: {error}') from None
+            raise RecipeError(f'illuminant "{shortened(name)}" cannot be computed as {what}: {error}') from None
     if temperature and temperature[1]:
         photons = photons_from_energy(wavelength, _daylight(kelvin, wavelength))
     elif temperature:
@@ -270,10 +295,10 @@ def illuminant(name: str, wavelength: Array) -> Array:
 
 
 def known_range(name: str) -> tuple[float, float]:
-    """Return the range, in nm, in which the spectrum of a standard illuminant is known.
+    """Return the first and the last wavelength, in nm, at which the spectrum of an illuminant is known.
 
-    Illuminants that are defined by a formula are known everywhere. Beyond the ends of the other tables, `illuminant` returns
-    the last value.
+    The spectra of illuminants that are defined by a formula are known at all wavelengths. Beyond the ends of a tabulated
+    spectrum, `illuminant` uses the outermost value.
     """
     if name in ("A", "E") or re.fullmatch(r"\d+(?:\.\d+)? ?K", name, re.ASCII):
         return 0.0, np.inf
@@ -284,34 +309,34 @@ def known_range(name: str) -> tuple[float, float]:
 
 @functools.lru_cache(1000)
 def require_illuminant(name: str) -> None:
-    """Raise RecipeError if no illuminant has this name."""
+    """Raise a RecipeError if no illuminant has this name."""
     illuminant(name, SAMPLED)
 
 
 def _illuminant_a(wavelength: Array) -> Array:
-    """Return the energy spectrum (wavelength) of CIE illuminant A, from its defining formula (ISO/CIE 11664-2)."""
+    """Return the energy spectrum of CIE illuminant A at each wavelength, by its defining formula (ISO/CIE 11664-2)."""
     return 100.0 * (560.0 / wavelength) ** 5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / (2848 * wavelength))
 
 
 def _tabulated(name: str, wavelength: Array) -> Array:
-    """Return the energy spectrum (wavelength) of a tabulated CIE illuminant.
+    """Return the energy spectrum of a tabulated CIE illuminant at each wavelength.
 
-    It is interpolated linearly. Beyond the ends of the table, it keeps the last value.
+    The spectrum is interpolated linearly. Beyond the ends of the table, it has the outermost value.
     """
     source, values = _illuminant_table(name)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _illuminant_table(name: str) -> tuple[Array, Array]:
-    """Return the wavelengths and energy spectrum of a CIE illuminant. Raises RecipeError if it has no table.
+    """Return the wavelengths and the energy spectrum of a CIE illuminant. Raises a RecipeError if the name is unknown.
 
-    The tables in colour-science end at 780 nm, but the CIE tables for daylight at 830 nm. Daylight is therefore extended
-    with the components of CIE daylight.
+    In colour-science, all tables end at 780 nm, but CIE tabulates daylight up to 830 nm. The tables of daylight are
+    therefore extended with the components of CIE daylight.
     """
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
-        close = nearest(name, illuminant_names()) or f"usual ones are {USUAL_LIGHTS};"
-        every = f'documentation, "Lights", lists all {len(illuminant_names())}'
+        close = nearest(name, illuminant_names()) or f"common illuminants are {USUAL_LIGHTS};"
+        every = f'the section "Illuminants" of the documentation lists all {len(illuminant_names())}'
         raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
     wavelengths, values = np.asarray(table.wavelengths), np.asarray(table.values)
@@ -324,13 +349,13 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
 
 
 def _daylight(temperature: float, wavelength: Array) -> Array:
-    """Return the energy spectrum (wavelength) of CIE daylight for a colour temperature in the range DAYLIGHT (CIE 15)."""
+    """Return the energy spectrum of CIE daylight (CIE 15) at each wavelength. `temperature` is in the range DAYLIGHT."""
     source, values = _daylight_table(temperature)
     return np.asarray(values @ _step_matrix(source, wavelength, extended=True).T)
 
 
 def _daylight_table(temperature: float) -> tuple[Array, Array]:
-    """Return the wavelengths and energy spectrum of CIE daylight for a correlated colour temperature in K."""
+    """Return the wavelengths and the energy spectrum of CIE daylight with a correlated colour temperature in K."""
     colour = colour_science()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -339,26 +364,28 @@ def _daylight_table(temperature: float) -> tuple[Array, Array]:
 
 
 def at_luminance(radiance: Array, wavelength: Array, luminance: float) -> Array:
-    """Scale `radiance` (wavelength) to a luminance in cd/m². Raises InputFileError if the light is invisible."""
+    """Scale a radiance to a luminance in cd/m². Raises an InputFileError if the light is invisible."""
     seen = xyz_weights(wavelength)[1] @ radiance
     if not seen > UNSEEN * (matching_weights(np.ones_like(wavelength), wavelength) @ radiance):
         ends = f"{wavelength.min():g}…{wavelength.max():g} nm"
-        raise InputFileError(f"light of {ends} has no luminance, which exposures require; include some of 380…780 nm")
+        raise InputFileError(
+            f"light at {ends} has no luminance, from which l3 computes exposures; include wavelengths from 380 to 780 nm"
+        )
     return radiance * (luminance / seen)
 
 
 def white_point(name: str) -> NDArray[np.float64]:
-    """Return XYZ (3), with Y = 1, of a perfect reflector under a standard illuminant."""
+    """Return the XYZ of a perfect white under an illuminant, with Y = 1."""
     wavelength = np.arange(380.0, 781.0, 5.0)
     xyz = xyz_weights(wavelength) @ illuminant(name, wavelength)
     return xyz / xyz[1]
 
 
-COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # nm; wavelengths at which the chart was measured
+COLORCHECKER_WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # wavelengths at which the ColorChecker was measured, in nm
 
 
 def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
-    """Return the names and reflectances (24, wavelength) of the classic ColorChecker, row by row from dark skin to black."""
+    """Return the names and the reflectances (24, wavelength) of the ColorChecker patches in ISO 17321-1, row by row."""
     chart = colour_science().SDS_COLOURCHECKERS["ISO 17321-1"]
     reflectance = [np.interp(wavelength, patch.wavelengths, patch.values) for patch in chart.values()]
     return tuple(chart), np.array(reflectance)
@@ -366,9 +393,9 @@ def colorchecker(wavelength: Array) -> tuple[tuple[str, ...], Array]:
 
 @functools.cache
 def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
-    """Return the sets of measured reflectances in colour-science, without the ColorChecker.
+    """Return all sets of measured reflectances in colour-science except the ColorChecker.
 
-    Each set is a pair of wavelengths and reflectances (sample, wavelength).
+    Each set consists of its wavelengths and its reflectances (sample, wavelength).
     """
     colour = colour_science()
     from colour.quality.cfi2017 import load_TCS_CIE2017
@@ -383,14 +410,14 @@ def _reflectance_tables() -> tuple[tuple[Array, Array], ...]:
     return tuple(tables)
 
 
-SURFACES_MEASURED = 380.0, 780.0  # nm; range that all measurements cover; beyond it, reflectances keep their last values
+SURFACES_MEASURED = 380.0, 780.0  # range of all measurements in nm; beyond it, reflectances have their outermost values
 
 
 def reflectance_library(wavelength: Array) -> Array:
     """Return measured reflectances (sample, wavelength) of surfaces, clipped to 0.003–0.999.
 
-    They are values at the given wavelengths, as `held_interpolation` expects. Means over bins would flatten the curves
-    (docs/method.md#procedural-scenes).
+    The result contains values at the given wavelengths, as `held_interpolation` expects, and not means over bins, which
+    would flatten the curves (docs/method.md#procedural-scenes).
     """
     library = np.concatenate(
         [[np.interp(wavelength, grid, sample) for sample in samples] for grid, samples in _reflectance_tables()]
@@ -398,7 +425,7 @@ def reflectance_library(wavelength: Array) -> Array:
     return np.clip(library[np.isfinite(library).all(axis=1)], 0.003, 0.999)
 
 
-WHITEST, BLACKEST = 1.0, 0.002  # highest and lowest reflectance
+WHITEST, BLACKEST = 1.0, 0.002  # highest and lowest reflectance of a surface
 
 
 def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.bool_] | slice = slice(None)) -> Array:
@@ -409,36 +436,45 @@ def with_saturation(reflectance: Array, saturation: float, drawn: NDArray[np.boo
     reflectance : ndarray, (…, band)
         Reflectances.
     saturation : float
-        0 gives grey with the geometric mean over the bands. 1 changes nothing.
-    drawn : ndarray of bool, (band), or slice
-        Bands over which the mean is computed.
+        Saturation of the result: 1 leaves reflectances unchanged, and 0 makes them grey, with the geometric mean of the
+        bands.
+    drawn : ndarray of bool, (band,), or slice
+        Bands from which the mean is computed.
+
+    Returns
+    -------
+    ndarray, (…, band)
     """
     grey = np.exp(np.log(reflectance[..., drawn]).mean(axis=-1, keepdims=True))
     return np.asarray(grey * (reflectance / grey) ** saturation)
 
 
 def with_titanium_white(reflectance: Array, wavelength: Array, edge: float, width: float) -> Array:
-    """Apply the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
+    """Add the absorption edge of titanium white (rutile, 3.0 eV, 413 nm) to reflectances.
 
-    Materials with titanium white become dark within about 20 nm of the edge. Cameras and the eye weight this range
-    differently. If the edge is missing in training, a table renders white paint yellow.
+    Within about 20 nm of this edge, materials with titanium white become dark. Cameras and the eye differ in their
+    sensitivity in this range. If the training scenes had no such materials, a table would render white paint as yellow.
 
     Parameters
     ----------
     reflectance : ndarray, (…, band)
         Reflectances between BLACKEST and WHITEST.
-    wavelength : ndarray, (band)
+    wavelength : ndarray, (band,)
         Wavelengths in nm.
     edge : float
-        Addition to K/S (Kubelka–Munk) at 405 nm, about 0.2.
+        Increase of the ratio K/S (Kubelka–Munk) at 405 nm. About 0.2 is typical.
     width : float
-        Decay length of the exponential tail in nm, 5 to 11 (Urbach's rule).
+        Decay length of the exponential tail (Urbach's rule), in nm. From 5 to 11 is typical.
+
+    Returns
+    -------
+    ndarray, (…, band)
     """
     pigment = (1.0 - reflectance) ** 2 / (2.0 * reflectance)
     return np.clip(kubelka_munk(pigment + edge * np.exp(-(wavelength - 405.0) / width)), BLACKEST, WHITEST)
 
 
 def kubelka_munk(absorption_per_scattering: Array) -> Array:
-    """Return the reflectance of an opaque layer, given its ratio K/S of absorption to scattering (Kubelka–Munk)."""
+    """Return the reflectance of an opaque layer of paint from its ratio of absorption to scattering, K/S (Kubelka–Munk)."""
     ratio = absorption_per_scattering
     return 1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio)

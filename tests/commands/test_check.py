@@ -167,7 +167,7 @@ def test_every_fault_of_a_measurement_file_is_reported(tmp_path: Path, l3: L3) -
 
 PHOTOS = """[[photo]]
 frames = ["none.dng"]  # none.dng does not exist
-light = "32K"  # is not a light of a black body
+light = "32K"  # cannot be computed as a black body
 chart = "clasic"  # did you mean "classic"
 [[photo]]
 frames = ["there.tif"]

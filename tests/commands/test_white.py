@@ -251,7 +251,7 @@ def test_a_grey_is_measured_on_the_first_frame_of_a_sequence_and_on_every_still(
     assert cast(tmp_path / "held/0.png") <= ROUNDING
     assert cast(tmp_path / "held/1.png") > 40
     code, _, err = l3(*call, tmp_path / "stills", folder / "0.dng", folder / "1.dng")
-    assert (code, err.count(": white of 32×32 pixels")) == (0, 2)
+    assert (code, err.count(": white measured on 32×32 pixels")) == (0, 2)
     assert max(cast(tmp_path / f"stills/{number}.png") for number in range(2)) <= ROUNDING
 
 

@@ -146,7 +146,7 @@ def test_a_chart_without_published_reflectances_states_how_to_give_them(name: st
     """Of ColorChecker SG colour-science has colours under D50 alone; no reflectance is invented for them."""
     colour = spectra.colour_science()
     assert not any("SG" in each for each in colour.SDS_COLOURCHECKERS)
-    with pytest.raises(RecipeError, match=r"only its colours are published, .*layout = \[10, 14\]"):
+    with pytest.raises(RecipeError, match=r"the reflectances of this chart are not published.*layout = \[10, 14\]"):
         charts.chart(name, WAVELENGTH)
 
 
@@ -158,8 +158,8 @@ COARSE = np.arange(400.0, 701.0, 20.0)
     [
         ("d65", 'did you mean "D65"'),
         ("LED B3", '"LED-B3"'),
-        ("tungsten", "usual ones are A,"),
-        ("x" * 500, "usual ones are A,"),
+        ("tungsten", "common illuminants are A,"),
+        ("x" * 500, "common illuminants are A,"),
     ],
 )
 def test_an_unknown_light_is_one_short_line(name: str, cure: str) -> None:
@@ -168,7 +168,7 @@ def test_an_unknown_light_is_one_short_line(name: str, cure: str) -> None:
     line = str(caught.value)
     assert cure in line
     assert len(line) < 220
-    assert f'documentation, "Lights", lists all {len(spectra.illuminant_names())}' in line
+    assert f'section "Illuminants" of the documentation lists all {len(spectra.illuminant_names())}' in line
 
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)

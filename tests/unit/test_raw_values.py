@@ -72,9 +72,7 @@ def test_values_that_the_converter_cannot_give(table: TransformTable) -> None:
 def test_fewer_bits_than_the_tables(table: TransformTable) -> None:
     assert "at which 8-bit values clip, but the white level is 4095" in words(picture(1.5, 4, 255), table)
     assert "at which 10-bit values clip" in words(picture(1.5, 60, 1023), table)
-    assert "the black level has already been subtracted or the bit depth is different" in words(
-        picture(0.5, 4, 255), table
-    )
+    assert "the black level has already been subtracted or the bit depth is different" in words(picture(0.5, 4, 255), table)
     assert "the black level has already been subtracted" in words(picture(1.0, 0.0), table)
 
 
