@@ -81,7 +81,9 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     for output in (into, into.parent):
         assert "given for two outputs" in refused(2, *command[:3], "-o", output, "--format", "exr", "--uncertainty", into)
     np.save(tmp_path / "small.npy", l3.read_raw(raw, table).values[:30])
-    assert "needs at least 32×32 pixels" in refused(2, *command[:2], tmp_path / "small.npy", *command[3:], tmp_path / "u.exr")
+    assert "needs at least 32×32 pixels" in refused(
+        2, *command[:2], tmp_path / "small.npy", *command[3:], tmp_path / "u.exr"
+    )
     assert not list(tmp_path.glob("p.png"))
     assert l3.render(table, raw, tmp_path / "p.png", uncertainty=tmp_path / "u.exr") == 0
     written = oiio.ImageBuf(str(tmp_path / "u.exr"))
