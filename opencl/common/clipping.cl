@@ -1,18 +1,19 @@
-// Uniform areas where channels clip (l3cli/classes/clipping.py): means and ranges of blocks of the mosaic, and the maps that
-// quads interpolate from them: the fraction of the outputs that is replaced, and the values that replace them.
+// Replacement of the outputs in uniform areas where channels clip (l3cli/classes/clipping.py). For each block of the mosaic, the kernels
+// compute means and ranges, and from these four map values: the fraction of the outputs that is replaced, and the replacement of each
+// output. Quads (2 × 2 pixels) interpolate the maps.
 
-// In PoCL 3.0 built-in functions are function calls, which are slow.
+// Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
 #define LESS(a, b) ((a) < (b) ? (a) : (b))
 #define WITHIN(value, low, high) LESS(MORE(value, low), high)
-#define MEANS (CHANNELS + 1)  // the mean of each channel, and the largest range of a channel
+#define MEANS (CHANNELS + 1)  // number of values per block: the mean of each channel, and the largest range of a channel
 
 INLINE float smooth_step(float value, float low, float high) {
     const float share = (value - low) * (1.0f / (high - low)), part = WITHIN(share, 0.0f, 1.0f);
     return part * part * (3.0f - 2.0f * part);
 }
 
-// A block of the mosaic, inside the frame.
+// Rows and columns of a block of the mosaic. The block is inside the frame.
 typedef struct {
     int top, bottom, left, right;
 } Block;
@@ -34,7 +35,8 @@ INLINE int brightest_of(Block block, __global const ushort *restrict raw, int fi
     return brightest;
 }
 
-// made: the means of the channels, and the largest range of a channel, which is -1 for blocks that are left out.
+// Computes the means of the channels as fractions of full scale, and the largest range of a channel. The range of a block without pixels
+// of every channel is -1. Such a block is ignored.
 INLINE void measure_block(float made[MEANS], Block block, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                           float black_level, float span, int phase_row, int phase_column, int first, int frame_columns) {
     int sum[CHANNELS] = {0}, count[CHANNELS] = {0}, lowest[CHANNELS], highest[CHANNELS] = {0}, widest = 0;
@@ -64,7 +66,7 @@ INLINE void measure_block(float made[MEANS], Block block, __global const ushort 
     (made)[CHANNELS] = -1.0f; \
 } while (0)
 
-// Brightness of signals (channel), as a grey; `white` holds the signals of a white, whose brightness is 1.
+// Estimates the brightness of the signals (channel) of a block. `white` contains the signals of a white, whose brightness is 1.
 INLINE float grey_level(const float *signal, __global const float *white) {
     float total = 0.0f, weights = 0.0f, most = 0.0f, every = 1.0f;
     for (int c = 0; c < CHANNELS; c++) {
@@ -79,7 +81,8 @@ INLINE float grey_level(const float *signal, __global const float *white) {
     return mean + every * (most - mean);
 }
 
-// Corrections of the outputs by each channel, weighted by how far it clips, times a factor.
+// Adds the corrections of the outputs for clipped channels. Each correction is weighted by the degree to which its channel clips, and by
+// a factor.
 INLINE void add_clipped(float added[3], const float *signal, float factor, __global const float *response) {
     for (int c = 0; c < CHANNELS; c++) {
         const float weight = factor * smooth_step(signal[c], BEGINS, CLIPS);
@@ -93,9 +96,9 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// The maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Two shortcuts: a uniform
-// block whose means are far below BEGINS has no bright neighbours, and a block that is left out is not uniform beside one that
-// counts. If no channel clips yet, the grey of the same brightness may still clip.
+// Computes the maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks are skipped in
+// two cases. A uniform block whose means are far below BEGINS has no bright neighbours. An ignored block next to a block that is not
+// ignored is not uniform. If no channel clips, the grey of the same brightness may still clip, so these blocks are not skipped.
 INLINE float4 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                       int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -136,14 +139,14 @@ INLINE float4 maps_of(int y, int x, __global const float *restrict means, __glob
     return (float4)(share, added[0], added[1], added[2]);
 }
 
-// Position of a quad between blocks along an axis: the block before it, the next one, and the weight of the next.
+// Position of a quad between two blocks along an axis.
 typedef struct {
-    int low, high;
-    float share;
+    int low, high;  // block before the quad, and next block
+    float share;    // weight of the next block
 } Between;
 
 INLINE Between between(int pixel, int side, int blocks) {
-    // In half pixels, shifted by `side`, so that numbers are positive integers.
+    // The position is in half pixels and shifted by `side`, so that it is a positive integer.
     const int place = 2 * pixel + 2 + side, low = place / (2 * side) - 1;
     Between made = {WITHIN(low, 0, blocks - 1), WITHIN(low + 1, 0, blocks - 1), (float)(place % (2 * side)) / (2 * side)};
     return made;

@@ -1,17 +1,18 @@
-// Outputs → written values, for as many pixels as `floats` holds (l3cli/rendering/display.py is the float64 reference).
+// Converts outputs to the values of a picture, for as many pixels as there are lanes in `floats`. The float64 reference is
+// l3cli/rendering/display.py.
 //
-// The host chooses by macros. With PLANES, outputs are written unchanged. Otherwise a matrix and the transfer curve of a colour
-// space turn X, Y, Z into three values per pixel, each a CODE up to TOP.
+// The host sets macros. With PLANES, outputs are written unchanged. Otherwise a matrix and the transfer curve of a colour space convert
+// X, Y, Z to three integers per pixel, with the type CODE and a maximum of TOP.
 
 #ifdef FIXED_POINT
 
-// A fixed-point sum, rounded and clamped to the value of a plane (l3cli/classes/planes.py).
+// Converts a fixed-point sum to the value of a plane, by rounding and clamping (l3cli/classes/planes.py).
 INLINE ints plane_value(ints sum, ints fraction) {
     const ints top = PLANE_TOP, value = (sum + ((ints)1 << fraction >> 1)) >> fraction, below = value < top ? value : top;
     return below > -top ? below : -top;
 }
 
-// A plane's value as read by layers between the first and the last, in 16 bits.
+// Reduces the value of a plane to 16 bits, for all layers except the first and the last.
 INLINE ints coarse(ints plane) {
     const ints top = COARSE_TOP, value = (plane + (1 << COARSE >> 1)) >> COARSE, below = value < top ? value : top;
     return below > -top ? below : -top;
@@ -20,16 +21,17 @@ INLINE ints coarse(ints plane) {
 #endif
 #ifdef TOP
 
-// Colours outside of the gamut → inside, along lines of constant hue (l3cli/physics/gamut.py is the float64 reference).
+// The following functions move colours outside the gamut into the gamut, along lines of constant hue. The float64 reference is
+// l3cli/physics/gamut.py.
 
-// A row of a matrix times three values.
+// Product of a row of a matrix and a vector of three values.
 #define GAMUT_SUM(m, row, v) ((m)[3 * (row)] * (v)[0] + (m)[3 * (row) + 1] * (v)[1] + (m)[3 * (row) + 2] * (v)[2])
 
 INLINE floats least_of(floats a, floats b) { return a < b ? a : b; }
 INLINE floats most_of(floats a, floats b) { return a > b ? a : b; }
 
-// x^(1/3) of x ≥ LEAST_CONE, by Newton's iteration for y = x^(-1/3), whose first guess is within 4 % because a float's bits are
-// nearly its logarithm.
+// Computes x^(1/3) for x ≥ LEAST_CONE with Newton's iteration for y = x^(-1/3). The error of the first guess is below 4 %, because the
+// bits of a float are nearly its logarithm.
 INLINE floats cube_root(floats x) {
     floats y = SAME_BITS(CONVERT(CONVERT(SAME_BITS(x, ints), floats) * (-1.0f / 3.0f) + (float)0x54a2fa8c, ints), floats);
     #pragma unroll
@@ -37,8 +39,8 @@ INLINE floats cube_root(floats x) {
     return x * (y * y);
 }
 
-// Moves a colour towards the grey of the same lightness until no value is negative. The distance is the least root of the cubics
-// in t, found by one step of Halley's method.
+// Moves a colour towards the grey of the same lightness until no value is negative. The distance is the smallest root of three cubic
+// polynomials in t, found with one step of Halley's method.
 INLINE void less_chromatic(floats *linear) {
     const float cones[] = {GAMUT_CONES}, back[] = {GAMUT_LINEAR}, light[] = {GAMUT_LIGHTNESS};
     floats chroma[3], squares[3], cubes[3], ends[3], lowest = (floats)0.0f, least = (floats)1.0f;
@@ -79,7 +81,7 @@ INLINE void less_chromatic(floats *linear) {
 }
 
 #ifndef TONE_A
-// Limits values to 1: colours are darkened, but the closer a colour is to white, the more it is clipped instead.
+// Limits values to 1 by a mixture of darkening and clipping. The closer a colour is to white, the more it is clipped.
 INLINE void darker(floats *linear) {
     const float luminance[] = {GAMUT_LUMINANCE};
     const floats most = most_of(most_of(linear[0], linear[1]), linear[2]), share = 1.0f / most;
@@ -95,7 +97,7 @@ INLINE void darker(floats *linear) {
 }
 #endif
 
-// Whether any lane is negative, or -0.
+// Whether any lane has its sign bit set.
 INLINE bool any_negative(floats value) {
 #if LANES == 1
     return value < 0.0f;
@@ -113,7 +115,7 @@ INLINE bool any_negative(floats value) {
 #endif
 }
 
-// Colours inside the gamut stay unchanged. Few lie outside, so the mapping is a function call, which is skipped if no lane needs it.
+// Colours inside the gamut do not change. Few colours are outside, so the mapping is a function call that is skipped if no lane needs it.
 static __attribute__((noinline)) void brought_into_gamut(floats *linear) {
     if (any_negative(least_of(least_of(linear[0], linear[1]), linear[2]))) less_chromatic(linear);
 #ifndef TONE_A
@@ -131,7 +133,7 @@ INLINE void into_gamut(floats *linear) {
     if (any_negative(room)) brought_into_gamut(linear);
 }
 
-// Linear values after a tone curve.
+// Applies the tone curve to linear values, if there is one.
 INLINE floats toned(floats linear) {
 #ifdef TONE_A
     linear = linear > 0.0f ? linear : (floats)0.0f;
@@ -144,9 +146,9 @@ INLINE floats toned(floats linear) {
 
 #if defined(CURVE_PIECES) && LANES == 16 && defined(__AVX512F__)
 
-// 8-bit codes on processors that look up 16 lanes at once in a table of 32. The curve times TOP consists of 32 parabolas, four per
-// octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u number the parabola;
-// the lookup reads the last five of them.
+// 8-bit values on processors that can look up 16 lanes in a table of 32 entries with one instruction. The curve times TOP consists of 32
+// parabolas, four per octave of u, where u is the linear value plus 2^-8 (layout.curve_pieces). The upper bits of the float u are the
+// number of the parabola. The lookup reads the lowest five of these bits.
 #define PIECE_BITS 21
 __constant float curve_pieces[] = {CURVE_PIECES};  // coefficients of the parabolas, (power of u, parabola)
 
@@ -155,7 +157,7 @@ INLINE floats term_of(int power, ints piece) {
     return __builtin_ia32_vpermi2varps512(table[0], piece, table[1]);
 }
 
-// One channel's values as the codes that are written.
+// Converts linear values of one channel to the integers of the picture.
 INLINE uints encode(floats linear) {
     const floats start = 0x1p-8f, end = 0x1.fffffep-1f;
     floats u = toned(linear) * CURVE_SHARE + start;
@@ -167,10 +169,10 @@ INLINE uints encode(floats linear) {
 
 #else
 
-// Library functions are calls, which would prevent vectorisation. Instead, y = x^(-1/4) is found by CURVE_STEPS of Newton's
-// iteration. Its first guess is within 3 %, because a float's bits are nearly its logarithm. The power part of the curve is then
-// a polynomial in z = x y^3 = x^(1/4) with the coefficients CURVE_TERMS, lowest first. Codes of 8 bits need fewer steps and terms
-// than others (layout.curve_macros).
+// Calls of library functions would prevent vectorisation. Instead, y = x^(-1/4) is computed with CURVE_STEPS steps of Newton's iteration.
+// The error of the first guess is below 3 %, because the bits of a float are nearly its logarithm. The power part of the curve is then a
+// polynomial in z = x y^3 = x^(1/4) with the coefficients CURVE_TERMS, lowest power first. 8-bit pictures need fewer steps and terms than
+// others (layout.curve_macros).
 INLINE floats curve(floats linear) {
     const float term[] = {CURVE_TERMS};
     const floats x = linear > 0.003f ? linear : (floats)0.003f, part = x * -0.25f;
@@ -192,7 +194,7 @@ INLINE floats clip(floats linear) {
     return linear < 1.0f ? linear : (floats)1.0f;
 }
 
-// One channel's values as the codes that are written.
+// Converts linear values of one channel to the integers of the picture.
 INLINE uints encode(floats linear) {
     return SAME_BITS(CONVERT(curve(clip(toned(linear))) * (float)TOP + 0.5f, ints), uints);
 }

@@ -1,5 +1,5 @@
-// Maps of quads, 2 × 2 pixels (l3cli/classes/clipping.py): the fraction of the outputs that is replaced, and what is added to each
-// output. Rows are longer than needed, so that vectors may read beyond the last quad.
+// Maps of quads, which are groups of 2 × 2 pixels (l3cli/classes/clipping.py): the fraction of the outputs that is replaced, and the
+// replacement of each output. Rows are longer than needed, so that vectors may read beyond the last quad.
 
 #define QUADS(length) (((length) + 1) / 2)
 #define QUADS_STRIDE(columns) (QUADS(columns) + 16)

@@ -1,5 +1,5 @@
-// Processor variant: the taps that follow the windows of a last layer with RATIO_TAPS, for a row of a tile. They are the chroma that
-// shading alone would cause, and the chroma of similar pixels (l3cli/classes/refinement.py).
+// Processor variant: taps that follow the window in a last layer with RATIO_TAPS, for a row of a tile. Two taps are the chroma that shading
+// alone would cause. If there are four, the other two are the chroma of similar pixels (l3cli/classes/refinement.py).
 
 #if SOURCES > 1
 typedef struct {
@@ -18,10 +18,11 @@ INLINE floats ratio_of(floats luminance, floats total) {
     return below > -1.0f ? below : (floats)-1.0f;
 }
 
-// Tap t at the tile's column x → to[t][x], for the row whose window is the PATCH stored rows. The first of them is row[first % PATCH].
+// Computes the taps of a row of the tile. to[t][x] is tap t of column x. The window of the row is the PATCH stored rows, of which the first
+// is row[first % PATCH].
 INLINE void taps_behind(float (*to)[SPAN], const Row *row, int first, int width) {
     const Row *r[PATCH];
-    float sum[SOURCES][SPAN];  // sums down each column
+    float sum[SOURCES][SPAN];  // sum of each column over the rows of the window
     for (int j = 0; j < PATCH; j++) r[j] = row + (first + j) % PATCH;
     for (int s = 0; s < SOURCES; s++)
         for (int p = 0; p < WHOLE(width, LANES) + 2 * RADIUS; p += LANES) {

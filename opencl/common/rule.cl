@@ -1,10 +1,10 @@
-// Sums of a patch → its class, for as many pixels as `uints` holds and for both variants. The features are combined as in ClassRule
-// and l3cli/classes/decide.py. Arithmetic in uint is exact, or wraps around to the exact result.
+// Computes the class of a pixel from the sums over its patch, for both variants and as many pixels as there are lanes in `uints`. The
+// features are combined as in ClassRule and l3cli/classes/decide.py. Unsigned arithmetic may wrap around, but the results are exact.
 
-// CFA phase of padded row or column p, which is that of p - RADIUS, in a frame that begins at phase `start`.
+// CFA phase of padded row or column p, which is row or column p - RADIUS of the frame. The frame begins at the phase `start`.
 #define PADDED_PHASE(p, start, period) (((p) + (start) + ((period) - 1) * RADIUS) % (period))
 
-// The constants of the features, in the order of l3cli/classes/plane_kernel.py, as parameters and as arguments.
+// Constants of the features as parameters of a function and as arguments of a call, in the order of l3cli/classes/plane_kernel.py.
 #define BASIC_CONSTANTS LEVEL_CONSTANTS, CONTRAST_CONSTANTS, SATURATION_CONSTANTS, CHROMA_CONSTANTS
 #define BASIC level_tops, contrast_edges, case_of_code, chroma_weights
 #ifdef EACH_WINDOW
@@ -15,7 +15,8 @@
 #define RULE BASIC
 #endif
 
-// The number of the set of transforms, as a value, as a parameter of kernels, and as an argument. Empty if there is one set.
+// Number of the set of transforms for a pixel: as a parameter of functions, as a parameter of kernels, and as arguments. Empty if the table
+// has a single set.
 #ifdef SETS
 #define SET_VALUE uints set,
 #define SET_PARAMETER , __global const uchar *restrict pixel_sets  // (row, col)
@@ -34,10 +35,10 @@ INLINE uints set_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(b
 #endif
 
 typedef struct {
-    uints level_sum, variance_sum;  // over the channels seen so far
+    uints level_sum, variance_sum;  // over the channels that have been added
     Colour colour;
 #ifdef EACH_WINDOW
-    ints window_sum[WINDOW_SUMS];   // for the features that a recipe adds
+    ints window_sum[WINDOW_SUMS];   // for optional features of the class recipe
 #endif
 } Evidence;
 
@@ -49,7 +50,7 @@ INLINE void no_evidence(Evidence *e, RULE_CONSTANTS) {
 #endif
 }
 
-// Adds channel c: `count`, `sum` and `square` of its pixels in the patch, and the reciprocals of the count.
+// Adds channel c. `count`, `sum` and `square` are the number, the sum and the sum of squares of its pixels in the patch.
 INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints square, uints mean_reciprocal,
                          uints variance_reciprocal, RULE_CONSTANTS) {
     const uints scaled = sum * mean_reciprocal;
@@ -58,7 +59,7 @@ INLINE void add_evidence(Evidence *e, int c, uints count, uints sum, uints squar
     add_colour(&e->colour, c, scaled, chroma_weights);
 }
 
-// The kind: the chroma or, if a pixel is saturated, the saturation case, which is numbered after the chromas.
+// Returns the kind: the chroma or, if a pixel nearby is saturated, the saturation case. Saturation cases are numbered after the chromas.
 INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANTS) {
     const uints chroma = chroma_of(&e->colour, site, chroma_weights);
     if (!any_case(code, case_of_code)) return chroma;
@@ -66,11 +67,11 @@ INLINE uints kind_of(const Evidence *e, uints site, patterns code, RULE_CONSTANT
     return saturation > 0 ? CHROMAS - 1 + saturation : chroma;
 }
 
-// The class of pixels at `site`, with the channels in `code` saturated near the centre. Comparing with every level edge avoids a table
-// lookup, which is slow in vectors. The same loop selects the contrast edges of the level.
+// Returns the class of pixels at CFA site `site`. `code` is the set of channels that are saturated near the pixel. The level is found by
+// comparison with every level edge, because a table lookup is slow in vectors. The same loop selects the contrast edges of the level.
 //
-// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the edges of their `set`. The edges and
-// the sites of the sets are numbered one set after the other.
+// With several SETS of transforms (l3cli/rendering/conditions.py), pixels are compared with the edges of their `set`. The edges of all
+// sets are stored one after the other, and the sites of the sets are numbered consecutively.
 INLINE uints class_of(const Evidence *e, uints site, patterns code, SET_VALUE RULE_CONSTANTS) {
     const uints kind = kind_of(e, site, code, RULE);
     uints level = 0, edge[CONTRASTS];

@@ -1,13 +1,13 @@
-// Structure: the formula of l3cli/classes/structure.py, for both variants.
+// Structure of a pixel for both variants, with the formula of l3cli/classes/structure.py.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict strength_edges
 #define STRUCTURE_READ label_words, strength_edges
-#define TURN_A 14  // positions of the bits of the gradient word that change the signs of a and b
-#define TURN_B 15
+#define TURN_A 14  // bit of the gradient word that changes the sign of a
+#define TURN_B 15  // bit of the gradient word that changes the sign of b
 
 INLINE uints size_of(ints value) { return SAME_BITS(value > 0 ? value : -value, uints); }
 
-// Structure of pixels from the weighted sums of products of gradients; `turns` is the gradient word.
+// Returns the structure. xx, yy and xy are weighted sums of products of gradients, and `turns` is the gradient word.
 INLINE uints structure_of(uints xx, uints yy, ints xy, uints turns, __global const uint *strength_edges) {
     const uints trace = xx + yy;
     uints strength = 0;

@@ -1,20 +1,20 @@
-// Evidence of motion, weights of cells, and the blend (l3cli/rendering/temporal/reference.py).
+// Temporal filter: evidence of motion, weights of cells, and blending with the history (l3cli/rendering/temporal/reference.py).
 
-// Arrays of cells are padded with zeros: PADDING columns on either side, and a row above and below.
+// Arrays of cells are padded with zeros: PADDING columns on each side, a row above and a row below.
 INLINE int cell_row_length(int columns) { return columns + 2 * PADDING; }
 
 INLINE int cell_place(int row, int column, int cell_columns) {
     return (row + 1) * cell_row_length(cell_columns) + PADDING + column;
 }
 
-// Displacement in cells of a cell's centre by a `vector` in pixels.
+// Converts the displacement of a cell's centre from pixels to cells.
 INLINE int2 cells_on(int2 vector) {
-    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // cells, more than any vector, so that no negative number is divided
+    const int2 side = (int2)(CELL_ROWS, CELL_COLUMNS), far = 4096;  // in cells; larger than any displacement, so that the dividend is positive
     return (side / 2 + vector + far * side) / side - far;
 }
 
-// For every cell of STRIP blocks: the power of its residuals, their sum, the noise expected of either, and the remaining noise at the
-// previous position of its centre.
+// Computes, for every cell of STRIP blocks, the power of the residuals, the sum of the residuals, the variance that noise would cause, and
+// the remaining noise of the history at the previous position of the cell's centre.
 __kernel void evidence(__global const ushort *restrict raw, __global const ushort *restrict history,
                        __global const int2 *restrict vectors, __global const ushort *restrict left,
                        __global uint *restrict powers, __global int *restrict sums, __global uint *restrict variances,
@@ -26,7 +26,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
     const wholes most = MOST_VARIANCE;
     for (int down = 0; down < CELL_DOWN; down++) {
         const int cell_row = block_row * CELL_DOWN + down;
-        int square_of[STRIP_COLUMNS], sum_of[STRIP_COLUMNS], light_of[STRIP_COLUMNS];  // squares fit 32 bits without a sign
+        int square_of[STRIP_COLUMNS], sum_of[STRIP_COLUMNS], light_of[STRIP_COLUMNS];  // square_of contains unsigned 32-bit values
         int lefts[STRIP_CELLS], moved[STRIP_CELLS];
         for (int block = begin; block < last; block++) {
             const int2 vector = vectors[block_row * block_columns + block] * (int2)(PERIOD_ROWS, PERIOD_COLUMNS);
@@ -58,7 +58,7 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
         uint squares[STRIP_CELLS];
         int residuals[STRIP_CELLS], signals[STRIP_CELLS];
         const int rest = CELL_COLUMNS / PAIRED(CELL_COLUMNS), rest_of_squares = SITES > 16 ? CELL_COLUMNS : rest;
-        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // these sums fit 32 bits, too
+        if (SITES <= 16) add_columns(square_of, count, CELL_COLUMNS);  // these sums also fit 32 bits
         add_columns(sum_of, count, CELL_COLUMNS);
         add_columns(light_of, count, CELL_COLUMNS);
         for (int i = 0; i < count; i++) {
@@ -96,8 +96,8 @@ __kernel void evidence(__global const ushort *restrict raw, __global const ushor
     }
 }
 
-// For every cell: its weight and its remaining noise. For STRIP blocks: the number of cells that show another scene. `weights` holds
-// the previous remaining noise, and is overwritten by the weights.
+// Computes the weight and the remaining noise of every cell, and the number of cells in STRIP blocks that show another scene. At the start,
+// `weights` contains the previous remaining noise. The weights overwrite it.
 __kernel void weigh(__global const uint *restrict powers, __global const int *restrict sums,
                     __global const uint *restrict variances, __global ushort *restrict weights,
                     __global ushort *restrict new_left, __global int *restrict cuts, int block_columns) {
@@ -137,7 +137,8 @@ __kernel void weigh(__global const uint *restrict powers, __global const int *re
     cuts[block_row * get_global_size(0) + get_global_id(0)] = SUM_CELLS(others);
 }
 
-// The blend, as u for the history and as DN, and the means of the history over periods. With `restart` the history is ignored.
+// Blends the frame with the history. Writes the new history as u (new_kept), the blended frame as DN (made), and the means of the new
+// history over CFA periods (plane). If `restart` is true, the history is ignored.
 __kernel void blend(__global const ushort *restrict raw, __global const ushort *restrict history,
                     __global const int2 *restrict vectors, __global const ushort *restrict weights,
                     __global const int *restrict cuts, __global ushort *restrict new_kept,

@@ -1,7 +1,8 @@
-// Motion of each block relative to the history (l3cli/rendering/temporal/motion.py): planes of means, and the search in them.
+// Temporal filter: motion of each block relative to the history (l3cli/rendering/temporal/motion.py). The kernels compute planes of means
+// and search for the motion in these planes.
 
-// Planes have a margin of MARGIN rows and columns that repeats their edge. Rows have PADDING more columns, so that windows, and
-// vectors that begin within a window, may extend beyond the edge.
+// Planes have a margin of MARGIN rows and columns that repeats the edge. Rows have PADDING additional columns, so that windows, and
+// vectors that begin in a window, may extend beyond the edge.
 INLINE int row_length(int columns) { return columns + 2 * MARGIN + PADDING; }
 
 INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right) {
@@ -9,7 +10,7 @@ INLINE void fill_margin(__global ushort *row, int columns, bool left, bool right
     for (int x = MARGIN + columns; right && x < row_length(columns); x++) row[x] = row[MARGIN + columns - 1];
 }
 
-// Fills the margin of a row on either side of samples `first` to `last`.
+// Fills the margin next to samples `first` to `last` of a row, if the samples are at an edge of the plane.
 INLINE void fill_beside(__global ushort *plane, int row, int rows, int columns, int first, int last) {
     const int length = row_length(columns), from = first ? MARGIN + first : 0, to = last < columns ? MARGIN + last : length;
     __global ushort *line = plane + (MARGIN + row) * length;
@@ -25,9 +26,9 @@ INLINE void fill_beside(__global ushort *plane, int row, int rows, int columns, 
 #if LANES == 1
 #define PAIRED(columns) 1
 #else
-#define PAIRED(columns) ((columns) % 4 == 0 ? 4 : (columns) % 2 == 0 ? 2 : 1)  // columns that are added side by side
+#define PAIRED(columns) ((columns) % 4 == 0 ? 4 : (columns) % 2 == 0 ? 2 : 1)  // number of neighbouring columns that vectors add up
 
-// `count` sums of two neighbours, which replace them.
+// Replaces 2 · count values with the sums of `count` pairs of neighbours.
 INLINE void add_neighbours(int *values, int count) {
     for (int i = 0; i < count; i += LANES) {
         const ints a = LOAD_PRIVATE(ints, values + 2 * i), b = LOAD_PRIVATE(ints, values + 2 * i + LANES);
@@ -38,7 +39,8 @@ INLINE void add_neighbours(int *values, int count) {
 #endif
 #define STRIP_COLUMNS (STRIP * BLOCK_COLUMNS + 2 * LANES)
 
-// `count` sums of this many columns, as far as these are added side by side, which replace them.
+// Replaces values with sums of neighbouring columns. Afterwards, each of the `count` groups of `columns` values consists of columns /
+// PAIRED(columns) values.
 INLINE void add_columns(int *values, int count, int columns) {
 #if LANES > 1
     if (PAIRED(columns) > 1) add_neighbours(values, count * columns / 2);
@@ -46,7 +48,7 @@ INLINE void add_columns(int *values, int count, int columns) {
 #endif
 }
 
-// `count` means over periods, from the sums of columns over a period's rows, which are overwritten.
+// Computes `count` means over CFA periods. `columns` contains the sum of each column over the rows of a period, and is overwritten.
 INLINE void means_of(int *columns, __global ushort *plane, int count) {
     const int rest = PERIOD_COLUMNS / PAIRED(PERIOD_COLUMNS);
     add_columns(columns, count, PERIOD_COLUMNS);
@@ -63,7 +65,7 @@ INLINE int2 size_of(int level, int block_rows, int block_columns) {
     return (int2)(block_rows * UNITS_DOWN, block_columns * UNITS_ACROSS) >> level;
 }
 
-// Offset of a plane, all of which are stored one after the other.
+// Offset of a plane in the array of all planes, which are stored one after the other.
 INLINE int begin_of(int level, int block_rows, int block_columns) {
     int begin = 0;
     for (int finer = 0; finer < level; finer++) {
@@ -73,7 +75,7 @@ INLINE int begin_of(int level, int block_rows, int block_columns) {
     return begin;
 }
 
-// Samples `first` to `last` of a row of the finest plane, which are means over periods.
+// Computes samples `first` to `last` of a row of the finest plane, which contains means over CFA periods.
 INLINE void means(__global const ushort *values, __global ushort *plane, int row, int first, int last, int free_bits, int across) {
     const int columns = across * PERIOD_COLUMNS, count = (last - first) * PERIOD_COLUMNS;
     int sums[STRIP_COLUMNS];
@@ -89,7 +91,8 @@ INLINE void means(__global const ushort *values, __global ushort *plane, int row
     means_of(sums, plane + (MARGIN + row) * row_length(across) + MARGIN + first, last - first);
 }
 
-// The same for a coarser plane, which holds the means of 2 × 2 samples of the finer one, whose rows have the length `wide`.
+// Computes samples `first` to `last` of a row of a coarser plane, which contains means of 2 × 2 samples of the finer plane. `wide` is the
+// number of columns of the finer plane.
 INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row, int first, int last, int wide, int across) {
     __global const ushort *above = fine + (2 * row + MARGIN) * row_length(wide) + MARGIN, *below = above + row_length(wide);
     coarse += (MARGIN + row) * row_length(across) + MARGIN;
@@ -99,8 +102,8 @@ INLINE void halve(__global const ushort *fine, __global ushort *coarse, int row,
     }
 }
 
-// All planes of STRIP blocks, in DEEPEST rows of the finest plane. One work-item computes those of the frame, another those of the
-// history, whose finest plane already exists.
+// Computes all planes of STRIP blocks, for DEEPEST rows of the finest plane. The first half of the work-items computes the planes of the
+// frame. The second half computes the planes of the history, whose finest plane already exists.
 __kernel void planes(__global const ushort *restrict raw, __global ushort *restrict now, __global ushort *restrict before,
                      int free_bits, int block_rows, int block_columns) {
     const int parts = get_global_size(1) / 2, part = get_global_id(1) % parts;
@@ -126,18 +129,18 @@ __kernel void planes(__global const ushort *restrict raw, __global ushort *restr
     }
 }
 
-// The search for a block: its window in the frame, and in the history.
+// Windows in the frame and in the history, for the search of a block.
 typedef struct {
-    __global const ushort *now, *before;  // where the window begins
-    int2 window;                          // rows and columns
-    int length;                           // of the planes' rows
+    __global const ushort *now, *before;  // first sample of the window in the frame and in the history
+    int2 window;                          // rows and columns of the window
+    int length;                           // length of a row of the planes
 #if LANES > 1
-    const ushort *tiles, *most;  // the window's values, tile by tile, and the clamp of differences, which is zero outside of the window
+    const ushort *tiles, *most;  // values of the window, tile by tile, and limits of differences, which are zero outside the window
 #endif
 } Search;
 
 #if LANES == 1
-// The sum of a window's values.
+// Returns the sum of the values in the window.
 INLINE int light_in(const Search *s) {
     int sum = 0;
     for (int y = 0; y < s->window.x; y++)
@@ -145,7 +148,8 @@ INLINE int light_in(const Search *s) {
     return sum;
 }
 
-// The sum of differences, each clamped to MOST_DIFFERENCE. If it is not below `limit`, the result may be any value not below `limit`.
+// Returns the sum of absolute differences, each limited to MOST_DIFFERENCE. If the sum is not below `limit`, the result may be any value
+// from `limit` upwards.
 INLINE int cost(const Search *s, int2 vector, int limit) {
     __global const ushort *now = s->now, *before = s->before + vector.x * s->length + vector.y;
     int sum = 0;
@@ -154,7 +158,7 @@ INLINE int cost(const Search *s, int2 vector, int limit) {
     return sum;
 }
 #else
-// Windows are read in tiles of TILE_ROWS = 4 rows and 8 columns. With 16 bits each they fill a register of AVX-512.
+// Windows are read in tiles of TILE_ROWS = 4 rows and 8 columns. The 32 values of 16 bits fill an AVX-512 register.
 #define TILE_COLUMNS 8
 #define TILE (TILE_ROWS * TILE_COLUMNS)
 #define MOST_SIDE 16  // longest side of a window
@@ -187,7 +191,7 @@ INLINE void fill_most(ushort *most, int2 window) {
             }
 }
 
-// Fills a window's tiles, and returns the sum of its values.
+// Reads the tiles of the window, and returns the sum of the values in the window.
 INLINE int fill_tiles(const Search *s, ushort *tiles) {
     const ushort *most = s->most;
     eight_ints light = 0;
@@ -203,13 +207,13 @@ INLINE int fill_tiles(const Search *s, ushort *tiles) {
     return sum_of(light);
 }
 
-// The sum of differences, each clamped to MOST_DIFFERENCE.
+// Returns the sum of absolute differences, each limited to MOST_DIFFERENCE.
 INLINE int cost(const Search *s, int2 vector, int limit) {
     __global const ushort *before = s->before + vector.x * s->length + vector.y;
     const ushort *now = s->tiles, *most = s->most;
     eight_ints sums = 0;
     for (int x = 0; x < s->window.y; x += TILE_COLUMNS) {
-        tile_shorts columns = 0;  // sums down the columns fit 16 bits, because a window has at most 16 rows
+        tile_shorts columns = 0;  // sums over rows fit 16 bits, because a window has at most 16 rows
         for (int y = 0; y < s->window.x; y += TILE_ROWS, now += TILE, most += TILE) {
             const tile_shorts a = LOAD_PRIVATE(tile_shorts, now), b = tile_at(before + y * s->length + x, s->length);
             const tile_shorts difference = (a > b ? a : b) - (a < b ? a : b), limits = LOAD_PRIVATE(tile_shorts, most);
@@ -234,8 +238,8 @@ INLINE Best better(const Search *s, Best best, int2 vector, int reluctance) {
     return best;
 }
 
-// The vector of every block in samples of a level's planes, from the vectors of the coarser level. `root` is 16 times the square root
-// of the number of samples in a window with these rows and columns.
+// Finds the vector of every block in samples of the planes of a level. The search starts at the vectors of the coarser level. `root` is 16
+// times the square root of the number of samples in a window.
 __kernel void search(__global const ushort *restrict now, __global const ushort *restrict before,
                      __global const int2 *restrict parents, __global int2 *restrict vectors,
                      __global const int *restrict spread, int level, int window_rows, int window_columns, int root,

@@ -1,11 +1,11 @@
-// Trees: the formula of l3cli/classes/tree.py, for both variants.
+// Numerators and denominators of the tests of a tree for both variants, with the formulas of l3cli/classes/tree.py.
 
-// Sums over the neighbourhood of a pixel. u and v are the chroma planes.
+// Weighted sums over the neighbourhood of a pixel. u and v are the chroma planes.
 typedef struct {
-    ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;  // products of gradients over 5 × 5
-    ints chroma_bend_xx, chroma_bend_yy;                                        // products of second differences of chroma, likewise
-    ints narrow_strength, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3
-    ints bend_x, bend_y;
+    ints xx, yy, xy, chroma_xx, chroma_yy, u_along, v_along;                    // products of gradients over 5 × 5 pixels
+    ints chroma_bend_xx, chroma_bend_yy;                                        // squared second differences of chroma over 5 × 5 pixels
+    ints narrow_strength, bend_xx, bend_yy, slope_x, slope_y, u, v, luminance;  // over 3 × 3 pixels
+    ints bend_x, bend_y;                                                        // second differences at the pixel
 } Sums;
 
 typedef struct {
@@ -16,12 +16,12 @@ INLINE ints size_of(ints value) { return value > 0 ? value : -value; }
 INLINE ints larger(ints a, ints b) { return a > b ? a : b; }
 INLINE floats signed_square(ints value) { return CONVERT(value * size_of(value), floats); }
 
-#define TRANSPOSED 14  // first of the bits in the gradient word that give the site's orientation
+#define TRANSPOSED 14  // first bit of the orientation of the site in the gradient word
 #define MIRRORED_ACROSS 15
 #define MIRRORED_DOWN 16
 #define SWAP_WHERE(condition, a, b) { const ints swapped = a; a = (condition) ? b : a; b = (condition) ? swapped : b; }
 
-// The sums of a site, turned to the orientation in which the site was trained.
+// Turns the sums to the orientation in which the site was trained.
 INLINE void turn(Sums *s, uints turns) {
     const ints transposed = (turns >> TRANSPOSED & 1) != 0, across = (turns >> MIRRORED_ACROSS & 1) != 0;
     const ints down = (turns >> MIRRORED_DOWN & 1) != 0;
@@ -36,7 +36,7 @@ INLINE void turn(Sums *s, uints turns) {
     s->xy = across != down ? -s->xy : s->xy;
 }
 
-// Only quantities that a node of the tree compares are computed.
+// Only quantities that a node of the tree uses are computed.
 #define USED(test) (TESTS_USED >> (test) & 1)
 #define SLOPES_USED (USED(16) || USED(17))
 #define CHROMA_BENDS_USED (USED(21) || USED(22))

@@ -1,8 +1,8 @@
-// Vector types of all kernels. The processor variant processes LANES pixels, or taps, side by side: 16 fill a register of AVX-512,
-// 8 a register of AVX2. The graphics variant processes one, because the device itself runs pixels side by side.
+// Vector types of all kernels. The processor variant processes LANES pixels or taps in a vector. 16 lanes fill an AVX-512 register, and 8
+// lanes an AVX2 register. In the graphics variant, LANES is 1, because the device itself processes many pixels at the same time.
 //
 // vloadN and convert_T are function calls in PoCL 3.0. Instead, vectors are read through pointers to a type with the alignment of a
-// single element, and converted by clang's own conversion. Each compiles to one instruction.
+// single element, and converted with a builtin of clang. Both compile to one instruction.
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -27,7 +27,7 @@ VECTOR(float, floats, LANES);
 VECTOR(char, signed_chars, LANES);
 VECTOR(uchar, bytes, LANES);
 VECTOR(short, signed_shorts, LANES);
-VECTOR(ushort, shorts, LANES);           // as many as there are uints: half a register
+VECTOR(ushort, shorts, LANES);           // half a register
 VECTOR(ushort, full_shorts, 2 * LANES);  // a whole register
 VECTOR(short, pairs, 2 * LANES);
 
@@ -44,24 +44,25 @@ VECTOR(short, pairs, 2 * LANES);
 #define CONVERT(value, type) __builtin_convertvector(value, type)
 #define SAME_BITS(value, type) __builtin_astype(value, type)
 
-// The vector of a type that starts at p, for reading and for assignment.
+// Vector that starts at p. LOAD is for reading, and STORE is the left side of an assignment.
 #define LOAD_PRIVATE(type, p) (*(const type##_unaligned *)(p))
 #define STORE_PRIVATE(type, p) (*(type##_unaligned *)(p))
 #define LOAD_GLOBAL(type, p) (*(__global const type##_unaligned *)(p))
 #define STORE_GLOBAL(type, p) (*(__global type##_unaligned *)(p))
 
-// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times, once as it is
+// Kernels with one work-item per group only call a function that does the work. PoCL compiles each kernel three times, once as written
 // and twice in the code that starts work-groups, but the function only once.
 #define COMPILED_ONCE static __attribute__((noinline)) void
 #define KERNEL_OF_ONE __kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define GROUP_COLUMN ((int)get_group_id(0) * TILE)  // first column of the tile
 #define GROUP_ROW ((int)get_group_id(1) * BAND)
 
-// A loop over the few pixels at an edge that do not fill a vector. Vectorising and unrolling, which the compiler would do, are
-// switched off, because the code rarely runs and would take time to compile.
+// For loops over the few pixels at an edge that do not fill a vector. The compiler must not vectorise and unroll these loops, because they
+// rarely run and would take time to compile.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
-// The first `count` lanes of a vector → to[0], to[1] …, through an array, because selecting a lane by a variable takes much code.
+// Writes the first `count` lanes of a vector to to[0], to[1] … . The lanes are copied to an array first, because selecting a lane with a
+// variable takes much code.
 #define WRITE_FIRST(element, type, to, value, count) do { \
     element lane[LANES]; \
     STORE_PRIVATE(type, lane) = value; \
@@ -72,15 +73,15 @@ VECTOR(short, pairs, 2 * LANES);
     else WRITE_FIRST(float, floats, to, value, count); \
 } while (0)
 
-// Prefetch the cache line at p, which is read one row later. Processors do not predict where the next row of a tile lies. One line is
-// prefetched per LANES pixels, while others are computed, because many prefetches at once would queue.
-#ifdef __NVPTX__ // NVIDIA's compiler refuses the address space, and graphics cards hide the latency themselves
+// Prefetches the cache line at p, which is read one row later, because processors do not predict where the next row of a tile begins. One
+// line is prefetched for every LANES pixels, because many prefetches at the same time would delay one another.
+#ifdef __NVPTX__ // NVIDIA's compiler rejects the address space, and graphics cards hide the latency themselves
 #define FETCH(p)
 #else
 #define FETCH(p) __builtin_prefetch((const void *)(size_t)(p))
 #endif
 
-// Products of 16-bit pairs, added to each other and to `sum`. It is a single instruction if the compiler supports it.
+// Multiplies 16-bit values, and adds the two products of each pair to `sum`. This is a single instruction on most processors.
 INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 #if LANES == 16 && defined(__AVX512BW__)
     return sum + SAME_BITS(__builtin_ia32_pmaddwd512(a, b), ints);
@@ -93,8 +94,8 @@ INLINE ints add_pairs(ints sum, pairs a, pairs b) {
 }
 #endif
 
-// Types of a layer's values and sums. The last layer reads the mosaic or planes in floating point. Other layers use 16-bit integers
-// with 32-bit sums, two products per lane, so that planes are the same on every device.
+// Types of the values and sums of a layer. The last layer uses floating point. Other layers use 16-bit values with 32-bit sums and two
+// products per lane, so that planes are the same on every device.
 #if LANES == 1
 #ifdef FIXED_POINT
 typedef int tap;

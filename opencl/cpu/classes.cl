@@ -1,15 +1,15 @@
-// Processor variant: raw frame → class of every pixel.
+// Processor variant: computes the class of every pixel from the raw frame.
 //
-// One work-item labels a tile of TILE columns and BAND rows, row after row.
+// A work-item processes a tile of TILE columns and BAND rows, row by row.
 
-// Parameters from which classes are decided; CLASSES_READ passes them on as arguments.
+// Parameters of all functions that compute classes. CLASSES_READ passes them on as arguments.
 #define CLASSES_PARAMETERS \
     __global const ushort *restrict raw,                /* (row, col) DN */ \
     __global const int *restrict row_source,            /* (padded row) */ \
     __global const int *restrict column_source,         /* (padded col) */ \
-    __global const ushort *restrict member,             /* (channel, CFA row, period) all bits or none */ \
+    __global const ushort *restrict member,             /* (channel, CFA row, period) all bits set if a pixel has the channel */ \
     __global const ushort *restrict channel_bit,        /* (CFA row, period) 1 << channel */ \
-    __global const uint *restrict count,                /* (channel, CFA row, period) taps of the channel */ \
+    __global const uint *restrict count,                /* (channel, CFA row, period) number of taps of the channel */ \
     __global const uint *restrict mean_reciprocal,      /* (channel, CFA row, period) round(65536 / count) */ \
     __global const uint *restrict variance_reciprocal,  /* (channel, CFA row, period) round(512 / count) */ \
     __global const uint *restrict site_column,          /* (period) CFA column */ \
@@ -17,13 +17,13 @@
 #define CLASSES_READ raw, row_source, column_source, member, channel_bit, count, mean_reciprocal, variance_reciprocal, site_column, \
     RULE SET_READ
 
-// The latest rows of a tile, in separate arrays, so that the compiler knows that they do not overlap.
+// Statistics of the latest rows of a tile. The arrays are declared separately, so that the compiler knows that they do not overlap.
 typedef struct {
-    ushort (*ring)[SPAN];  // (PATCH + 1) rows, padded row k of the tile in slot k % (PATCH + 1)
+    ushort (*ring)[SPAN];  // PATCH + 1 rows; padded row k of the tile is in slot k % (PATCH + 1)
     Columns *window;
     Runs *runs;
 #ifdef BOX_ROWS
-    box (*boxes)[SPAN];    // sums over boxes, in the slot of their last row
+    box (*boxes)[SPAN];    // sums over boxes, in the slot of the last row of the box
 #endif
 } Seen;
 
@@ -47,13 +47,13 @@ INLINE void see_nothing(Seen *seen) {
     }
 }
 
-// Number of columns that a tile reads, in whole vectors.
+// Number of columns that a tile reads, rounded up to whole vectors.
 INLINE int span_of(int width) { return WHOLE(WHOLE(width, LANES) + 2 * RADIUS, 2 * LANES); }
 
-// Adds padded row k of the tile at (y0, x0), of which `width` columns are in the frame.
+// Adds padded row k of the tile at (y0, x0) to the statistics. `width` columns of the tile are inside the frame.
 INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row, int phase_column, int columns, CLASSES_PARAMETERS) {
     const int span = span_of(width), padded_phase = PADDED_PHASE(x0, phase_column, CFA_COLUMNS);
-    // The slot after the newest holds the row that leaves the patch, or zeros until the first patch is complete.
+    // The slot after the newest row contains the row that leaves the patch, or zeros until the first patch is complete.
     ushort *entering = seen->ring[k % (PATCH + 1)], *leaving = seen->ring[(k + 1) % (PATCH + 1)];
     ingest(entering, raw + (size_t)row_source[y0 + k] * columns, column_source, x0, columns);
     const int row_phase = PADDED_PHASE(y0 + k, phase_row, CFA_ROWS);
@@ -62,14 +62,14 @@ INLINE void see_row(Seen *seen, int k, int x0, int y0, int width, int phase_row,
 #ifdef BOX_ROWS
     add_boxes(seen->boxes[k % (PATCH + 1)], seen->ring, k % (PATCH + 1), span);
 #endif
-    const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation is decided from fewer rows, the last of which came earlier
+    const int late = k - (RADIUS - SATURATION_RADIUS);  // saturation is tested in fewer rows than a patch has
     if (late >= 0)
         saturated_row(seen->window->saturated[late % SPREAD], seen->ring[late % (PATCH + 1)],
                       channel_bit + PADDED_PHASE(y0 + late, phase_row, CFA_ROWS) * PERIOD, padded_phase, span);
 }
 
-// Classes of LANES pixels in a row of the tile, from column x on, which is the frame's pixel `at` with the CFA column `phase`. Their
-// patches end with padded row k.
+// Returns the classes of LANES pixels in a row of the tile, starting at column x. The first pixel is pixel `at` of the frame and has the CFA
+// column `phase`. The last row of the patches is padded row k.
 INLINE uints classes_at(const Seen *seen, int k, int x, size_t at, int site_row, int phase, CLASSES_PARAMETERS) {
     Evidence evidence;
     no_evidence(&evidence, RULE);
@@ -98,7 +98,7 @@ INLINE void write_classes(__global uint *to, uints label, int count) {
     else WRITE_FIRST(uint, uints, to, label, count);
 }
 
-#if !defined(TRANSFORM_ONLY) && !defined(JOINED)  // another program contains this kernel, or joins it with transforms
+#if !defined(TRANSFORM_ONLY) && !defined(JOINED)  // otherwise another program contains this kernel, or joined.cl replaces it
 COMPILED_ONCE classes_of_tile(int x0, int y0, CLASSES_PARAMETERS,
                               __global uint *restrict labels,  // (row, col)
                               int phase_row, int phase_column, int rows, int columns) {

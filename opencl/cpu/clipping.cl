@@ -1,11 +1,12 @@
-// Processor variant: mosaic → means of blocks → maps of blocks → maps of quads. One work-item processes a tile of blocks or quads. Most
-// of a frame is dark, or not uniform, or not clipped. Vector code finds these parts, which are then skipped.
+// Processor variant: computes the means of blocks from the mosaic, the maps of blocks from the means, and the maps of quads from the maps
+// of blocks. A work-item processes a tile of blocks or quads. Most parts of a frame are dark, not uniform, or not clipped. Vector code
+// finds these parts, which are then skipped.
 
 #define EACH_OF_TILE \
     for (int y = GROUP_ROW; y < min(GROUP_ROW + BAND, rows); y++) \
         for (int x = GROUP_COLUMN; x < min(GROUP_COLUMN + TILE, columns); x++)
 
-// The band's raw rows begin at row `first` of the frame. Blocks outside of the band are not read.
+// Measures a tile of blocks. `raw` contains a band of raw rows, which begins at row `first` of the frame. Blocks outside the band are ignored.
 COMPILED_ONCE measure_tile(int x0, int y0, __global const ushort *restrict raw, __global const uchar *restrict cfa,
                            __global float *restrict means, int bright, float black_level, float span, int phase_row,
                            int phase_column, int first, int raw_rows, int frame_rows, int frame_columns, int rows, int columns) {
@@ -60,7 +61,7 @@ KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const fl
     EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
 }
 
-// The maps of LANES quads in a row, which lie between these blocks.
+// Number of blocks in a row from which the maps of LANES quads are interpolated
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
 COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float4 *restrict maps, __global float *restrict to, int first,

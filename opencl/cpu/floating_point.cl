@@ -1,8 +1,8 @@
-// Processor variant for layers in floating point: computes the weighted sums of patches for any number of outputs.
+// Processor variant of floating-point layers: computes the weighted sums of patches, for any number of outputs.
 //
-// The side of a patch is odd, so a patch of one plane has 8n + 1 taps. All taps but one fill VECTORS whole vectors. (With 16 lanes, half of
-// the weights in the last vector may be zero.) The last tap is processed together with the intercept, in one vector of four lanes for all
-// outputs of a group.
+// The side of a patch is odd, so a patch of one plane has 8n + 1 taps. All taps except the last fill VECTORS whole vectors. With 16 lanes,
+// half of the weights in the last vector may be zero. The last tap is processed together with the intercept, in a vector of four lanes for
+// all outputs of a group.
 
 #ifndef SIDE_BY_SIDE
 
@@ -32,8 +32,8 @@ INLINE totals fold_all(const totals v[LANES / 4]) {
 #endif
 }
 
-// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap and the weighted taps after
-// the windows.
+// Returns the initial sums of a pixel. Lane o contains the intercept of output o, plus the weighted last tap and the weighted taps that
+// follow the windows.
 INLINE four_totals last_taps(const tap *patch, const float *ratios, __global const tap *weights) {
     four_totals sum = LOAD_GLOBAL(four_totals, weights + LAST_TAP) * patch[TAPS - 1] + LOAD_GLOBAL(four_totals, weights + LAST_TAP + 4);
     #pragma unroll
@@ -67,8 +67,8 @@ INLINE void apply_pair(totals sum[GROUP], const tap *first, const tap *second, c
     for (int o = 0; o < GROUP; o++) sum[o] = fold_two(one[o], other[o]);
 }
 
-// Computes output o of group g for LANES pixels from column x on, and stores it in made[g * GROUP + o]. `ratios` (tap, column) contains
-// the taps after the windows.
+// Computes the outputs of LANES pixels, starting at column x. Output o of group g is made[g * GROUP + o]. `ratios` (tap, column) contains the
+// taps that follow the windows.
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     for (int g = 0; g < GROUPS; g++) {
         __global const tap *group = weights + g * GROUP_STRIDE;
@@ -83,7 +83,7 @@ INLINE void apply(totals *made, const tap *patches, const float *ratios, const u
                 const tap *patch = patches + (x + first) * COLUMN;
                 __global const tap *row = group + (size_t)class * CLASS_STRIDE;
                 const float *its = ratios + x + first;
-#ifndef PLANES  // mostly a single frame is rendered to planes; leaving out half the code then saves more time in compiling
+#ifndef PLANES  // linear outputs are usually rendered for one frame, so a shorter compilation saves more time than a faster kernel
                 if (class == other)
                     apply_pair(pair[i], patch, patch + PAIR * COLUMN, its, row, row);
                 else

@@ -1,11 +1,11 @@
 // Processor variant: helpers that process pixels in pairs and add up the lanes of vectors.
 //
-// The two pixels of a pair are PAIR columns apart. If the width of the CFA allows, they have the same site, and therefore the same class
-// in uniform areas. The weights, which are most of the data, are then read once for both pixels.
+// The distance between the two pixels of a pair is PAIR columns. If the width of the CFA allows, both pixels have the same site, and
+// therefore the same class in uniform areas. The weights, which are most of the data, are then read once for both pixels.
 
-// Number of loop iterations that the compiler unrolls. Each iteration processes four pixels. Code that is not unrolled compiles in half
-// the time. It runs as fast if another layer follows, and up to 4 % slower otherwise. The slower loop is accepted for PLANES, because
-// mostly a single frame is rendered to planes, to find its exposure.
+// Number of unrolled loop iterations. Each iteration processes four pixels. A loop that is not unrolled compiles in half the time. In the
+// last layer it is up to 4 % slower, and in other layers it is equally fast. The slower loop is used for PLANES, because linear outputs are
+// usually rendered for a single frame, to find its exposure.
 #if defined(FIXED_POINT) || defined(PLANES)
 #define UNROLLED 1
 #else
@@ -26,7 +26,7 @@
 #define PAIR (LANES / 2)
 #endif
 #define PAIR_FIRST(n) ((n) / PAIR * 2 * PAIR + (n) % PAIR)                     // first pixel of pair n among LANES pixels
-#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // position of pixel x if pixels are ordered by pair
+#define PAIR_PLACE(x) (2 * ((x) / (2 * PAIR) * PAIR + (x) % PAIR) + (x) / PAIR % 2)  // index of pixel x if pixels are sorted by pair
 
 // The following functions add up the lanes of several vectors at once. Each step halves the number of vectors. A vector consists of groups
 // of four lanes. Brackets such as [a b a b] show which vector each lane of a group belongs to. Every group in the result of SHUFFLE_FOURS

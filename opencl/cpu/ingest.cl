@@ -1,14 +1,14 @@
-// Processor variant: raw rows → rows of a tile.
+// Processor variant: copies raw rows to the rows of a tile.
 //
-// A tile is TILE columns wide. With the margins of its patches it reads SPAN columns, numbered p, which begin RADIUS columns to the
-// left of the tile. Padded rows and columns are those of the frame, plus RADIUS on every side. row_source and column_source give the
-// raw row or column that each repeats (frame.mirrored_indices), such that padding preserves the phase of the CFA.
+// A tile is TILE columns wide. With the margins of the patches, it reads SPAN columns, which begin RADIUS columns to the left of the tile.
+// These columns are numbered p. The padded frame has RADIUS additional rows and columns on every side. row_source and column_source contain
+// the raw row or column that a padded row or column repeats (frame.mirrored_indices). Padding preserves the phase of the CFA.
 
-#define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // slack for reads past the last patch
-#define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n rounded up
+#define SPAN ((TILE + 2 * RADIUS + 4 * LANES - 1) / (2 * LANES) * (2 * LANES) + LANES)  // with space for reads beyond the last patch
+#define WHOLE(n, size) (((n) + (size) - 1) / (size) * (size))  // n, rounded up to a multiple of `size`
 
-// CFA phase n columns further. Arrays with a `period` axis repeat a row of the CFA such that a vector can be read from any phase. If
-// the CFA's width divides the vector, the phase stays the same, and the compiler keeps these vectors in registers.
+// CFA phase after n columns. Arrays with a `period` axis repeat a row of the CFA, so that a vector can be read at any phase. If the number of
+// lanes is a multiple of the width of the CFA, the phase does not change, and the compiler keeps these vectors in registers.
 #if LANES % CFA_COLUMNS == 0
 #define PHASE_AFTER(phase, n) (phase)
 #else
@@ -22,8 +22,8 @@ INLINE void ingest_vector(ushort *row, __global const ushort *from) {
     STORE_PRIVATE(full_shorts, row) = v < top ? v : top;
 }
 
-// One raw row → row[p], clamped to MAX_RAW, for the tile that begins at column x0. The last vector inside the frame overlaps the one
-// before it, so that no pixels are left over.
+// Copies a raw row to row[p], clamped to MAX_RAW. The tile begins at column x0. The last vector inside the frame overlaps the previous
+// vector, so that no pixels remain.
 INLINE void ingest(ushort *row, __global const ushort *raw_row, __global const int *column_source, int x0, int columns) {
     const int first = max(0, RADIUS - x0), last = min(TILE + 2 * RADIUS, columns - x0 + RADIUS);
     const int end = min(TILE + 2 * RADIUS, columns - x0 + 2 * RADIUS);

@@ -1,11 +1,11 @@
-// Processor variant: raw frame → outputs of the first layer, with classes and transforms in one kernel. A row's classes are then still
-// in the nearest cache when they are used, and raw values are read once. Classes are only written if another layer reads them.
+// Processor variant: computes the classes and the outputs of the first layer in one kernel. The classes of a row are still in the
+// first-level cache when they are used, and the raw values are read only once. Classes are written only if another layer reads them.
 
 #ifdef JOINED
 #define JOINED_PARAMETERS \
     CLASSES_PARAMETERS, \
     __global uint *restrict labels,        /* (row, col) */ \
-    __global const tap *restrict weights,  /* this and the following as in transform.cl */ \
+    __global const tap *restrict weights,  /* from here on as in transform.cl */ \
     __global const float *restrict matrix, \
     __global CODE *restrict picture GAIN_PARAMETER, \
     float black_level, int phase_row, int phase_column, int rows, int columns

@@ -1,18 +1,18 @@
-// Processor variant: padded rows of a tile of planes, with the label words of their pixels.
+// Processor variant: reads padded rows of planes for a tile, and the label words of the pixels.
 
 #define REACHED (TILE + 2 * STRUCTURE_REACH + 4 * LANES)
 
 typedef struct {
-    ulong of[REACHED];  // element of label_words for every pixel
+    ulong of[REACHED];  // element of label_words for each pixel
 } Words;
 
-// `end` padded columns of a row of a plane, or of classes; the first lies STRUCTURE_REACH to the left of the tile.
+// Reads `end` padded columns of a row of a plane or of classes. The first column is STRUCTURE_REACH columns to the left of the tile.
 INLINE void read_plane(int *to, __global const int *row, __global const int *column_source, int x0, int end, int columns) {
     const int first = max(0, STRUCTURE_REACH - x0), last = min(end, columns - x0 + STRUCTURE_REACH);
     int p = first;
     __global const int *inside = row + x0 - STRUCTURE_REACH;
     for (; p + LANES <= last; p += LANES) STORE_PRIVATE(ints, to + p) = LOAD_GLOBAL(ints, inside + p);
-    if (last - first >= LANES) {  // the last vector overlaps the one before it
+    if (last - first >= LANES) {  // the last vector overlaps the previous vector
         p = last;
         STORE_PRIVATE(ints, to + p - LANES) = LOAD_GLOBAL(ints, inside + p - LANES);
     }
@@ -30,14 +30,14 @@ INLINE void read_words(Words *to, __global const uint *labels, __global const in
     for (int p = 0; p < end; p++) to->of[p] = label_words[label[p]];
 }
 
-// The two words of LANES pixels from p on.
+// Gradient words and start words of LANES pixels, starting at p.
 VECTOR(uint, words, 2 * LANES);
 #define WORDS_AT(row, p) (*(const words_unaligned *)((row)->of + (p)))
 #define HALVES_AT(row, p, which) __builtin_shufflevector(WORDS_AT(row, p), WORDS_AT(row, p), ALL_LANES(which))
 INLINE uints gradient_words(const Words *row, int p) { return HALVES_AT(row, p, EVEN); }
 INLINE uints start_words(const Words *row, int p) { return HALVES_AT(row, p, ODD); }
 
-// Classes of LANES pixels from x on, in a row that is `width` wide.
+// Writes the classes of LANES pixels, starting at x. The row is `width` pixels long.
 INLINE void write_labels(__global uint *row, uints label, int x, int width) {
     if (x + LANES <= width) STORE_GLOBAL(uints, row + x) = label;
     else WRITE_FIRST(uint, uints, row + x, label, width - x);

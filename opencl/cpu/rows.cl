@@ -7,8 +7,8 @@
 
 #define LANE(i) (float)(i)
 
-// Multiplies made[o] of the pixels from column x on by their gains. `gain` contains the gains of one row at grid nodes, which are GAIN_STEP
-// columns apart. Between the nodes, gains are interpolated linearly.
+// Multiplies the outputs of LANES pixels, starting at column x, by their gains. `gain` contains the gains of a row at grid nodes with a
+// distance of GAIN_STEP columns. Between the nodes, gains are interpolated linearly.
 INLINE void even_pixels(floats *made, __global const float *gain, int x) {
     const int node = x / GAIN_STEP;
     const floats part = ((float)(x % GAIN_STEP) + (floats)(ALL_LANES(LANE))) * (1.0f / GAIN_STEP);
@@ -22,8 +22,8 @@ INLINE void even_pixels(floats *made, __global const float *gain, int x) {
 #endif
 
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-// Limits X, Y and Z, which are made[0] to made[2], to the brightness of the clipped white (l3cli/classes/clipping.py). The XYZ of this
-// white are stored behind the matrix.
+// Limits the luminance of X, Y and Z, which are made[0] to made[2], to the luminance of the clipped white (l3cli/classes/clipping.py). The
+// XYZ of this white follows the matrix.
 INLINE void limit_to_white(floats *made, __global const float *matrix) {
     const float limit = matrix[10];
     const floats luminance = made[1] > limit ? made[1] : (floats)limit, over = (luminance - limit) * (1.0f / (WHITE_FROM - 1.0f)) / limit;
@@ -35,11 +35,11 @@ INLINE void limit_to_white(floats *made, __global const float *matrix) {
 #define limit_to_white(made, matrix)
 #endif
 
-// Only the first `count` pixels are inside the frame, so every variant of write_pixels writes only these.
+// Every variant of write_pixels writes only the first `count` pixels, because the others are outside the frame.
 #if defined(FIXED_POINT)
 
-// Writes made[o] to planes (output, pixel) for the next layer. If the vectors are aligned with cache lines, stores bypass the caches. The
-// planes are read only after all of them have been written, and they are too large for the caches.
+// Writes made[o] to planes (output, pixel) for the next layer. If the vectors are aligned with cache lines, the stores bypass the caches,
+// because the planes are too large for the caches, and are not read before all of them are complete.
 INLINE void write_pixels(__global int *picture, const ints *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     #pragma unroll
@@ -89,7 +89,7 @@ typedef uchar four_bytes __attribute__((ext_vector_type(4 * LANES)));
 
 // Interleaves the values a, b and c of LANES pixels, so that the three values of each pixel are consecutive.
 #if TOP == 255
-// The three bytes of a pixel are put into one 32-bit word. Then every fourth byte is left out.
+// The three bytes of a pixel are combined to a 32-bit word. Then every fourth byte is removed.
 #define PLACE(i) ((i) / 3 * 4 + (i) % 3)
 INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
     const four_bytes words = SAME_BITS(a | b << 8 | c << 16, four_bytes);
@@ -107,7 +107,7 @@ INLINE void interleave(two_codes *low, codes *high, uints a, uints b, uints c) {
 }
 #endif
 
-// Converts X, Y and Z, which are made[0] to made[2], to display codes and writes them to the picture (pixel, 3).
+// Converts X, Y and Z, which are made[0] to made[2], to picture values and writes them to the picture (pixel, 3).
 INLINE void write_pixels(__global CODE *picture, const floats *made, __global const float *matrix, size_t at, int count,
                          size_t pixels) {
     __global CODE *to = picture + 3 * at;

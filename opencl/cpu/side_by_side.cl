@@ -1,11 +1,11 @@
-// Processor variant with outputs side by side. It serves layers in fixed point (16-bit values, 32-bit sums, then planes) and layers with
-// small patches in floating point.
+// Processor variant that computes all outputs of a pixel in the same vector. It is used for fixed-point layers, which have 16-bit values and
+// 32-bit sums, and for floating-point layers with small patches.
 //
-// A vector of weights contains ONCE taps for each output. The sums of an output occupy four lanes. ONCE taps of the patch are read at a
-// time and repeated for every output. All sums of a pixel then fit into one vector (or two vectors of 8 lanes). Adding up its lanes costs
-// a third as much as adding up the lanes of one vector per output. If there are three outputs, the weights of the fourth are zero. In
-// fixed point, the intercept of the fourth output is the number of fractional bits of the class. In floating point, a vector has room for
-// only half as many taps. For large patches, reading these taps would take longer than the simpler sums over lanes save.
+// A vector of weights contains ONCE taps for each output, and the sums of an output occupy four lanes. ONCE taps of the patch are read at a
+// time and repeated for every output. All sums of a pixel then fit one vector, or two vectors of 8 lanes. Adding up the lanes takes a third
+// of the time that one vector per output would need. If there are three outputs, the weights of the fourth output are zero. In fixed point,
+// the intercept of the fourth output is the number of fractional bits of the class. In floating point, a vector contains only half as many
+// taps. For large patches, reading these taps would take longer than the simpler sums over lanes save.
 
 #ifdef SIDE_BY_SIDE
 
@@ -13,12 +13,12 @@
 #define SUMS (4 / AT_ONCE_OUTPUTS)          // number of vectors for four outputs
 #define ONCE (TAP_LANES / AT_ONCE_OUTPUTS)  // number of taps per output in a vector
 #define VECTORS ((TAPS + ONCE - 1) / ONCE)
-#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // the intercepts come first, in the first lane of each group of four
+#define CLASS_STRIDE (TAP_LANES * SUMS * (1 + VECTORS))  // begins with the intercepts, in the first lane of each group of four
 #define PLANES_MADE OUTPUTS
 #define READ_AHEAD ONCE
 
-// Whether the weights are read only once if both pixels of a pair have the same class. If another layer follows, they never are: classes
-// change so often that mispredicted branches would take longer than reading some weights twice.
+// Whether the weights are read only once for both pixels of a pair. In fixed-point layers they are always read twice. The classes change so
+// often that mispredicted branches would take longer than reading some weights twice.
 #ifdef FIXED_POINT
 #define SHARED(class, other) false
 #else
@@ -81,7 +81,7 @@ INLINE void part_outputs(totals output[4], totals folded[SUMS][LANES / 4]) {
 #endif
 }
 
-// Computes plane or output o of LANES pixels from column x on, and stores it in made[o].
+// Computes plane or output o of LANES pixels, starting at column x, and stores it in made[o].
 INLINE void apply(totals *made, const tap *patches, const float *ratios, const uint *label, __global const tap *weights, int x) {
     totals folded[SUMS][LANES / 4], output[4];
     #pragma clang loop unroll_count(UNROLLED)

@@ -1,12 +1,12 @@
-// Processor variant: outputs of a band → the same with their spectra smoothed (spectra.cl).
+// Processor variant: smooths the spectra of the outputs of a band of rows (common/spectra.cl).
 //
-// One work-item processes a tile of TILE columns and BAND rows. A ring holds the brightness of the latest rows, because every pixel of a
+// A work-item processes a tile of TILE columns and BAND rows. A ring contains the brightness of the latest rows, because every pixel of a
 // window needs it. The weights of neighbours are computed once for all outputs.
 
 #define REACHED (TILE + 2 * RADIUS)
 #define NEIGHBOURS (WINDOW * WINDOW)
 
-// LANES values of a row from column x on. The row has `columns` values; others are mirrored.
+// Reads LANES values of a row, starting at column x. Columns outside 0 … columns - 1 are mirrored.
 INLINE floats read_across(__global const float *row, int x, int columns) {
     if (x >= 0 && x + LANES <= columns) return LOAD_GLOBAL(floats, row + x);
     float value[LANES];
@@ -18,8 +18,8 @@ COMPILED_ONCE smooth_tile(int x0, int y0,
                           __global const float *restrict made,  // (output, made row, col)
                           __global float *restrict smoothed,    // (output, row, col)
                           float reach,
-                          int made_rows, int top,               // number of made rows, and the frame's row of the first
-                          int first, int frame_rows,            // the frame's row of the first written row, and the rows of the frame
+                          int made_rows, int top,               // number of rows in `made`, and row of the frame where they begin
+                          int first, int frame_rows,            // row of the frame where the written rows begin, and rows of the frame
                           int rows, int columns) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const size_t stride = (size_t)made_rows * columns, pixels = (size_t)rows * columns;

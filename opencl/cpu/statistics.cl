@@ -1,28 +1,28 @@
-// Processor variant: rows of a tile → sums and squares of each channel, and its saturation, over the patch of every pixel.
+// Processor variant: computes sums, sums of squares and saturation of each channel over the patch of every pixel, from the rows of a tile.
 //
-// Both are separable. Down the columns, sums are updated: the row that enters the patch is added and the row that leaves it is subtracted,
-// each masked by its CFA row. Across the columns, sums over RUN columns are computed once and shared by patches.
+// The sums are separable. The sum of a column is updated from row to row: the row that enters the patch is added and the row that leaves the
+// patch is subtracted, each masked with its CFA row. Sums over RUN columns are computed once and shared by several patches.
 
-#define RUN (PATCH < 3 ? PATCH : 3)         // columns
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturated pixels count
+#define RUN (PATCH < 3 ? PATCH : 3)         // number of columns in a shared sum
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // number of rows and of columns in which saturation is tested
 
 typedef struct {
     ushort sum[CHANNELS][SPAN];      // over the rows of a patch; at most 15 · 4095
-    uint square[CHANNELS][SPAN];     // likewise
-    ushort saturated[SPREAD][SPAN];  // bit c: this pixel is of channel c and saturated; the latest SPREAD rows in any order
+    uint square[CHANNELS][SPAN];     // over the rows of a patch
+    ushort saturated[SPREAD][SPAN];  // bit c: the pixel belongs to channel c and is saturated; ring of the latest SPREAD rows
 } Columns;
 
 typedef struct {
-    uint sum[CHANNELS][SPAN], square[CHANNELS][SPAN];  // over RUN columns from here on
-    ushort saturated[SPAN];                            // over the SPREAD rows, this column alone
+    uint sum[CHANNELS][SPAN], square[CHANNELS][SPAN];  // over RUN columns, starting at this column
+    ushort saturated[SPAN];                            // bitwise or over SPREAD rows of this column
 } Runs;
 
-// The masks of one CFA row: all bits are set where a pixel belongs to channel c.
+// Masks for a CFA row. All bits are set if a pixel belongs to channel c.
 #define MEMBER(member, c, phase) LOAD_GLOBAL(full_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase))
 #define WIDE_MEMBER(member, c, phase) \
     SAME_BITS(CONVERT(LOAD_GLOBAL(signed_shorts, (member) + (c) * CFA_ROWS * PERIOD + (phase)), ints), uints)
 
-// Adds row `entering` to the columns and subtracts row `leaving`.
+// Adds row `entering` to the column sums, and subtracts row `leaving`.
 INLINE void slide(Columns *columns, const ushort *entering, __global const ushort *entering_member, const ushort *leaving,
                   __global const ushort *leaving_member, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
@@ -51,11 +51,11 @@ INLINE void slide(Columns *columns, const ushort *entering, __global const ushor
 #endif
 }
 
-// Saturated channels of one row's pixels; channel_bit is 1 << channel along its CFA row.
+// Marks the saturated pixels of a row. `channel_bit` contains 1 << channel for the CFA row.
 INLINE void saturated_row(ushort *saturated, const ushort *row, __global const ushort *channel_bit, int phase, int span) {
     for (int p = 0, at = phase; p < span; p += 2 * LANES, at = PHASE_AFTER(at, 2 * LANES)) {
         const full_shorts v = LOAD_PRIVATE(full_shorts, row + p), bit = LOAD_GLOBAL(full_shorts, channel_bit + at);
-#if SATURATION > 0xffff  // no value reaches it
+#if SATURATION > 0xffff  // no pixel is saturated
         STORE_PRIVATE(full_shorts, saturated + p) = 0;
 #else
         STORE_PRIVATE(full_shorts, saturated + p) = v >= (ushort)SATURATION ? bit : (full_shorts)0;
@@ -89,7 +89,7 @@ INLINE void add_runs(Runs *runs, const Columns *columns, int span) {
     }
 }
 
-// Sums of one channel over the patches whose first column is p: whole runs, then the remaining columns.
+// Sums of a channel over the patches that begin at column p, p + 1 …: shared sums first, then the remaining columns.
 INLINE uints patch_sum(const Runs *runs, const Columns *columns, int c, int p) {
     uints total = LOAD_PRIVATE(uints, runs->sum[c] + p);
     #pragma unroll
@@ -109,8 +109,8 @@ INLINE uints patch_square(const Runs *runs, const Columns *columns, int c, int p
 }
 
 #ifdef BOX_ROWS
-// Windows of the same size are shared by many pixels. The sums over windows that end with a row are computed once per row.
-#if BOX_ROWS * BOX_COLUMNS <= 16  // 12-bit values
+// All windows are boxes of the same size, and many pixels share a box. The sums over all boxes that end with a row are computed once.
+#if BOX_ROWS * BOX_COLUMNS <= 16  // the sums of 12-bit values fit 16 bits
 typedef ushort box;
 #define LOAD_BOX(p) CONVERT(LOAD_PRIVATE(shorts, p), ints)
 #define BOX_OF(total) CONVERT(total, shorts)
@@ -122,7 +122,7 @@ typedef uint box;
 #define STORE_BOX(p) STORE_PRIVATE(uints, p)
 #endif
 
-// Sums over the boxes whose last row is in slot `newest` of the ring and whose first column is p → boxes[p].
+// Computes the sums over all boxes whose last row is in slot `newest` of the ring. boxes[p] is the sum of the box with the first column p.
 INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int span) {
     ushort down[SPAN];
     for (int p = 0; p < span; p += 2 * LANES) {
@@ -141,7 +141,8 @@ INLINE void add_boxes(box *boxes, ushort ring[PATCH + 1][SPAN], int newest, int 
     }
 }
 #elif defined(EACH_WINDOW)
-// Sums over a window of these patches, whose rows are in the ring from slot `first` on. The sum of a row fits 16 bits.
+// Sums over a window of the patches that begin at column p, p + 1 …. The first row of the patches is in slot `first` of the ring. The sum
+// of a row fits 16 bits.
 INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int left, int rows, int columns, int p) {
     ints total = (ints)0;
     for (int j = 0; j < rows; j++) {
@@ -155,7 +156,7 @@ INLINE ints window_sum(ushort ring[PATCH + 1][SPAN], int first, int top, int lef
 }
 #endif
 
-// Channels that are saturated near the centres of these patches, one bit per channel.
+// Channels that are saturated near the centres of the patches that begin at column p, p + 1 …, one bit per channel.
 INLINE shorts patch_saturated(const Runs *runs, int p) {
     shorts channels = 0;
     #pragma unroll

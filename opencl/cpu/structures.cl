@@ -1,7 +1,7 @@
-// Processor variant: luminance and classes of the previous layer → classes of the next.
+// Processor variant: computes the classes of a refinement layer from the luminance of the previous layer and the classes of the first layer.
 //
-// One work-item labels a tile of TILE columns and BAND rows, row by row. Tensors are separable: the products of gradients in the latest
-// five rows are weighted down the columns, then across.
+// A work-item processes a tile of TILE columns and BAND rows, row by row. The structure tensors are separable: the products of gradients in
+// the latest five rows are weighted over the rows, and then over the columns.
 
 #define WINDOW 5
 
@@ -20,13 +20,13 @@ INLINE void multiply(Products *products, const int *above, const int *middle, co
     }
 }
 
-// a + 2 b + 3 c + 2 d + e, computed by sums, because 32-bit products take twice as long.
+// a + 2 b + 3 c + 2 d + e, computed with additions, because 32-bit multiplications take twice as long.
 INLINE ints weigh(ints a, ints b, ints c, ints d, ints e) {
     const ints middle = b + c + d;
     return (middle + middle) + ((a + e) + c);
 }
 
-// Weighted sums over five rows, the first of which is rows[first].
+// Weighted sums over five rows. The first row is rows[first % WINDOW].
 INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span) {
     const Products *r[WINDOW];
     for (int i = 0; i < WINDOW; i++) r[i] = rows + (first + i) % WINDOW;
@@ -39,13 +39,13 @@ INLINE void weigh_rows(Products *sum, const Products *rows, int first, int span)
     }
 }
 
-// Weighted sums over the five columns from `at` on.
+// Weighted sums over five columns, starting at `at`.
 INLINE ints across(const int *at) {
     return weigh(LOAD_PRIVATE(ints, at), LOAD_PRIVATE(ints, at + 1), LOAD_PRIVATE(ints, at + 2), LOAD_PRIVATE(ints, at + 3),
                  LOAD_PRIVATE(ints, at + 4));
 }
 
-#ifndef TRANSFORM_ONLY  // another program contains this kernel
+#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0);
     const int span = width + 2 * STRUCTURE_REACH;

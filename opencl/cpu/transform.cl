@@ -1,21 +1,21 @@
-// Processor variant: input and classes of a layer → its outputs. The transform of each pixel's class is applied to its patch.
+// Processor variant: applies the transform of each pixel's class to its patch, and writes the outputs of a layer.
 //
-// One work-item renders a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes of the
+// A work-item processes a tile of TILE columns and BAND rows, row by row. A layer reads SOURCES planes: the mosaic, or the planes of the
 // previous layer.
 //
-// The column-major ring: a patch should fill as few vectors as possible, instead of one short vector per row. For each padded column
-// the tile stores the PATCH latest rows one after the other. Padded row k of source s in column p is at
-// ring[p * COLUMN + k * SOURCES + s], so a patch consists of PATCH * COLUMN consecutive values. For the next row, every window moves by
-// SOURCES values. The new pixel of column p then falls on the slot after its column, where column p + 1 stored the row that no patch
-// needs any more. No value has to be moved: there is one store per value, and the base address advances.
+// Column-major ring: a patch should fill as few vectors as possible, instead of one short vector per row. For each padded column, the ring
+// therefore contains the latest PATCH rows one after the other. The value of padded row k, column p and source s is
+// ring[p * COLUMN + k * SOURCES + s], so a patch consists of PATCH * COLUMN consecutive values. In the next row, every patch begins SOURCES
+// values later. The new value of column p then overwrites the oldest value of column p + 1, which is no longer needed. Each value is
+// stored once and never moved.
 
 #define RING (SPAN * COLUMN + (BAND + 2 * RADIUS) * SOURCES + READ_AHEAD)
 
 #if SOURCES == 1
 #define SOURCE ushort
 
-// Stores the newest row in the ring; `to` is the slot of column 0. The black level is subtracted here for floats, so that zero signal
-// gives zero in every transform. Integers keep it, because their intercepts include it.
+// Stores the newest row in the ring. `to` is the slot of column 0. Floating-point layers subtract the black level here. Fixed-point layers
+// do not, because their intercepts include the black level.
 INLINE void row_into_ring(tap *to, const ushort *row, float black_level, int span) {
     tap signal[SPAN];
     for (int p = 0; p < span; p += LANES)
@@ -40,7 +40,7 @@ INLINE void into_ring(tap *to, __global const ushort *raw, __global const int *c
 #else
 #define SOURCE int
 
-// LANES pixels of a plane in the type that a layer reads.
+// Converts LANES values of a plane to the type that the layer reads.
 #ifdef FIXED_POINT
 INLINE signed_shorts signal_of(ints plane) { return CONVERT(coarse(plane), signed_shorts); }
 #else
@@ -58,7 +58,7 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
         int p = first;
         for (; p + LANES <= last; p += LANES)
             STORE_PRIVATE(signals, signal + p) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p));
-        if (last - first >= LANES) {  // the last vector overlaps the one before it
+        if (last - first >= LANES) {  // the last vector overlaps the previous vector
             p = last;
             STORE_PRIVATE(signals, signal + p - LANES) = signal_of(LOAD_GLOBAL(ints, planes + x0 - RADIUS + p - LANES));
         }
@@ -74,13 +74,13 @@ INLINE void into_ring(tap *to, __global const int *planes, __global const int *c
 #endif
 
 #ifdef COARSE_CHROMA
-#define COARSE_PARAMETERS , __global const float *restrict before, __global const float *restrict after  // blocks
+#define COARSE_PARAMETERS , __global const float *restrict before, __global const float *restrict after  // blocks before and after smoothing
 #define COARSE_READ , before, after
 
 #define LOW(i) (((i) + 2) / 4)
 #define HIGH(i) (((i) + 2) / 4 + 1)
 
-// The change of a chroma plane by coarse chroma, for `width` pixels of a row from x0 on (l3cli/classes/coarse_chroma.py).
+// Interpolates the change of chroma plane s by coarse chroma, for `width` pixels of a row that begin at x0 (l3cli/classes/coarse_chroma.py).
 INLINE void coarse_row(float *to, int s, int row, int x0, int width, int rows, int columns COARSE_PARAMETERS) {
     const size_t stride = BLOCKS_STRIDE(columns);
     const size_t at = s * BLOCKS_PLANE(rows, columns) + (NEAREST(row) + MARGIN) * stride + MARGIN + x0 / 4 - 1;
@@ -113,7 +113,7 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// Replacement of uniform clipped areas (l3cli/classes/clipping.py), for LANES pixels of a row of the planes.
+// Replaces the outputs of LANES pixels in uniform clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
@@ -127,7 +127,7 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
 #endif
 
 #ifdef CORRECTS
-#define CORRECTED_PARAMETER , __global const float *restrict corrected  // (output, row, col) of the first layer
+#define CORRECTED_PARAMETER , __global const float *restrict corrected  // (output, row, col) outputs of the first layer
 #define CORRECTED_READ , corrected
 #else
 #define CORRECTED_PARAMETER
@@ -141,7 +141,7 @@ INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns 
     __global const int *restrict column_source,  /* (padded col) */ \
     __global const uint *restrict labels,        /* (row, col) */ \
     __global const tap *restrict weights,        /* (class, …) per unit of the source, packed by layout.py */ \
-    __global const float *restrict matrix,       /* (3, 3) encoded values from X, Y, Z, before the curve; XYZ of the clipped white */ \
+    __global const float *restrict matrix,       /* (3, 3) from X, Y, Z to linear picture values, then XYZ of the clipped white */ \
     __global CODE *restrict picture GAIN_PARAMETER COARSE_PARAMETERS CLIPPING_PARAMETER CORRECTED_PARAMETER, \
     float black_level, int source_rows, int rows, int columns
 

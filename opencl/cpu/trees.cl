@@ -1,11 +1,12 @@
-// Processor variant: planes and classes of the previous layer → classes of the next, by a tree.
+// Processor variant: computes the classes of a refinement layer with a tree, from the planes of the previous layer and the classes of the
+// first layer.
 //
-// One work-item labels a tile of TILE columns and BAND rows, row by row. It stores the first and second differences of the latest five
-// rows. Sums are separable: weighted down the columns, then across.
+// A work-item processes a tile of TILE columns and BAND rows, row by row. It stores the first and second differences of the latest five
+// rows. Sums are separable: they are weighted over the rows, and then over the columns.
 
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict tests
 #define STRUCTURE_READ label_words, tests
-#define ROWS 5  // rows of gradients that are stored
+#define ROWS 5  // number of stored rows of gradients
 #define PLANE_ROWS 5
 
 typedef struct {
@@ -17,7 +18,7 @@ typedef struct {
     int u[REACHED], luminance[REACHED], v[REACHED];
 } Planes;
 
-// Sums weighted down the columns: products over five rows, and over the three in the middle.
+// Sums that are weighted over rows: products over five rows or over the middle three rows, and planes over three rows.
 typedef struct {
     int xx[REACHED], yy[REACHED], xy[REACHED], chroma_xx[REACHED], chroma_yy[REACHED], u_along[REACHED], v_along[REACHED];
     int chroma_bend_xx[REACHED], chroma_bend_yy[REACHED], narrow_strength[REACHED], bend_xx[REACHED], bend_yy[REACHED], slope_x[REACHED], slope_y[REACHED];
@@ -62,7 +63,7 @@ INLINE void multiply(Products *to, const Planes *above, const Planes *middle, co
 #define FIVE_OF(f) (f(0) + 2 * f(1) + 3 * f(2) + 2 * f(3) + f(4))
 #define THREE_OF(f) (f(1) + 2 * f(2) + f(3))
 
-// Sums of rows r[0] to r[4] of products, and of rows q[1] to q[3] of planes, around the same row.
+// Computes the weighted sums over rows r[0] to r[4] of products and rows q[1] to q[3] of planes. The middle row of both is the same.
 INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLANE_ROWS], int span) {
     for (int p = 1; p < span; p += LANES) {
 #define WIDE_ROWS(name) { const ints one = AT(r[0]->name, p) + AT(r[4]->name, p), two = AT(r[1]->name, p) + AT(r[3]->name, p); \
@@ -90,7 +91,7 @@ INLINE void weigh_rows(Columns *to, const Products *r[ROWS], const Planes *q[PLA
     }
 }
 
-// Sums weighted across the five columns from `at` on, and across the three in the middle.
+// Weighted sums over five columns, starting at `at`, and over the middle three of these columns.
 INLINE ints wide(const int *at) { return AT(at, 0) + AT(at, 4) + 2 * (AT(at, 1) + AT(at, 3)) + 3 * AT(at, 2); }
 INLINE ints narrow(const int *at) { return AT(at, 1) + AT(at, 3) + 2 * AT(at, 2); }
 
@@ -104,20 +105,20 @@ INLINE void look(Evidence *e, const Columns *c, const Products *middle, uints tu
     weigh(e, &sums);
 }
 
-// A tree is divided into PARTS of at most 32 leaves each. The part of each pixel is decided first; then the parts that contain pixels
-// are evaluated. Within a part all tests are applied to all pixels, without branches. Leaves are numbered from left to right. A test that
-// is passed excludes the leaves below its first branch. Of the leaves that remain, the first is the pixel's. Parts are decided in the
-// same way, 32 at a time.
+// A tree is divided into PARTS parts of at most 32 leaves. The part of each pixel is found first. Then the parts that contain pixels are
+// evaluated. Within a part, all tests are applied to all pixels, without branches. Leaves are numbered from left to right. If a pixel passes
+// a test, the leaves below the first branch of the test are excluded. The first remaining leaf is the leaf of the pixel. Parts are found in
+// the same way, 32 at a time.
 //
-// `tests` holds the start of the tests of each 32 parts, the start of the tests of each part, and the end of the last; then the first
-// leaf of each part; then the tests. A test has three words: the bits of the threshold; its numerator and, from bit 8, its denominator;
-// and the leaves that it excludes. Products and comparisons of float32 are the same on every device.
+// `tests` contains, in this order: the start of the tests for every 32 parts, the start of the tests of each part, the end of all tests, the
+// first leaf of each part, and the tests. A test has three words: the bits of its threshold; the index of its numerator and, from bit 8, of
+// its denominator; and the leaves or parts that it excludes. Products and comparisons of float32 are the same on every device.
 #define WORDS ((PARTS + 31) / 32)
-#define AT_ONCE 2  // times LANES pixels are processed together, so that each test is read once for all
+#define AT_ONCE 2  // AT_ONCE times LANES pixels are processed together, so that each test is read once for all of them
 
 // Number of the lowest bit that is set.
 INLINE uints lowest_bit(uints bits) {
-    const uints lowest = bits & -bits;  // only the lowest bit, whose number is the exponent of the float
+    const uints lowest = bits & -bits;  // only the lowest bit; its number is the exponent of the float
     const floats power = CONVERT(lowest >> 1, floats) * 2.0f + CONVERT(lowest & 1, floats);
     return (SAME_BITS(power, uints) >> 23) - 127;
 }
@@ -130,7 +131,7 @@ INLINE bool some(ints mask) {
     return all != 0;
 }
 
-// The leaves, or parts, that remain after the tests of a `group`.
+// Finds the leaves or parts that remain after the tests of a group.
 INLINE void rule_out(uints left[AT_ONCE], const Evidence e[AT_ONCE], __global const uint *tests, int group) {
     for (int i = 0; i < AT_ONCE; i++) left[i] = (uints)0xffffffffu;
     for (uint t = tests[group]; t < tests[group + 1]; t += 3) {
@@ -169,7 +170,7 @@ INLINE void leaves_of(uints leaf[AT_ONCE], const Evidence e[AT_ONCE], __global c
     }
 }
 
-#ifndef TRANSFORM_ONLY  // another program contains this kernel
+#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
 COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
     const int y1 = min(y0 + BAND, rows), width = min(TILE, columns - x0), span = width + 2 * STRUCTURE_REACH;
     const size_t stride = (size_t)source_rows * columns;
@@ -196,7 +197,7 @@ COMPILED_ONCE structures_of_tile(int x0, int y0, STRUCTURES_PARAMETERS) {
         if (k < 2 * STRUCTURE_REACH) continue;
         const Products *r[ROWS];
         const Planes *q[PLANE_ROWS];
-        for (int i = 0; i < ROWS; i++) r[i] = product_rows + (k - 4 + i) % ROWS;       // about padded row k - 3
+        for (int i = 0; i < ROWS; i++) r[i] = product_rows + (k - 4 + i) % ROWS;       // the middle row is padded row k - 3
         for (int i = 1; i < 4; i++) q[i] = plane_rows + (k - 5 + i) % PLANE_ROWS;
         weigh_rows(&sums, r, q, span);
         const Words *middle = words + (k - STRUCTURE_REACH) % 4;

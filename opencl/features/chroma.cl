@@ -1,17 +1,17 @@
-// Chroma: the formula of l3cli/classes/chroma.py.
+// Class feature chroma, with the formula of l3cli/classes/chroma.py.
 
 #define CHROMA_PAIRS ((CHANNELS + 1) / 2)
-// One row per chroma, and one for the sum of all channels: 32768 times the sum of its weights, its width, then the weights, with two
-// channels per word.
+// One row for each chroma, and a last row for the sum of all channels. A row contains 32768 times the sum of the weights, the width for
+// dither, and the weights, with two channels per word.
 #define CHROMA_CONSTANTS __global const int *restrict chroma_weights  // (chroma + 1, 2 + CHROMA_PAIRS)
 #define START_OF(k) chroma_weights[(k) * (2 + CHROMA_PAIRS)]
 #define WIDTH_OF(k) chroma_weights[(k) * (2 + CHROMA_PAIRS) + 1]
 #define SCORES (CHROMAS + 1)
 
-// The scores, from the channels added so far.
+// Scores of the chromas, or the signals from which the scores are computed.
 typedef struct {
 #if LANES == 1
-    ints score[SCORES];        // score of each chroma, of which the lowest wins; sum of all channels
+    ints score[SCORES];        // score of each chroma, then the sum of all channels; the chroma with the lowest score is chosen
 #else
     uints pair[CHROMA_PAIRS];  // signals minus 32768 in 16 bits, two channels per word
 #endif
@@ -26,7 +26,7 @@ INLINE void no_colour(Colour *colour, __global const int *chroma_weights) {
 #endif
 }
 
-// Adds channel c; `scaled` is its mean times 65536.
+// Adds channel c. `scaled` is the mean of the channel times 65536.
 INLINE void add_colour(Colour *colour, int c, uints scaled, __global const int *chroma_weights) {
 #if CHROMAS > 1
     const ints above_black = SAME_BITS(scaled >> (16 - CHROMA_FRACTION), ints) - CHROMA_BLACK_LEVEL, top = CHROMA_TOP;
@@ -56,7 +56,8 @@ INLINE ints score_of(const Colour *colour, int k, __global const int *chroma_wei
 #endif
 }
 
-// The chroma with the lowest score, or the first of equal ones. With dither, some sites take the second if its score is almost as low.
+// Returns the chroma with the lowest score. Of equal scores, the first is chosen. With dither, some sites use the chroma with the second
+// lowest score if the two scores are close.
 INLINE uints chroma_of(const Colour *colour, uints site, __global const int *chroma_weights) {
     uints chroma = 0;
 #if CHROMAS > 1

@@ -1,15 +1,15 @@
-// Saturation: the formula of l3cli/classes/saturation.py.
+// Class feature saturation case, with the formula of l3cli/classes/saturation.py.
 
 #define SATURATION_CONSTANTS __global const ushort *restrict case_of_code  // (code)
 
 #if LANES == 1
-typedef uint patterns;  // saturated channels, one bit each
+typedef uint patterns;  // set of saturated channels, one bit per channel
 INLINE uint case_of(patterns code, __global const ushort *case_of_code) { return case_of_code[code]; }
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) { return true; }
 #else
 typedef shorts patterns;
 
-// Saturation cases of LANES pixels, read from a table pixel by pixel.
+// Reads the saturation cases of LANES pixels from a table, pixel by pixel.
 INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     uint saturation[LANES];
     ushort pattern[LANES];
@@ -19,7 +19,7 @@ INLINE uints case_of(patterns code, __global const ushort *case_of_code) {
     return LOAD_PRIVATE(uints, saturation);
 }
 
-// Whether any of LANES pixels has a case other than 0. Few have, so that the slow lookup can mostly be skipped.
+// Whether any of LANES pixels may have a saturation case other than 0. This is rare, so the slow lookup can mostly be skipped.
 INLINE bool any_case(patterns code, __global const ushort *case_of_code) {
     ulong word[LANES / 4], all = 0;
     *(shorts_unaligned *)word = code;

@@ -1,11 +1,12 @@
-// Graphics variant: mosaic → means of blocks → maps of blocks → maps of quads, with one work-item per block or quad.
+// Graphics variant: computes the means of blocks from the mosaic, the maps of blocks from the means, and the maps of quads from the maps of
+// blocks. A work-item processes a block or a quad.
 
 #define KERNEL_OF_TILE __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1))) void
 #define ITS_PLACE \
     const int x = get_global_id(0), y = get_global_id(1); \
     if (x >= columns || y >= rows) return
 
-// The band's raw rows begin at row `first` of the frame. Blocks outside of the band are not read.
+// Measures a block. `raw` contains a band of raw rows, which begins at row `first` of the frame. Blocks outside the band are ignored.
 KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global const uchar *restrict cfa, __global float *restrict means,
                               int bright, float black_level, float span, int phase_row, int phase_column, int first, int raw_rows,
                               int frame_rows, int frame_columns, int rows, int columns) {

@@ -1,19 +1,20 @@
-// Graphics variant: both kernels, with one work-item per pixel. The TILE × BAND pixels of a work-group share their neighbourhood in
-// local memory and, for classes, the sums down its columns. Weights are read from global memory through the caches.
+// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. The TILE × BAND pixels of a work-group share
+// their neighbourhood in local memory. For classes, they also share the sums over the rows of the patch. Weights are read from global memory
+// through the caches.
 //
-// Adjacent work-items run together, and are fastest when they read the same row of the table. They therefore process pixels with the
-// same CFA column. TILE is a multiple of CFA_COLUMNS.
+// Adjacent work-items run together, and are fastest if they read the weights of the same class. Adjacent work-items therefore process pixels
+// with the same CFA column. TILE is a multiple of CFA_COLUMNS.
 
-#define SPREAD (2 * SATURATION_RADIUS + 1)  // rows and columns in which saturated pixels count
+#define SPREAD (2 * SATURATION_RADIUS + 1)  // number of rows and of columns in which saturation is tested
 #define TILE_COLUMNS (TILE + 2 * RADIUS)
 #define TILE_ROWS (BAND + 2 * RADIUS)
 #define OF_ONE_SITE (TILE / CFA_COLUMNS)
 #define ITEMS (TILE * BAND)
 
-// Column within the tile of the work-item with local number i.
+// Returns the column, within the tile, of the work-item with the local number i.
 INLINE int column_of(int i) { return i % OF_ONE_SITE * CFA_COLUMNS + i / OF_ONE_SITE; }
 
-// Index in `raw` of padded pixel i of the tile at (y0, x0). Outside of the frame it is the index of an arbitrary pixel.
+// Returns the index in `raw` of padded pixel i of the tile at (y0, x0). For a pixel outside the padded frame, the index is arbitrary but valid.
 INLINE size_t source_of(int i, int y0, int x0, __global const int *row_source, __global const int *column_source, int rows,
                         int columns) {
     const int row = min(y0 + i / TILE_COLUMNS, rows + 2 * RADIUS - 1);
@@ -27,9 +28,9 @@ __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void classes(__global const ushort *restrict raw,                // (row, col) DN
              __global const int *restrict row_source,            // (padded row)
              __global const int *restrict column_source,         // (padded col)
-             __global const ushort *restrict member,             // (channel, CFA row, period) all bits or none
+             __global const ushort *restrict member,             // (channel, CFA row, period) all bits set if a pixel has the channel
              __global const ushort *restrict channel_bit,        // (CFA row, period) 1 << channel
-             __global const uint *restrict count,                // (channel, CFA row, period) taps of the channel
+             __global const uint *restrict count,                // (channel, CFA row, period) number of taps of the channel
              __global const uint *restrict mean_reciprocal,      // (channel, CFA row, period) round(65536 / count)
              __global const uint *restrict variance_reciprocal,  // (channel, CFA row, period) round(512 / count)
              __global const uint *restrict site_column,          // (period) CFA column
@@ -37,7 +38,7 @@ void classes(__global const ushort *restrict raw,                // (row, col) D
              __global uint *restrict labels,                     // (row, col)
              int phase_row, int phase_column, int rows, int columns) {
     __local ushort value[TILE_ROWS][TILE_COLUMNS], bit[TILE_ROWS][TILE_COLUMNS];  // DN and 1 << channel
-    __local uint sum[BAND][TILE_COLUMNS], square[BAND][TILE_COLUMNS];             // of one channel, down a column
+    __local uint sum[BAND][TILE_COLUMNS], square[BAND][TILE_COLUMNS];             // sums over the rows of the patch, for one channel
     __local ushort saturated[BAND][TILE_COLUMNS];
     const int x0 = get_group_id(0) * TILE, y0 = get_group_id(1) * BAND;
     const int column = column_of(get_local_id(0)), line = get_local_id(1), item = line * TILE + get_local_id(0);
@@ -116,7 +117,7 @@ INLINE float square_between(__local const tap *one, __local const tap *other) {
 #endif
 
 #if defined(FIXED_POINT)
-// The fraction of the class takes the place of a fourth intercept.
+// The intercept of the fourth output is the number of fractional bits of the class.
 INLINE void write(__global int *picture, const tap *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = plane_value(output[o], output[3]);
 }
@@ -124,7 +125,7 @@ INLINE void write(__global int *picture, const tap *output, __global const float
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     for (int o = 0; o < OUTPUTS; o++) picture[o * pixels + at] = output[o];
 }
-#elif defined(NOT_ENCODED)  // for timing: writes the sum of three planes
+#elif defined(NOT_ENCODED)  // writes the sum of three outputs, to measure the time without encoding
 INLINE void write(__global float *picture, const float *output, __global const float *matrix, size_t at, size_t pixels) {
     picture[at] = output[0] + output[1] + output[2];
 }
@@ -144,20 +145,20 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
                __global const int *restrict column_source,  // (padded col)
                __global const uint *restrict labels,        // (row, col)
                __global const tap4 *restrict weights,       // (class, intercept and taps column by column, output)
-               __global const float *restrict matrix,       // (3, 3) encoded values from X, Y, Z, before the curve; XYZ of the clipped white
+               __global const float *restrict matrix,       // (3, 3) from X, Y, Z to linear picture values, then XYZ of the clipped white
                __global CODE *restrict picture,             // (output, row, col), or (row, col, 3)
 #ifdef SHADED
-               __global const float *restrict gain,         // (row, node) of the outputs, GAIN_STEP columns apart
+               __global const float *restrict gain,         // (row, node) shading gains of the outputs, every GAIN_STEP columns
 #endif
 #ifdef COARSE_CHROMA
-               __global const float *restrict before,       // blocks (plane, row, col)
-               __global const float *restrict after,        // the same, softened
+               __global const float *restrict before,       // (plane, row, col) blocks before smoothing
+               __global const float *restrict after,        // (plane, row, col) blocks after smoothing
 #endif
 #ifdef CLIPPING
                __global const float *restrict maps,         // (map, quad row, quad column)
 #endif
 #ifdef CORRECTS
-               __global const float *restrict corrected,    // (output, source row, col) of the first layer
+               __global const float *restrict corrected,    // (output, source row, col) outputs of the first layer
 #endif
                float black_level, int source_rows, int rows, int columns) {
     __local tap signal[TILE_ROWS][TILE_COLUMNS][SOURCES];
@@ -194,7 +195,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         }
     }
 #ifdef RATIO_TAPS
-    // Taps after the window: the chroma that shading alone would cause (l3cli/classes/refinement.py).
+    // Two taps follow the window: the chroma that shading alone would cause (l3cli/classes/refinement.py).
     float sum[SOURCES] = {0};
     for (int i = 0; i < PATCH; i++)
         for (int j = 0; j < PATCH; j++)
@@ -204,7 +205,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     for (int f = 0; f < FOURS; f++) total[f] += sum[0] * share * *weight++;
     for (int f = 0; f < FOURS; f++) total[f] += sum[SOURCES - 1] * share * *weight++;
 #if RATIO_TAPS > 2
-    // Taps after these: the chroma of similar pixels.
+    // Two further taps: the mean difference of the chroma of similar pixels.
     __local const tap *own = signal[line + RADIUS][column + RADIUS];
     float reach = 0.0f, weighed = 0.0f, first = 0.0f, third = 0.0f;
     for (int n = 0; n < PATCH * PATCH; n++) reach += square_between(signal[line + n % PATCH][column + n / PATCH], own);
@@ -221,7 +222,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
 #endif
 #endif
 #ifdef COARSE_CHROMA
-    // Change by coarse chroma (l3cli/classes/coarse_chroma.py).
+    // Add the change by coarse chroma (l3cli/classes/coarse_chroma.py).
     const int row = row_source[y + RADIUS];
     for (int n = 0; n < 4; n++) {
         const size_t there = (size_t)(NEAREST(row) + MARGIN + n / 2) * BLOCKS_STRIDE(columns) + NEAREST(x) + MARGIN + n % 2;
@@ -232,7 +233,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     }
 #endif
 #ifdef CLIPPING
-    // Replacement of uniform clipped areas (l3cli/classes/clipping.py).
+    // Replace the outputs of uniform clipped areas (l3cli/classes/clipping.py).
     const size_t quads = QUADS_PLANE(source_rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
@@ -249,7 +250,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
         output[o] += corrected[((size_t)o * source_rows + row_source[y + RADIUS]) * columns + x];
 #endif
 #if defined(WHITE_FROM) && !defined(FIXED_POINT)
-    // Limit to the brightness of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
+    // Limit the luminance to the luminance of the clipped white, whose XYZ follows the matrix (l3cli/classes/clipping.py).
     const float limit = matrix[10], luminance_of_pixel = max(output[1], limit);
     const float faded = min((luminance_of_pixel - limit) / ((WHITE_FROM - 1.0f) * limit), 1.0f);
     for (int o = 0; o < 3; o++)

@@ -1,16 +1,18 @@
-// Graphics variant: planes and classes of the previous layer → classes of the next by a tree, with one work-item per pixel.
+// Graphics variant: computes the classes of a refinement layer with a tree, from the planes of the previous layer and the classes of the
+// first layer. A work-item processes a pixel.
 
-// A node has two words. The first holds the bits of its threshold. The second holds its numerator, its denominator (from bit 6) and
-// the first of its two consecutive branches (from bit 8). A leaf is its own branch, and no value exceeds its threshold.
+// A node has two words. The first word contains the bits of the threshold. The second word contains the index of the numerator, the index of
+// the denominator (from bit 6) and the number of the first of two consecutive branches (from bit 8). The branch of a leaf is the leaf itself,
+// and no value exceeds the threshold of a leaf.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// Returns the next node. It follows from one product and one comparison in float32, which give the same result on every device.
+// Returns the next node. One product and one comparison in float32 decide, and have the same result on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);
 }
 
-#ifndef TRANSFORM_ONLY  // another program contains this kernel
+#ifndef TRANSFORM_ONLY  // otherwise another program contains this kernel
 __kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
 void structures(STRUCTURES_PARAMETERS) {
     const int x = get_group_id(0) * TILE + get_local_id(0), y = get_group_id(1) * BAND + get_local_id(1);
