@@ -1,6 +1,6 @@
-"""Give a camera with any colour filter array its image pipeline: calibrate, simulate, train, render.
+"""Build an image-processing pipeline for a camera with any colour filter array: calibrate, simulate, train, render.
 
-What is named here comes from `l3cli.api` and is imported when it is used.
+The names in `__all__` are imported from `l3cli.api` when they are first used.
 """
 
 from typing import TYPE_CHECKING, Any

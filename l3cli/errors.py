@@ -1,6 +1,6 @@
-"""Errors, and the exit code of each kind of failure (docs/guarantees.md#exit-codes).
+"""Errors, and the exit code of each type of failure (docs/guarantees.md#exit-codes).
 
-A message that names a parameter marks it ‹force›, by its name in Python; the command line writes its option there, --force.
+Messages contain names of parameters as ‹force›. The command line replaces them by the names of options, such as --force.
 """
 
 import contextlib
@@ -9,49 +9,49 @@ from itertools import accumulate
 
 
 class L3Error(Exception):
-    """Failure of a command. The message is one line that names the culprit and the cure."""
+    """Failure of a command. The message is one line that states the cause and a remedy."""
 
     exit_code = 1
 
 
 class RecipeError(L3Error):
-    """A recipe or an option that asks for something that cannot be."""
+    """A recipe or an option requests something impossible."""
 
     exit_code = 2
 
 
 class InputFileError(L3Error):
-    """An input file that is missing, broken, of the wrong kind, or does not fit the others."""
+    """An input file is missing, damaged, of the wrong kind, or does not agree with the other inputs."""
 
     exit_code = 3
 
 
 class DeviceError(L3Error):
-    """No usable OpenCL device."""
+    """No OpenCL device can be used."""
 
     exit_code = 4
 
 
 @contextlib.contextmanager
 def raised_as(kind: type[L3Error], name: object, of: type[Exception] = ValueError, cure: str = "") -> Iterator[None]:
-    """Raise an error `of` the block as one of a kind that calls the culprit by its name."""
+    """Convert exceptions of the type `of` in the block to errors of another type, whose message begins with `name`."""
     try:
         yield
     except of as error:
         raise kind(f"{name}: {error}{cure}") from error
 
 
-MAX_CHARACTERS = 240  # characters of a list of names
-MOST_SHOWN = 40  # characters of what somebody wrote
+MAX_CHARACTERS = 240  # approximate largest length of a list of names in a message
+MOST_SHOWN = 40  # largest number of characters of a user's text in a message
 
 
 def shortened(text: str) -> str:
-    """Return a user's text for a message: its beginning, where it is long."""
+    """Return the beginning of a user's text if it is too long for a message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
 
 
 def listed(lines: Iterable[str]) -> str:
-    """Return several names, as many as can be read, and how many more there are."""
+    """Join names for a message. If there are too many, the rest is replaced by its number."""
     lines = list(lines)
     shown = [
         line for line, length in zip(lines, accumulate(map(len, lines)), strict=True) if length < 2 * MAX_CHARACTERS
@@ -60,8 +60,8 @@ def listed(lines: Iterable[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a question whether one of the `known` names near this one was meant; empty where none is near."""
-    import difflib  # only where something went wrong
+    """Return a question that suggests the known names most similar to `name`, or an empty string if no name is similar."""
+    import difflib  # imported here, because it is needed only after an error
 
     spelled = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), spelled, n=3)
@@ -69,7 +69,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return the cure for a name that is none of `known`: those that may have been meant or, where none is near, all."""
+    """Return a question that suggests the known names most similar to `name` or, if no name is similar, a list of all
+    known names.
+    """
     known = list(known)
     if close := nearest(name, known):
         return close

@@ -1,4 +1,5 @@
-"""Python interface of l3, imported as `l3cli`: stages, artifacts, raw frames, a renderer and image-quality metrics.
+"""Python interface of l3, which is imported as `l3cli`. It contains the stages, artifacts, raw frames, a renderer and
+metrics.
 
     import l3cli as l3
 
@@ -7,12 +8,12 @@
     table = l3.train("training.h5", "table.h5", jobs=2)
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
-A stage takes paths or artifacts, writes the same bytes as the command of its name, and returns what it wrote. Stages print
-nothing. What the command warns about is a Python warning (UserWarning), unless you pass a `console`
-(`l3cli.system.console.Console`), which then receives all messages.
+A stage is a function whose arguments are paths or artifacts. It writes the same bytes as the command with the same name,
+and returns the artifact that it has written. Stages do not print anything. Warnings of the command become Python
+warnings (UserWarning). If you pass a `console` (`l3cli.system.console.Console`), it receives all messages instead.
 
-All errors are subclasses of `L3Error`, in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError for an
-unusable file, DeviceError for OpenCL. Messages name a parameter as ‹force›.
+All errors are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError for
+an unusable file, DeviceError for OpenCL. Messages contain the names of parameters as ‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

@@ -1,4 +1,4 @@
-"""Metrics that compare two pictures, computed as `l3 evaluate` computes them (docs/method.md#quality-metrics).
+"""Metrics that compare two pictures. `l3 evaluate` uses the same metrics (docs/method.md#quality-metrics).
 
 A picture is sRGB (row, col, 3) or grey (row, col). Its values are sRGB-encoded: uint8, uint16, or floats from 0 to 1.
 """
@@ -11,11 +11,11 @@ from l3cli.evaluation import quality
 from l3cli.physics.display import LUMA, daylight, displayed_delta_e, displayed_xyz, srgb_decoded
 
 Array = NDArray[np.floating]
-WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # dtype → code of display white
+WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # code of display white, by dtype
 
 
 def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
-    """Colour difference CIEDE2000 of two sRGB pictures, pixel by pixel, on a display with white D65.
+    """Return the colour difference CIEDE2000 of two sRGB pictures for each pixel, on a display whose white is D65.
 
     Parameters
     ----------
@@ -45,14 +45,16 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
 
 
 def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
-    """S-CIELAB difference of two sRGB pictures: CIEDE2000 after blurring both as the eye does at a given distance.
+    """Return the S-CIELAB difference of two sRGB pictures: CIEDE2000 after both are blurred as the eye does at a given
+    distance.
 
     Parameters
     ----------
     one, other : array_like, (row, col, 3)
         sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1.
     viewing : float, default 50
-        Pixels per degree of visual angle, from 2 to 1000. 50 is a monitor of 110 dpi seen from 66 cm.
+        Pixels per degree of visual angle, from 2 to 1000. A 110 dpi monitor at a distance of 66 cm has 50 pixels per
+        degree.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) 
 
     Examples
     --------
-    A pattern that is finer than the eye resolves hardly differs from its mean:
+    A pattern that is too fine for the eye hardly differs from its mean:
 
     >>> import numpy as np
     >>> import l3cli as l3
@@ -86,7 +88,7 @@ def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) 
 
 
 def psnr(one: ArrayLike, other: ArrayLike) -> float:
-    """Peak signal-to-noise ratio of two pictures, computed from their encoded values.
+    """Return the peak signal-to-noise ratio of two pictures, computed from their encoded values.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ def psnr(one: ArrayLike, other: ArrayLike) -> float:
     Returns
     -------
     float
-        PSNR in dB; 120 if the pictures are equal.
+        PSNR in dB, or 120 if the pictures are equal.
 
     Raises
     ------
@@ -114,17 +116,18 @@ def psnr(one: ArrayLike, other: ArrayLike) -> float:
 
 
 def ssim(one: ArrayLike, other: ArrayLike) -> float:
-    """Mean structural similarity of two pictures, with a Gaussian window of 11 × 11 pixels (σ = 1.5).
+    """Return the mean structural similarity of two pictures, with a Gaussian window of 11 × 11 pixels (σ = 1.5).
 
     Parameters
     ----------
     one, other : array_like, (row, col) or (row, col, 3)
-        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. sRGB pictures are compared by luma.
+        Grey or sRGB pictures of the same shape: uint8, uint16, or floats from 0 to 1. For sRGB pictures, the luma is
+        compared.
 
     Returns
     -------
     float
-        SSIM; 1 if the pictures are equal.
+        SSIM, which is 1 if the pictures are equal.
 
     Raises
     ------
@@ -133,8 +136,8 @@ def ssim(one: ArrayLike, other: ArrayLike) -> float:
 
     References
     ----------
-    Z. Wang, A. C. Bovik, H. R. Sheikh and E. P. Simoncelli, "Image quality assessment: from error visibility to structural
-    similarity", IEEE Transactions on Image Processing 13 (2004).
+    Z. Wang, A. C. Bovik, H. R. Sheikh and E. P. Simoncelli, "Image quality assessment: from error visibility to
+    structural similarity", IEEE Transactions on Image Processing 13 (2004).
 
     Examples
     --------
@@ -150,34 +153,38 @@ def ssim(one: ArrayLike, other: ArrayLike) -> float:
 
 
 def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures scaled to 0…1, and refuse grey ones."""
+    """Return both pictures with values from 0 to 1. Grey pictures raise InputFileError."""
     pictures = _pictures(one, other)
     if pictures[0].ndim != 3:
-        raise InputFileError(f"{_described(one)} is not a colour picture; give sRGB (row, col, 3)")
+        raise InputFileError(f"{_described(one)} is not a colour picture; pass an sRGB picture (row, col, 3)")
     return pictures
 
 
 def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures scaled to 0…1, and refuse pictures of different shapes."""
+    """Return both pictures with values from 0 to 1. Pictures with different shapes raise InputFileError."""
     pictures = _picture(one), _picture(other)
     if pictures[0].shape != pictures[1].shape:
-        raise InputFileError(f"{_described(one)} and {_described(other)} differ in shape; give pictures of the same size")
+        raise InputFileError(
+            f"{_described(one)} and {_described(other)} have different shapes; pass pictures of the same size"
+        )
     return pictures
 
 
 def _picture(given: ArrayLike) -> Array:
     array = np.asarray(given)
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
-        raise InputFileError(f"{_described(given)} is not a picture; give sRGB (row, col, 3) or grey (row, col)")
+        raise InputFileError(f"{_described(given)} is not a picture; pass an sRGB (row, col, 3) or grey (row, col) picture")
     if array.dtype in WHITE_CODES:
         return array / WHITE_CODES[array.dtype]
     if array.dtype.kind != "f":
-        raise InputFileError(f"{_described(given)} is not a picture; give uint8, uint16 or floats from 0 to 1")
+        raise InputFileError(f"{_described(given)} is not a picture; pass uint8, uint16 or floats from 0 to 1")
     if not (array.min() >= 0 and array.max() <= 1):
-        raise InputFileError(f"{_described(given)} has values outside 0…1; clip it, or give codes as uint8 or uint16")
+        raise InputFileError(
+            f"{_described(given)} contains values outside 0…1; clip the values, or pass codes as uint8 or uint16"
+        )
     return array.astype(np.float64)
 
 
 def _described(given: ArrayLike) -> str:
     array = np.asarray(given)
-    return f"an array of shape {array.shape} and dtype {array.dtype}"
+    return f"an array with shape {array.shape} and dtype {array.dtype}"

@@ -1,4 +1,6 @@
-"""Raw frames in memory, the renderer for them, and the entry that video programs use to render mosaics of one size."""
+"""Raw frames in memory, the renderer for these frames, and the class with which video programs render mosaics of equal
+size.
+"""
 
 import functools
 import math
@@ -40,48 +42,49 @@ def read_raw(
     stride: int | None = None, exposure: float | None = None, gain: float | None = None, camera: CameraModel | None = None,
     skip: int = 0, byte_order: str | None = None, opcodes: Literal["leave"] | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Read a raw frame from a file of any format that `l3 render` reads.
+    """Read a raw frame from a file of any format that `l3 render` supports.
 
     Parameters
     ----------
     path : str or path
         Raw file.
     sensor : TransformTable or CameraModel
-        Table or camera model that the frame is meant for. Its filter array must be that of the file.
+        Table or camera model for the frame. Its filter array must be the filter array of the file.
     black_level, white_level : float, optional
-        Levels in DN that replace those of the file.
+        Levels in DN, which replace the levels in the file.
     phase : (int, int), optional
-        Row and column, from 0, of the CFA site of the first pixel. Replaces the position that the file states.
+        Row and column, from 0, of the CFA site of the first pixel, which replace the phase in the file.
     size : (int, int), optional
-        Headerless files only: rows and columns. Default: those of `sensor`.
+        Headerless files only: rows and columns. [default: the size of `sensor`]
     packing : str, optional
         Headerless files only: packing of the values, such as "u16", "raw10" or "Mono12Packed".
     stride : int, optional
-        Headerless files only: bytes from one row to the next. Default: rows without padding.
+        Headerless files only: number of bytes from one row to the next. [default: rows without padding]
     exposure : float, optional
-        Exposure time in s, which replaces that of the file. It scales the dark current that is subtracted.
+        Exposure time in s, which replaces the exposure time in the file. It scales the dark current that is subtracted.
     gain : float, optional
-        Analog gain as a multiple of the camera's. Replaces the gain derived from the file.
+        Analog gain as a multiple of the camera's gain, which replaces the gain that l3 derives from the file.
     camera : CameraModel, optional
-        Model whose defective pixels and flat field are corrected.
+        Camera model with a defect map and a flat field, with which the frame is corrected.
     skip : int, default 0
-        Headerless files only: bytes before the frame.
+        Headerless files only: number of bytes before the frame.
     byte_order : {"little", "big"}, optional
-        Headerless files only: byte order of 16-bit values. Default: "little".
+        Headerless files only: byte order of 16-bit values. [default: "little"]
     opcodes : {"leave"}, optional
-        DNG files only: read a file although it requires opcodes that l3 does not apply, such as a lens warp.
+        DNG files only: read a file even if it requires opcodes that l3 does not apply, such as a lens warp.
 
     Returns
     -------
     RawFrame
-        `values` (row, col) in DN, with levels, CFA phase and what else the file states.
+        The frame. `values` (row, col) contains raw values in DN. Other attributes contain the levels, the CFA phase and
+        metadata of the file.
 
     Raises
     ------
     InputFileError
-        If the file cannot be read, or if its filter array is not that of `sensor`.
+        If the file cannot be read, or if its filter array differs from the filter array of `sensor`.
     RecipeError
-        If an argument does not fit.
+        If an argument is invalid.
 
     Examples
     --------
@@ -104,41 +107,42 @@ def raw_frame(
     neutral: Mapping[str, float] | None = None, exposure: float | None = None, gain: float | None = None,
     camera: CameraModel | None = None,
 ) -> RawFrame:  # fmt: skip
-    """Make a raw frame from an array that another program has read.
+    """Make a raw frame from an array, for example an array that another program has read.
 
     Parameters
     ----------
     values : ndarray of uint8 or uint16, (row, col)
         Mosaic in DN.
     sensor : TransformTable or CameraModel
-        Table or camera model that the frame is meant for.
+        Table or camera model for the frame.
     pattern : array_like of str, optional
-        Filter array in letters of R G B C M Y W, (row, col), beginning at the first pixel. A square array can be one word,
-        such as "rggb". Default: the array of `sensor`, beginning at `phase`.
+        Filter array as letters (R G B C M Y W) with the shape (row, col), beginning at the first pixel. A square array
+        can be written as one word, such as "rggb". [default: the array of `sensor`, beginning at `phase`]
     black_level, white_level : float, optional
-        Levels in DN. Default: those of `sensor`.
+        Levels in DN. [default: the levels of `sensor`]
     phase : (int, int), optional
-        Row and column, from 0, of the CFA site of the first pixel. Default: (0, 0).
+        Row and column, from 0, of the CFA site of the first pixel. [default: (0, 0)]
     neutral : mapping of str to float, optional
-        Signal of a grey object for each letter of the pattern, above black and in any unit: the white balance of the camera.
+        White balance of the camera: the signal of a grey object above black, in any unit, for each letter of the
+        pattern.
     exposure : float, optional
         Exposure time in s. It scales the dark current that is subtracted.
     gain : float, optional
-        Analog gain as a multiple of the camera's.
+        Analog gain as a multiple of the camera's gain.
     camera : CameraModel, optional
-        Model whose defective pixels and flat field are corrected.
+        Camera model with a defect map and a flat field, with which the frame is corrected.
 
     Returns
     -------
     RawFrame
-        The frame, for `Renderer`.
+        The frame, which you can pass to `Renderer`.
 
     Raises
     ------
     InputFileError
-        If `values` is not a mosaic, or if its filter array is not that of `sensor`.
+        If `values` is not a mosaic, or if its filter array differs from the filter array of `sensor`.
     RecipeError
-        If `pattern` has other letters or is not a rectangle.
+        If `pattern` contains other letters or is not a rectangle.
 
     Warns
     -----
@@ -164,14 +168,16 @@ def raw_frame(
 
 
 def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
-    """Return the colour code (row, col) of each letter of a pattern."""
+    """Return the colour code of each letter in a pattern, with the shape (row, col)."""
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)
     if letters.ndim == 1 and side * side == letters.size:
         letters = letters.reshape(side, side)
     if letters.ndim != 2 or not set(text := "".join(letters.ravel()).upper()) <= set(LETTERS) or len(text) != letters.size:
-        given = shortened(" ".join(str(pattern).split()))
-        raise RecipeError(f"pattern {given} is not a filter array; give letters of {LETTERS}, (row, col) or as rggb")
+        excerpt = shortened(" ".join(str(pattern).split()))
+        raise RecipeError(
+            f"the pattern {excerpt} is not a filter array; pass rows of the letters {LETTERS}, or a word such as rggb"
+        )
     return codes_of(text).reshape(letters.shape)
 
 
@@ -179,11 +185,11 @@ def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
     name: str = "the array",
 ) -> RawFrame:  # fmt: skip
-    """Return the frame of an array after checking it. Warn if values are beyond the range of the converter."""
+    """Check an array and make a raw frame from it. Values above the range of the converter cause a warning."""
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
-            f"an array of shape {array.shape} and dtype {array.dtype} is not a raw frame; give DN (row, col) as uint16"
+            f"an array with shape {array.shape} and dtype {array.dtype} is not a raw frame; pass DN (row, col) as uint16"
         )
     frame = frame_of(name, {"values": array, **content}, sensor, known)  # type: ignore[typeddict-item]
     if isinstance(sensor, TransformTable) and (text := beyond_converter(frame, sensor)):
@@ -192,20 +198,21 @@ def _of_array(
 
 
 class Renderer:
-    """Renders raw frames through one table: single frames, sequences or arrays.
+    """Renders raw frames with one table: single frames, sequences or arrays.
 
     A renderer can be used from several threads. It renders one frame at a time.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        Table to render with.
+        The table.
     backend : {"opencl", "reference"}, default "opencl"
-        "reference" renders with numpy in float64, slowly.
+        "reference" renders with numpy in float64, which is slow.
     device : str, optional
-        OpenCL device: part of its name, or its number in `l3 bench`. Default: the environment variable L3_DEVICE.
+        OpenCL device, as a part of its name, or as its number in `l3 bench`. [default: the environment variable
+        L3_DEVICE]
     variant : {"processor", "graphics"}, optional
-        Kernels for processors or for graphics cards. Default: by the type of the device.
+        Kernels for CPUs ("processor") or for graphics cards. [default: chosen by the type of the device]
 
     Attributes
     ----------
@@ -221,8 +228,9 @@ class Renderer:
 
     Notes
     -----
-    Every method takes frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16, (row, col). An
-    array is assumed to have the black and white level of the table, and its first pixel to be at CFA site (0, 0).
+    Every method accepts frames as `RawFrame` (from `read_raw` or `raw_frame`) or as arrays of uint8 or uint16 with the
+    shape (row, col). For arrays, l3 assumes the black level and the white level of the table, and that the first pixel
+    has the CFA site (0, 0).
 
     Examples
     --------
@@ -243,36 +251,37 @@ class Renderer:
         self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}  # by mixture of the table's illuminants
+        # Renderers by the mixture of the table's illuminants for which they render.
+        self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}
         self._alone = ThreadLock()
 
     def picture(
         self, frame: RawFrame | NDArray[np.uint16], *, exposure: float | None = None, white: str | None = None,
         space: str = "srgb", bits: int = 8,
     ) -> NDArray[Any]:  # fmt: skip
-        """Render one frame to a picture with the values that `l3 render` writes.
+        """Render one frame to a picture, with the values that `l3 render` writes.
 
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
             Raw frame.
         exposure : float, optional
-            Factor by which Y is multiplied; a result of 1 is display white. Default: automatic, so that the 99th percentile
-            of Y is shown as white.
+            Factor by which Y is multiplied. A result of 1 is display white. [default: the 99th percentile of Y is shown
+            as white]
         white : str, optional
             White of the scene, which becomes neutral in the picture:
 
             * an illuminant ("D50", "3200K") or a chromaticity "x,y";
             * one multiplier for each channel ("2.1,1,1.4");
-            * "camera" (the white that the file states) or "table" (the white of the training);
+            * "camera" (the white in the file) or "table" (the white of the training);
             * "auto" (estimated from the frame) or "chart" (from a ColorChecker in the frame);
             * "ROW,COL" or "ROW,COL,SIZE" of a grey area in the picture.
 
-            Default: the white that the file states, otherwise that of the table.
+            [default: the white in the file or, if there is none, the white of the table]
         space : {"srgb", "display-p3", "rec2020", "acescg", "xyz"}, default "srgb"
             Colour space. "acescg" and "xyz" are linear.
         bits : {8, 16, 32}, default 8
-            Bits per value. 32: float32, linear and not clipped.
+            Bits per value. 32 means float32 values, which are linear and not clipped.
 
         Returns
         -------
@@ -282,15 +291,15 @@ class Renderer:
         Raises
         ------
         RecipeError
-            If an argument does not fit, or if the outputs of the table are neither Y alone nor begin with X, Y, Z.
+            If an argument is invalid, or if the outputs of the table are neither Y alone nor begin with X, Y, Z.
         InputFileError
             If the frame does not fit the table, or if the white cannot be measured in the frame.
 
         Warns
         -----
         UserWarning
-            If `white` is far from the illuminants of the training, or if a channel of the camera collects more than 1 % of
-            its electrons where the spectrum of this illuminant is not known.
+            If `white` is far from the training illuminants, or if a channel of the camera collects more than 1 % of its
+            electrons at wavelengths for which the spectrum of the illuminant is not known.
         """
         return next(self.pictures([frame], exposure=exposure, white=white, space=space, bits=bits))
 
@@ -300,13 +309,13 @@ class Renderer:
     ) -> Iterator[NDArray[Any]]:  # fmt: skip
         """Render frames lazily, one after the other, each with its own automatic exposure.
 
-        If the table has transforms for several illuminants, all frames use those transforms that fit the white of the
-        first frame. Parameters and errors are those of `picture`.
+        If the table has transforms for several illuminants, all frames use the transforms that fit the white of the
+        first frame. `picture` describes the parameters and errors.
 
         Parameters
         ----------
         frames : iterable of RawFrame or ndarray
-            Raw frames, such as a list or a generator.
+            Raw frames, for example a list or a generator.
 
         Yields
         ------
@@ -327,23 +336,23 @@ class Renderer:
         self, rate: Fraction | None, *, exposure: float | None = None, white: str | None = None, space: str = "srgb",
         bits: int = 8, temporal: bool = False,
     ) -> Callable[[RawFrame | NDArray[np.uint16]], NDArray[Any]]:  # fmt: skip
-        """Return a function that renders the frames of a sequence, called once per frame.
+        """Return a function that renders the frames of a sequence. Call this function once for each frame.
 
-        Other parameters and errors are those of `picture`.
+        `picture` describes the other parameters and errors.
 
         Parameters
         ----------
         rate : Fraction or None
-            Frame rate in frames/s. Automatic exposure and measured white then follow the scene smoothly, as in `l3 render`,
-            and frames must come in their order. None: exposure and white stay those of the first frame, and the other frames
-            may come in any order and from any thread.
+            Frame rate in frames/s. Automatic exposure and measured white then change smoothly over time, as in `l3
+            render`, and frames must be passed in order. If the frame rate is None, the exposure and the white of the
+            first frame are used for all frames, which may then be passed in any order and from any thread.
         temporal : bool, default False
-            Filter the frames over time as `l3 render --temporal` does. Frames must come in their order.
+            Filter the frames over time, as `l3 render --temporal` does. Frames must be passed in order.
 
         Returns
         -------
         callable
-            Takes a raw frame and returns its picture (row, col, 3).
+            Function whose argument is a raw frame and whose result is its picture (row, col, 3).
 
         Raises
         ------
@@ -372,7 +381,7 @@ class Renderer:
         return picture
 
     def outputs(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Render one frame to the outputs of the table, linear and not adapted.
+        """Render one frame to the outputs of the table, which are linear and not adapted to a display.
 
         Parameters
         ----------
@@ -392,15 +401,17 @@ class Renderer:
         Parameters
         ----------
         frame : RawFrame or ndarray, (row, col)
-            Raw frame of at least 32 × 32 pixels.
+            Raw frame with at least 32 × 32 pixels.
         like : Uncertainty, optional
-            Uncertainty of another frame of the same scene. Its noise gains are reused, which takes a tenth of the time.
+            Uncertainty of another frame of the same scene. If its noise gains are used again, the estimate takes a tenth
+            of the time.
 
         Returns
         -------
         Uncertainty
-            `sigma` (row, col, output): standard deviation of each output, rotated upright; and `mask` (row, col): 1 for
-            pixels that clipped values affect, 2 for pixels of classes without training patches, 3 for both, 0 otherwise.
+            The attribute `sigma` (row, col, output) is the standard deviation of each output, rotated upright. The
+            attribute `mask` (row, col) is 1 for pixels that clipped values affect, 2 for pixels of classes without
+            training patches, 3 for both, and 0 otherwise.
 
         Raises
         ------
@@ -412,7 +423,7 @@ class Renderer:
             return uncertainty(self._renderer.of_frame(given), given, like)
 
     def labels(self, frame: RawFrame | NDArray[np.uint16]) -> NDArray[np.integer]:
-        """Return the number of the class of each pixel.
+        """Return the class of each pixel.
 
         Parameters
         ----------
@@ -430,16 +441,16 @@ class Renderer:
     def _shown_as(
         self, exposure: float | None, white: str | None, space: str, bits: int
     ) -> tuple[Rendition, WhiteSource | None]:
-        """Return the rendition and the source of the white, and warn about a white as `l3 render` does."""
+        """Return the rendition and the source of the white. An unusual white causes a warning, as with `l3 render`."""
         rendition, source = shown_as(self._pictured, exposure, white, space, bits)
         if white is not None and source is None and (given := given_white(white, self._pictured)) is not None:
-            from l3cli.stages.rendering.job import warn_of_white  # imported here, because few callers name a white
+            from l3cli.stages.rendering.job import warn_of_white  # imported here, because few callers set a white
 
             warn_of_white(white, given, self._pictured, PythonWarnings())
         return rendition, source
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer with the transforms for the given white, or for the white measured in the frame."""
+        """Return the renderer with the transforms for the given white, or for the white that is measured in the frame."""
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
         with self._alone:
@@ -464,16 +475,16 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 class Mosaics:
-    """Renders the frames of a video program, which all have one size.
+    """Renders the frames of a video program, which all have the same size.
 
     Parameters
     ----------
     table : str or path
-        Table to render with.
+        The table.
     black_level, white_level, phase, camera, backend, device
         As the options of `l3 render`.
     size : (int, int) or None
-        Rows and columns of the frames; None: the size of the table's camera.
+        Rows and columns of the frames. None stands for the size of the table's camera.
 
     Raises
     ------
@@ -494,11 +505,13 @@ class Mosaics:
         self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """Raise RecipeError if frames have another size than expected: a cropped frame may begin at another CFA site."""
+        """Raise RecipeError if frames do not have the expected size, because a cropped frame may begin at another CFA
+        site.
+        """
         if (rows, cols) != self._size:
             raise RecipeError(
-                f"frames have {rows}×{cols} pixels (rows × columns), not {self._size[0]}×{self._size[1]} as expected; "
-                f"if that is right, give ‹size› {rows}x{cols}, and ‹phase› if they begin at another CFA site"
+                f"the frames have {rows}×{cols} pixels (rows × columns) instead of {self._size[0]}×{self._size[1]}; if this "
+                f"is correct, set ‹size› {rows}x{cols}, and set ‹phase› if the frames begin at another CFA site"
             )
 
     def in_time(self, read: Callable[[int], RawFrame], cache: int) -> AnyOrder:
@@ -507,9 +520,9 @@ class Mosaics:
         Parameters
         ----------
         read : callable
-            Returns the raw frame of a given number.
+            Returns the raw frame with the given number.
         cache : int
-            Number of filtered frames to keep.
+            Number of filtered frames that are kept in memory.
 
         Raises
         ------
@@ -519,15 +532,15 @@ class Mosaics:
         return AnyOrder(self._filters(), read, cache)
 
     def frame(self, values: NDArray[Any], order: str | None = None) -> RawFrame:
-        """Return the raw frame of values (row, col) in DN.
+        """Make a raw frame from an array of raw values.
 
         Parameters
         ----------
         values : ndarray of uint8 or uint16, (row, col)
             Mosaic in DN.
         order : str, optional
-            Bayer order of the first four pixels that the video program states, such as "rggb". Default: the order of the
-            table.
+            Bayer order of the first 2 × 2 pixels, as the video program states it, such as "rggb". [default: the order of
+            the table]
 
         Raises
         ------
@@ -539,17 +552,17 @@ class Mosaics:
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
-    """Return two whole numbers from text such as "720x1280" or "0,1", or None for empty text.
+    """Parse two whole numbers from a text such as "720x1280" or "0,1". An empty text returns None.
 
     Raises
     ------
     RecipeError
-        If the text is something else. `name` names the option in the message.
+        If the text has another form. The message begins with `name`, the name of the option.
     """
     if not text:
         return None
     try:
         first, second = (int(PIXELS.read(part)) for part in text.split(separator))
     except (NoSuchNumber, ValueError):
-        raise RecipeError(f'{name} "{text}" is not two whole numbers with "{separator}" between them') from None
+        raise RecipeError(f'{name} is "{text}"; write two whole numbers with "{separator}" between them') from None
     return first, second

@@ -1,6 +1,6 @@
-"""The four stages and evaluation as functions, and functions that load and save artifacts.
+"""The four stages and the evaluation as functions, and functions that load and save artifacts.
 
-Stages work on files. If one is given an artifact in memory, it is first saved to a temporary file.
+Stages work on files. An artifact in memory is first saved to a temporary file.
 """
 
 import contextlib
@@ -34,17 +34,18 @@ LOADABLE: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable
 def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     """Load an artifact of any kind.
 
-    If you know the kind, use `load_camera`, `load_table` or `load_training_set`, which type checkers understand better.
+    If you know the kind, prefer `load_camera`, `load_table` or `load_training_set`, whose return types are more
+    specific.
 
     Parameters
     ----------
     path : str or path
-        HDF5 file that l3 wrote.
+        HDF5 file that l3 has written.
 
     Returns
     -------
     CameraModel, TransformTable or TrainingSet
-        A training set is returned without its frames, as by `load_training_set`.
+        The artifact. A training set does not contain its frames, as with `load_training_set`.
 
     Raises
     ------
@@ -63,12 +64,12 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
-        f"{path} is {a(kind)}, which only l3 train --merge reads; give a camera model, training set or table"
+        f"{path} is {a(kind)}, which can only be used with l3 train --merge; use a camera model, training set or table"
     )
 
 
 def load_camera(camera: Name) -> CameraModel:
-    """Load a camera model from a file, or make one from a camera recipe.
+    """Load a camera model from a file, or make a camera model from a camera recipe.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def load_camera(camera: Name) -> CameraModel:
     InputFileError
         If the file is not a camera model, or if its bytes have changed since it was written.
     RecipeError
-        If the recipe has errors, or if no recipe has this name.
+        If the recipe has errors, or if there is no recipe with this name.
 
     Examples
     --------
@@ -106,7 +107,7 @@ def load_table(path: Name) -> TransformTable:
     Parameters
     ----------
     path : str or path
-        File that `l3 train` wrote.
+        File that `l3 train` has written.
 
     Returns
     -------
@@ -133,7 +134,7 @@ def load_training_set(path: Name) -> TrainingSet:
     Parameters
     ----------
     path : str or path
-        File that `l3 simulate` wrote.
+        File that `l3 simulate` has written.
 
     Returns
     -------
@@ -158,12 +159,12 @@ def load_training_set(path: Name) -> TrainingSet:
 def save(artifact: CameraModel | TransformTable, path: Name) -> None:
     """Save a camera model or a transform table as HDF5.
 
-    The file appears only when it is complete. An existing file is replaced.
+    The file gets its name only when it is complete. An existing file is replaced.
 
     Parameters
     ----------
     artifact : CameraModel or TransformTable
-        What to save.
+        The artifact.
     path : str or path
         File to write.
 
@@ -182,19 +183,19 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Yield the file of an artifact, or a temporary file to which an artifact in memory has been saved.
+    """Yield the file of an artifact. An artifact in memory is saved to a temporary file.
 
     Parameters
     ----------
     given : str, path or Artifact
-        File, artifact in memory, or the name of a recipe if `kind` is given.
+        A file or an artifact in memory. If `kind` is set, also the name of a recipe.
     kind : str, optional
-        Folder of configs/ in which recipes are looked up by name, such as "cameras".
+        Folder of configs/ that contains the recipes, such as "cameras".
 
     Yields
     ------
     Path
-        The file, which is deleted after the block if it is temporary.
+        The file. A temporary file is deleted after the block.
     """
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
@@ -214,10 +215,10 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator that replaces the parameter `options` of a function by a keyword parameter for each declared option.
+    """Decorator that replaces the parameter `options` of a function by one keyword parameter for each declared option.
 
-    Signature and docstring list these parameters with the types and help texts of the command line. The function runs with
-    one BLAS thread, as the command does, because results are rounded differently with other numbers of threads.
+    These parameters appear in the signature and in the docstring, with the types and help texts of the command line. The
+    function runs with one BLAS thread, as the command does, because rounding errors depend on the number of threads.
     """
 
     def __init__(self, options: Callable[P, O]) -> None:
@@ -234,7 +235,7 @@ class by_keyword(Generic[P, O]):
 
         @functools.wraps(function)
         def called(*given: Any, **named: Any) -> Any:
-            import scipy.linalg  # noqa: F401 # scipy brings a BLAS of its own, which is limited only once it is loaded
+            import scipy.linalg  # noqa: F401 # loads the BLAS of scipy, which must be loaded before its threads are limited
             from threadpoolctl import threadpool_limits
 
             given += tuple(named.pop(each.name) for each in paths[len(given) :] if each.name in named)
@@ -245,7 +246,7 @@ class by_keyword(Generic[P, O]):
                 return function(*given, options)
 
         called.__signature__ = self._signature(paths, function)  # type: ignore[attr-defined]
-        # In numpydoc, the section "Other Parameters" stands between Returns and Raises.
+        # In numpydoc, the section "Other Parameters" comes after Returns and before Raises.
         before, raises, after = (inspect.getdoc(function) or "").partition("Raises\n------")
         listed = "\n".join(self._described(name, each) for name, each in declared.items())
         called.__doc__ = f"{before}Other Parameters\n----------------\n{listed}\n\n{raises}{after}"
@@ -274,12 +275,12 @@ class by_keyword(Generic[P, O]):
 def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions) -> CameraModel:
     """Estimate a camera model from lab measurements, or from raw photos of a ColorChecker.
 
-    Does the same as `l3 calibrate`.
+    This function does the same as `l3 calibrate`.
 
     Parameters
     ----------
     measurements : str, path or None
-        Measurement file (.toml). None if `photos` are given instead.
+        Measurement file (.toml), or None if you set `photos` instead.
     output : str or path
         Camera model to write (.h5).
 
@@ -311,14 +312,14 @@ def calibrate(measurements: Name | None, output: Name, options: CalibrateOptions
 
 @by_keyword(SimulateOptions)
 def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: SimulateOptions) -> TrainingSet:
-    """Simulate raw frames of many scenes with a camera, together with their ideal pictures: a training set.
+    """Simulate a training set, which consists of raw frames of many scenes and the ideal pictures of these scenes.
 
-    Does the same as `l3 simulate`.
+    This function does the same as `l3 simulate`.
 
     Parameters
     ----------
     scenes : str or path
-        Scene recipe (.toml), or the name of one that comes with l3, such as "default" or "small".
+        Scene recipe (.toml), or the name of a recipe that comes with l3, such as "default" or "small".
     camera : str, path or CameraModel
         Camera model, camera recipe (.toml), or the name of a recipe that comes with l3.
     output : str or path
@@ -354,14 +355,14 @@ def simulate(scenes: Name, camera: Name | CameraModel, output: Name, options: Si
 
 @by_keyword(TrainOptions)
 def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) -> TransformTable:
-    """Learn a transform table from one or more training sets.
+    """Train a transform table on one or more training sets.
 
-    Does the same as `l3 train`.
+    This function does the same as `l3 train`.
 
     Parameters
     ----------
-    training : str, path or sequence of these
-        Training sets of one camera (.h5).
+    training : str, path or sequence of str or path
+        Training sets of the same camera (.h5).
     output : str or path
         Transform table to write (.h5).
 
@@ -375,7 +376,7 @@ def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) 
     RecipeError
         If the class recipe or an option has an error.
     InputFileError
-        If a training set cannot be used, or if the sets do not fit together.
+        If a training set cannot be used, or if the training sets do not fit together.
     L3Error
         If `output` exists.
 
@@ -395,21 +396,21 @@ def train(training: Name | Sequence[Name], output: Name, options: TrainOptions) 
 def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: Name, options: RenderOptions) -> int:
     """Render raw files or a sequence to a picture, numbered files, a folder or a video.
 
-    Does the same as `l3 render`. For arrays in memory use `Renderer`.
+    This function does the same as `l3 render`. For arrays in memory, use `Renderer`.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        Table to render with.
-    inputs : str, path or sequence of these
-        Raw files, or one sequence: a folder, a pattern such as "a_%04d.tif", a stack or a video.
+        The table.
+    inputs : str, path or sequence of str or path
+        Raw files, or one sequence, which is a folder, a pattern such as "a_%04d.tif", a stack or a video.
     output : str or path
         Picture, pattern of numbered files, folder or video to write.
 
     Returns
     -------
     int
-        Number of frames that were left out; 0 unless `skip_bad` is set.
+        Number of frames that were left out. It is 0 unless `skip_bad` is set.
 
     Raises
     ------
@@ -436,23 +437,24 @@ def render(table: Name | TransformTable, inputs: Name | Sequence[Name], output: 
 
 @by_keyword(EvaluateOptions)
 def evaluate(table: Name | TransformTable, frames: Name, options: EvaluateOptions) -> dict[str, Any]:
-    """Evaluate a table on frames of a training set that it was not trained on.
+    """Evaluate a table on the frames of a training set on which it was not trained.
 
-    Does the same as `l3 evaluate`.
+    This function does the same as `l3 evaluate`.
 
     Parameters
     ----------
     table : str, path or TransformTable
-        Table to evaluate.
+        The table.
     frames : str or path
         Training set (.h5) of the same camera. l3 warns if the table was trained on it.
 
     Returns
     -------
     dict
-        The document that `l3 evaluate --json` prints, except its "run". Among its keys are "frames" (metrics of each frame),
-        "mean" (their means), "by_level", "by_illuminant" and "standards". In each of them "ours" has the metrics of the
-        table, and each baseline in "pipelines" has a key of its own.
+        The document that `l3 evaluate --json` prints, except for its entry "run". Important entries are "frames"
+        (metrics of each frame), "mean" (mean metrics), "by_level", "by_illuminant" and "standards". Each of them
+        contains the metrics of the table under "ours", and the metrics of each baseline under its name, which
+        "pipelines" lists.
 
     Raises
     ------

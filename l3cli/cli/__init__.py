@@ -1,4 +1,4 @@
-"""The command line: imports a command when it is called, and reports every error in one place."""
+"""The command line. A command is imported when it is called, and all errors are reported in one place."""
 
 import errno
 import importlib
@@ -21,36 +21,36 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
 COMMANDS = {
-    "calibrate": "lab measurements → camera model",
-    "simulate": "camera × scenes × lights → training set",
-    "train": "training set → transform table",
-    "render": "raw frames through a table → pictures",
-    "evaluate": "quality of a table on unseen frames",
-    "report": "artifacts → one page with plots and pictures",
-    "compare": "evaluations of several cameras, compared over luminance",
-    "design": "filters × scenes × lights → arrays ranked by predicted error",
-    "info": "contents and history of an artifact",
-    "export": "camera or table → C source, or files for other software",
-    "bench": "frame times on this machine for each stage",
-    "check": "errors in recipes, and what recipes mean",
-    "schema": "JSON schema of recipes, for editors",
-    "lab": "virtual lab: camera → simulated measurements",
-    "init": "folder with recipes and a Makefile for a camera",
+    "calibrate": "estimate a camera model from lab measurements or photos",
+    "simulate": "simulate a training set for a camera",
+    "train": "train a transform table on training sets",
+    "render": "render raw frames to pictures with a table",
+    "evaluate": "evaluate a table on unseen frames",
+    "report": "show artifacts on one page with plots and pictures",
+    "compare": "compare evaluations of several cameras at each luminance",
+    "design": "rank colour filter arrays by their predicted error",
+    "info": "show the contents and the history of an artifact",
+    "export": "convert a camera or table to C source or files for other software",
+    "bench": "measure the time per frame on this machine",
+    "check": "check recipes and explain what they mean",
+    "schema": "print the JSON schema of recipes, for editors",
+    "lab": "simulate lab measurements of a camera",
+    "init": "create a folder with recipes and a Makefile for a camera",
 }
 
 ADVICE = {
-    errno.ENOSPC: "; free some space and run it again",
-    errno.EACCES: "; change its permissions, or name another file",
-    errno.EROFS: "; name an output on another file system",
+    errno.ENOSPC: "; free some space and run the command again",
+    errno.EACCES: "; change its permissions, or specify another file",
+    errno.EROFS: "; specify an output on another file system",
     errno.ENOTDIR: "; a part of the path is a file, not a folder",
 }
-NO_THREAD = "can't start new thread"  # Python's message of a RuntimeError
+NO_THREAD = "can't start new thread"  # message of the RuntimeError that Python raises
 
 
 class Pipeline(click.Group):
-    """The group of all commands, listed in the order of the pipeline.
+    """The group of all commands, which are listed in the order of the pipeline.
 
-    Each command is a module that is imported when called.
+    Each command is a module that is imported when the command is called.
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -67,7 +67,7 @@ class Pipeline(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
-        """Complete the names of commands from COMMANDS, without importing the commands."""
+        """Complete the names of commands without importing the commands."""
         from click.shell_completion import CompletionItem
 
         commands = [CompletionItem(name, help=what) for name, what in COMMANDS.items() if name.startswith(incomplete)]
@@ -89,11 +89,11 @@ class Pipeline(click.Group):
 def l3(context: click.Context) -> None:
     """Build the image-processing pipeline of a camera with any colour filter array.
 
-    Calibrate a camera from measurements (calibrate), simulate it on scenes (simulate), learn a table of local linear
+    Calibrate a camera from measurements (calibrate), simulate it on scenes (simulate), train a table of local linear
     transforms (train) and render raw frames with the table (render). Each stage writes one HDF5 file for the next.
     """
     require_address_space()
-    if context.invoked_subcommand is None:  # an error, because in a script it means that a variable was empty
+    if context.invoked_subcommand is None:  # an error, because in a script it usually means that a variable was empty
         for line in context.get_help().splitlines():
             to_stderr(line)
         context.exit(2)
@@ -101,7 +101,9 @@ def l3(context: click.Context) -> None:
 
 
 def main() -> None:
-    """Run the command line. Each failure prints one line on stderr and sets an exit code (docs/guarantees.md#exit-codes)."""
+    """Run the command line. Each failure prints one line on stderr and sets an exit code
+    (docs/guarantees.md#exit-codes).
+    """
     prepare()
     heed()
     one_blas_thread()
@@ -115,7 +117,7 @@ def run(arguments: list[str]) -> int:
     """Run `l3 ARGUMENTS` and return its exit code."""
     record, results = begin(arguments), list[Result]()
     code = _guarded(lambda: _called(arguments, record, results), record)
-    if not record.as_json or not (results or record.error):  # such as help
+    if not record.as_json or not (results or record.error):  # for example, the command only printed its help
         return code
     shown = _guarded(lambda: record.show(next(iter(results), None), code), record)
     return code or shown
@@ -124,7 +126,7 @@ def run(arguments: list[str]) -> int:
 def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
     """Run the command and return its exit code.
 
-    The result is appended to `results`, and printed unless it goes into the JSON record.
+    The result is appended to `results`. It is printed unless it will be part of the JSON record.
     """
     result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
     if not isinstance(result, Result):
@@ -139,7 +141,7 @@ def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
 
 
 def _guarded(work: Callable[[], int | None], record: Record) -> int:
-    """Run `work` and return its exit code. Report any error on stderr and in the record."""
+    """Run `work` and return its exit code. Errors are reported on stderr and in the record."""
 
     def fail(message: str, code: int) -> int:
         line = " ".join(message.split())
@@ -158,7 +160,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except L3Error as error:
         return fail(str(error), error.exit_code)
     except BrokenPipeError:
-        drop(sys.stdout)  # the reader of the pipe has closed it
+        drop(sys.stdout)  # the program at the other end of the pipe has closed it
         return 1
     except (KeyboardInterrupt, click.Abort):
         signals.ignore()
@@ -173,7 +175,7 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise
-        return fail("out of memory or threads; use fewer --jobs, or raise the limits (ulimit -v, ulimit -u)", 1)
+        return fail("out of memory or threads; use fewer --jobs, or increase the limits (ulimit -v, ulimit -u)", 1)
     except OSError as error:
         if error.filename is None:
             drop(sys.stdout)
@@ -182,13 +184,14 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
 
 
 def _usage(error: click.ClickException) -> str:
-    """Return the message for a usage error. It ends with the --help call that explains the command."""
+    """Return the message of a usage error. It ends with the --help call that explains the command."""
     message = error.format_message().rstrip(".")
     if isinstance(error, click.NoSuchOption):
         similar = [name for name in error.possibilities or () if name.startswith("--")]
         message = f"no option {error.option_name}" + (f"; {suggestion(error.option_name, similar)}" if similar else "")
     if isinstance(error, click.BadParameter) and error.param is not None and isinstance(error.param.type, click.Choice):
-        message = message.partition(" is not ")[0]  # Invalid value for '--codec': 'h256' [is not 'h264', or one of several]
+        # click's message is "Invalid value for '--codec': 'h256' is not 'h264'" or "… is not one of …".
+        message = message.partition(" is not ")[0]
         known = map(str, error.param.type.choices)
         message += f"; {suggestion(message.rpartition(': ')[2][1:-1], known)}"
     if not isinstance(error, click.UsageError) or error.ctx is None:

@@ -1,4 +1,4 @@
-"""l3 bench: OpenCL devices, and the time of a frame by stage."""
+"""l3 bench: lists OpenCL devices, and measures the time per frame for each stage of rendering."""
 
 from typing import Any
 
@@ -13,8 +13,9 @@ from l3cli.options.commands import BenchOptions
 @click.command()
 @declared.of(BenchOptions)
 def bench(options: BenchOptions) -> Result:
-    """Measure how long an OpenCL device takes to render synthetic frames, stage by stage: the median of 40 frames, from
-    uint16 raw values to sRGB, both in host memory. Tiny frames are also timed with the numpy reference.
+    """Measure how long an OpenCL device takes to render synthetic frames. The result is the median of 40 frames for each
+    stage of rendering, from uint16 raw values to sRGB, both in host memory. Tiny frames are also timed with the numpy
+    reference.
 
     \b
     Example: l3 bench --device 0 --json
@@ -37,7 +38,7 @@ def _text(document: dict[str, Any]) -> None:
     for number, result in enumerate(document["results"], 1):
         times = [f"{result['stages_ms'][stage]:.2f}" if stage in result["stages_ms"] else "" for stage in stages]
         what = [
-            str(number),  # identifies the row if the table is split to fit the terminal
+            str(number),  # identifies the row if the table is split because the terminal is too narrow
             f"{result['width']}×{result['height']}",
             *(str(result[key]) for key in ("channels", "patch", "classes", "outputs", "variant")),
         ]

@@ -1,4 +1,4 @@
-"""l3 calibrate: lab measurements, or photos of a chart → camera model."""
+"""l3 calibrate: estimates a camera model from lab measurements, or from photos of a chart."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from l3cli.options.commands import DraftOptions
 
 @click.command()
 @click.argument("measurements", type=declared.FILE, metavar="[MEASUREMENTS.toml]", required=False)
-@declared.output("Camera model to write; with --draft the measurement file")
+@declared.output("Camera model to write, or measurement file to write with --draft")
 @declared.of(DraftOptions, declared.trust)
 def calibrate(measurements: Path | None, output: Path, options: DraftOptions) -> Result:
     """Estimate the spectral responsivities, gain and noise of a camera from lab measurements, or from photos of a
@@ -27,12 +27,16 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
     if options.draft is not None:
         return _draft(options.draft, measurements, output, options)
     if options.camera is not None:
-        raise click.UsageError("--camera is for --draft; a measurement file states its camera itself")
+        raise click.UsageError(
+            "--camera is only for --draft, because a measurement file describes its camera; leave --camera out"
+        )
     from l3cli.calibration import figures
     from l3cli.io.raw.files import is_photo
 
     if measurements is not None and is_photo(measurements):
-        raise click.UsageError(f"{measurements} is a raw file; give a photo of a ColorChecker with --photo")
+        raise click.UsageError(
+            f"{measurements} is a raw file; to use a photo of a ColorChecker, write --photo {measurements}"
+        )
     from l3cli.stages.calibration import calibrate as stage
 
     _, result, files = stage(measurements, output, options)
@@ -40,7 +44,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write a draft of a measurement file. Raise UsageError if options of a calibration are given."""
+    """Write a draft of a measurement file. Options of a calibration raise UsageError."""
     from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]

@@ -1,4 +1,4 @@
-"""l3 check: errors in recipes, and what recipes mean."""
+"""l3 check: checks recipes and explains what they mean."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from l3cli.system.files import files_to_read
 class AnyRecipe(declared.RecipeFile):
     """A recipe of any kind, or a folder of recipes.
 
-    The stage looks up names, because recipes of several kinds may have the same name.
+    Names are resolved by the stage, because recipes of several kinds may have the same name.
     """
 
     def __init__(self) -> None:
@@ -35,11 +35,11 @@ class AnyRecipe(declared.RecipeFile):
 @click.argument("recipes", type=AnyRecipe(), nargs=-1, required=True, metavar="RECIPE…")
 @declared.of(CheckOptions)
 def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
-    """Check recipes (camera, lab, scenes, classes) and measurement files, including the files that they name. Print every
-    error as FILE:LINE: MESSAGE (exit code 3). For a recipe without errors, print what it means.
+    """Check recipes (camera, lab, scenes, classes) and measurement files, including all files to which they refer. Print
+    every error as FILE:LINE: MESSAGE (exit code 3). For a recipe without errors, explain what it means.
 
-    RECIPE is a file, the name of a recipe that comes with l3, or a folder of recipes. If one of them is a camera recipe, the
-    others are checked for this camera.
+    RECIPE is a file, the name of a recipe that comes with l3, or a folder of recipes. If one recipe is a camera recipe,
+    the other recipes are checked for this camera.
 
     \b
     Example: l3 check camera.toml scenes.toml
@@ -53,7 +53,7 @@ def check(recipes: tuple[str, ...], options: CheckOptions) -> Result:
     if faulty:
         count = sum(len(judgement.findings) + judgement.more for judgement in faulty)
         fault = InputFileError(
-            f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct them"
+            f"{count} fault{'s' if count > 1 else ''} in {len(faulty)} of {len(judged)} files; correct the files"
         )
     elif options.plot is not None:
         from l3cli.stages.report import plot

@@ -1,4 +1,4 @@
-"""l3 compare: compare the evaluations of several cameras at each luminance."""
+"""l3 compare: compares evaluations of several cameras at each luminance."""
 
 import textwrap
 from pathlib import Path
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 @declared.output("HTML page with the curves", required=False)
 @declared.of(CompareOptions)
 def compare(evaluations: tuple[Path, ...], output: Path | None, options: CompareOptions) -> Result:
-    """Compare the evaluations of several cameras at each luminance. Show which camera is better, and where each one clips.
+    """Compare the evaluations of several cameras at each luminance. Show which camera is better, and at which luminance
+    each camera clips.
 
     \b
     Example: l3 compare bayer.json rgbw.json --figure psnr -o curves.html

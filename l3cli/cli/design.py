@@ -1,4 +1,6 @@
-"""l3 design: ranks colour filter arrays by predicted error. l3 design moments: the statistics of scenes that it needs."""
+"""l3 design: ranks colour filter arrays by their predicted error. l3 design moments: computes the statistics of scenes
+for this.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +15,7 @@ from l3cli.options.commands import DesignOptions, MomentsOptions
 if TYPE_CHECKING:
     from l3cli.artifacts.design import Design
 
-SHOWN = 20  # arrays printed at most
+SHOWN = 20  # largest number of arrays that are printed
 
 
 @click.command()
@@ -23,12 +25,13 @@ SHOWN = 20  # arrays printed at most
     type=declared.CAMERA,
     required=True,
     metavar="CAMERA|DESIGN.toml",
-    help="Camera model, camera recipe, name of a recipe, or design recipe. Only its lens and pixel matter.",
+    help="Camera model, camera recipe, name of a recipe, or design recipe. Only its lens and its pixel are used.",
 )
-@declared.output("Moments to write")
+@declared.output("Scene moments to write")
 @declared.of(MomentsOptions, declared.trust)
 def moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> Result:
-    """Compute the second moments of scene spectra behind a lens and pixel. The error of any array follows from them.
+    """Compute the second moments of scene spectra behind a lens and a pixel, from which "l3 design" predicts the error
+    of any colour filter array.
 
     \b
     Example: l3 design moments default --camera bayer -o scenes.h5
@@ -58,10 +61,10 @@ class _WithMoments(click.Command):
 @declared.of(DesignOptions)
 def design(recipe: Path, output: Path, options: DesignOptions) -> Result:
     """Rank colour filter arrays by their predicted error, without training them. DESIGN.toml is a recipe, or the name of
-    one that comes with l3, with the pixel, the filters, the arrays to try and the lights.
+    a recipe that comes with l3. It describes the pixel, the filters, the arrays and the illuminants.
 
-    First run "l3 design moments SCENES.toml --camera CAMERA -o SCENES.h5" once to get the moments of scenes behind this lens
-    and pixel.
+    First run "l3 design moments SCENES.toml --camera CAMERA -o SCENES.h5" once to compute the moments of scenes behind
+    this lens and this pixel.
 
     \b
     Example: l3 design dyes --moments scenes.h5 -o design.h5
@@ -86,5 +89,5 @@ def _text(made: "Design") -> None:
     show_table([made.caption], *made.table(SHOWN), *made.verdict, *made.crossings, *tuned)
     if truth := made.truth:
         show_table(
-            ["trained, and evaluated on the same unseen scenes"], *truth.table(made.levels), *truth.agreement(made.levels)
+            ["trained arrays, evaluated on the same unseen scenes"], *truth.table(made.levels), *truth.agreement(made.levels)
         )

@@ -1,4 +1,4 @@
-"""l3 evaluate: prints the quality of a table on frames with known targets."""
+"""l3 evaluate: evaluates a table on frames with known targets."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,25 +23,28 @@ if TYPE_CHECKING:
 @click.argument("frames", type=declared.FILE, required=False, metavar="TRAINING.h5")
 @declared.of(SequenceOptions)
 def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) -> Result:
-    """Render the raw frames of a training set that TABLE was not trained on, and compare the pictures with their targets.
+    """Render the raw frames of a training set on which TABLE was not trained, and compare the pictures with their
+    targets.
 
-    Pictures are compared as displayed: adapted to D65, with the 99th percentile of the target's luminance shown as white.
-    The baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for Bayer arrays
-    if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
+    Pictures are compared as displayed, adapted to D65, with the 99th percentile of the target's luminance shown as
+    white. The baselines are a basic pipeline without training (interpolation, white balance, colour matrix) and, for
+    Bayer arrays if colour-demosaicing is installed, Malvar's and Menon's demosaicking with the same matrix.
 
-    If the outputs are the camera's bands, they are compared as spectra (angle), as linear values, and as 8-bit codes with
-    white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral differences (sd)
-    and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per period.
+    If the outputs are the bands of the camera, they are compared as spectra (angle), as linear values, and as 8-bit
+    codes with white at 255. The baselines are bilinear interpolation, Malvar and Menon for Bayer arrays, and spectral
+    differences (sd) and pseudo-panchromatic image difference (ppid) for arrays in which every band occurs once per
+    period.
 
-    Reflectances and radiances are also compared as spectra, and reflectances also as colours (mean ΔE00) under A, D65 and
-    F11. Their baselines are two linear estimates of each pixel from its demosaicked bands (wiener, pinv), computed from
-    synthetic scenes under the illuminant of the frame.
+    Reflectances and radiances are also compared as spectra, and reflectances also as colours (mean ΔE00) under A, D65
+    and F11. The baselines are two linear estimates from the demosaicked bands of each pixel (wiener, pinv), which are
+    computed from synthetic scenes under the illuminant of the frame.
 
-    With --rival, pictures of another pipeline are also evaluated, under the name of their folder. Their brightness does not
-    matter, because one factor per picture is fitted.
+    With --rival, pictures of another pipeline are also evaluated, under the name of their folder. Their brightness does
+    not matter, because one factor per picture is fitted.
 
-    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches without motion, and
-    the largest jump of a frame's mean. With --ideal also PSNR, ΔE00 and how the error changes along the known motion.
+    With --sequence, rendered pictures are evaluated over time: noise and flicker of CIE L* on patches without motion,
+    and the largest jump of the mean of a frame. With --ideal, PSNR, ΔE00 and the change of the error along the known
+    motion are also evaluated.
 
     \b
     Example: l3 evaluate table.h5 unseen.h5 --json
@@ -49,7 +52,7 @@ def evaluate(table: Path | None, frames: Path | None, options: SequenceOptions) 
     if options.sequence is not None:
         return _sequence(options.sequence, table, options)
     if table is None or frames is None or options.ideal is not None:
-        raise click.UsageError("give TABLE.h5 and TRAINING.h5, or --sequence PICTURES and optionally --ideal")
+        raise click.UsageError("specify TABLE.h5 and TRAINING.h5, or --sequence PICTURES and optionally --ideal")
     from l3cli.stages.evaluation import evaluate as stage
 
     document, files = stage(table, frames, options)
@@ -61,22 +64,23 @@ def _sequence(sequence: Path, table: Path | None, options: SequenceOptions) -> R
         raise click.UsageError("--sequence evaluates pictures; leave TABLE.h5, TRAINING.h5, --pictures and --rival out")
     for name in ("backend", "viewing", "force"):
         if click.get_current_context().get_parameter_source(name) is not ParameterSource.DEFAULT:
-            raise click.UsageError(f"--{name} is for a table; leave it out with --sequence")
+            raise click.UsageError(f"--{name} cannot be used with --sequence; leave --{name} out")
     from l3cli.stages.evaluation import evaluate_sequence
 
     figures, files = evaluate_sequence(sequence, options)
     return Result(figures.document(), lambda: print_sequence(figures), files=files)
 
 
-WIDE = 110  # characters; on narrower terminals, tables leave out the metrics LESS_NEEDED, which are in the JSON
+WIDE = 110  # characters; tables on narrower terminals do not contain the metrics LESS_NEEDED
 LESS_NEEDED = ("median_delta_e", "output_psnr", "ssim")
-NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # only in JSON and report
+NOT_SHOWN = ("visual_noise", "gfc", "delta_e_a", "delta_e_f11")  # metrics that only the JSON and the report contain
 
 
 def print_tables(document: dict[str, Any]) -> None:
-    """Print the metrics by frame, light level and illuminant, their means and the metrics of standards.
+    """Print the metrics by frame, brightness and illuminant, their means, and the metrics from standards.
 
-    Baselines show only their main metrics. Classes, patches, bands and gains are only in the JSON and the report.
+    Baselines are printed with their main metrics only. Only the JSON and the report contain classes, patches, bands and
+    gains.
     """
     width = terminal.width()
     wide = width is None or width >= WIDE
@@ -96,25 +100,25 @@ def print_tables(document: dict[str, Any]) -> None:
     rows.append(["mean", "", "", *values(document["mean"])])
     show_table([], ["scene", "light", "level", *named], rows)
     levels = [[f"{g['from']:.3f}–{g['to']:.3f}", str(g["frames"]), *values(g)] for g in document["by_level"]]
-    show_table(["", "by light level"], ["level", "frames", *named], levels)
+    show_table(["", "by brightness (mean signal as a fraction of full scale)"], ["level", "frames", *named], levels)
     if len(document["by_illuminant"]) > 1:
         lights = [[g["illuminant"], str(g["frames"]), *values(g)] for g in document["by_illuminant"]]
         show_table(["", "by illuminant"], ["light", "frames", *named], lights)
     _print_standards(document["standards"]["figures"])
     for baseline, counts in document["better"].items():
         shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
-        show(f"better than {baseline}, in frames of {len(document['frames'])}: {shares}")
+        show(f"number of frames, of {len(document['frames'])}, that are better than with {baseline}: {shares}")
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:
-    """Print the sharpness (cycles/pixel) and the lowest usable light of each pipeline (docs/measurement.md)."""
+    """Print the sharpness (cycles/pixel) and the lowest usable luminance of each pipeline (docs/measurement.md)."""
     names = list(next(iter(figures.values())))
     rows = [[owner, *(figure_text(name, of[name]) for name in names)] for owner, of in figures.items()]
     show_table(["", "by standards"], ["pipeline", *(FIGURES[name].short for name in names)], rows)
 
 
 def print_sequence(figures: "SequenceFigures") -> None:
-    """Print the metrics of each frame of a sequence, then those of the whole sequence."""
+    """Print the metrics of each frame of a sequence, then the metrics of the whole sequence."""
     named = ["frame", "mean L*", "jump", "step σ", "warped\nerror", "PSNR dB", "ΔE00 mean"]
     rows = []
     for each in figures.frames:
@@ -122,8 +126,8 @@ def print_sequence(figures: "SequenceFigures") -> None:
         rows.append([str(each.frame), *map(_known, (*brightness, each.warped_error, each.psnr, each.mean_delta_e))])
     whole = [
         ["temporal σ of L*, still patches", _known(figures.temporal_sigma)],
-        ["… of the patches' means", _known(figures.patch_sigma)],
-        ["share of still patches", f"{figures.still_share:.1%}"],
+        ["temporal σ of the mean L* of still patches", _known(figures.patch_sigma)],
+        ["fraction of still patches", f"{figures.still_share:.1%}"],
         [f"largest jump of mean L* (frame {figures.largest_jump_frame})", _known(figures.largest_jump)],
         [f"warped error of L* ({figures.motion or 'no'} motion)", _known(figures.warped_error)],
         ["PSNR dB", _known(figures.psnr)],

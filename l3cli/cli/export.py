@@ -1,4 +1,4 @@
-"""l3 export: camera or transform table → C source, or files for other software."""
+"""l3 export: converts a camera or a transform table to C source, or to files for other software."""
 
 from pathlib import Path
 
@@ -20,11 +20,12 @@ from l3cli.options.option import declarations
 def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
     """Write files for other software.
 
-    Of CAMERA, a camera.h5 or a camera recipe: curves (CSV, rawtoaces JSON), a data sheet (CSV), DCP matrices (JSON) and, for
-    Bayer arrays, tuning files of libcamera. The colour error of the matrices on measured surfaces is printed for each light.
+    CAMERA is a camera.h5 or a camera recipe. l3 writes curves (CSV, rawtoaces JSON), a data sheet (CSV), DCP matrices
+    (JSON) and, for Bayer arrays, tuning files of libcamera. It prints the colour error of the matrices on measured
+    surfaces for each illuminant.
 
-    Of TABLE.h5, a transform table: C99 source that renders to sRGB without l3 ("make test" compares it with l3's reference
-    on a test mosaic), or little-endian arrays for other hardware.
+    TABLE.h5 is a transform table. l3 writes C99 source that renders to sRGB without l3, or little-endian arrays for
+    other hardware. In the folder of the C source, "make test" compares the source with l3's reference on a test mosaic.
 
     \b
     Example: l3 export table.h5 -o source --to c
@@ -38,7 +39,7 @@ def export(artifact: Path, output: Path, options: ExportOptions) -> Result:
         return Result({"files": names}, files=files)
     if of_tables := options.chosen():
         flag = declarations(ExportOptions)[next(iter(of_tables))].flag or next(iter(of_tables))
-        raise RecipeError(f"‹{flag}› is for transform tables; {artifact} is a camera: leave it out")
+        raise RecipeError(f"‹{flag}› is only for transform tables, but {artifact} is a camera; leave ‹{flag}› out")
     matrices, files = export_camera(artifact, output, options)
     text = (lambda: show(*matrix_lines(matrices, terminal.width()))) if matrices else None
     return Result({"matrices": matrices}, text, files=files)

@@ -1,4 +1,4 @@
-"""l3 info: contents of an artifact, or the versions of this installation."""
+"""l3 info: shows the content of an artifact, or the versions of this installation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="[INPUT…]")
 @declared.of(InfoOptions)
 def info(file: Path | None, inputs: tuple[Path, ...], options: InfoOptions) -> Result:
-    """Show the kind, version, history and data sets (axes, type, unit, meaning) of FILE. For a transform table, also show
-    its classes, patches, noise gain, gain of flat areas and noisiest classes.
+    """Show the kind, version, history and data sets (axes, type, unit, meaning) of FILE. For a transform table, also
+    show its classes, patches, noise gain, gain of flat areas and noisiest classes.
 
-    With --verify, check every byte of FILE against its digest, read all of it, and compare the files that its history names
-    (artifacts, recipes, frames, spectra) with the given INPUTs. If an INPUT is not in the history, it is another file or has
-    changed: exit code 3.
+    With --verify, compare every byte of FILE with its digest, read all data, and compare the input files in its history
+    (artifacts, recipes, frames, spectra) with the given INPUTs. If an INPUT is not in the history, it is another file or
+    has changed (exit code 3).
 
     \b
     Example: l3 info camera.h5
              l3 info --verify table.h5 training.h5 camera.h5 scenes.toml
     """
     if options.version == (file is not None):
-        raise click.UsageError("give either a FILE or --version")
+        raise click.UsageError("specify either a FILE or --version")
     if options.verify and file is not None:
         return _verify(file, inputs)
     if options.verify or inputs:
-        raise click.UsageError("give one file; only --verify takes INPUTs, the files that it was made from")
+        raise click.UsageError("specify one file; INPUTs, from which the file was made, can only be used with --verify")
     from l3cli.stages.information import content, versions
 
     files = files_to_read({"artifact": [file]} if file else {})
@@ -53,7 +53,7 @@ def _show(lines: list[str]) -> None:
 
 
 def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
-    """Verify an artifact. The result carries an InputFileError if an input does not match."""
+    """Verify an artifact. If an input does not match, the result contains an InputFileError."""
     from l3cli.stages.information import verification
 
     files = files_to_read({"artifact": [file], "inputs": inputs})
@@ -61,7 +61,7 @@ def _verify(file: Path, inputs: tuple[Path, ...]) -> Result:
     fault = None
     if result.strangers:
         named = ", ".join(str(path) for path in result.strangers)
-        fault = InputFileError(f"{named}: {file} was not made from it; give the original file, or make {file} again")
+        fault = InputFileError(f"{file} was not made from {named}; specify the original input files, or create {file} again")
     return Result(result.document(), lambda: show(*_verified(file, result)), fault, files=files)
 
 
@@ -87,13 +87,13 @@ def _lines(content: dict[str, Any]) -> list[str]:
 
 
 def _verified(file: Path, verification: "Verification") -> list[str]:
-    """Return lines that say what was verified, and how many files of the history were not given."""
+    """Return lines about the verified data, and about the number of input files that were not specified."""
     intact = verification.intact
-    whole = f"every byte is as written; {intact.datasets} datasets can be read"
+    whole = f"all bytes agree with the digest; {intact.datasets} datasets can be read"
     lines = [f"{file}: {intact.kind}, format version {intact.version}: {whole}"]
     for link in verification.links:
         names = ", ".join(link.given[:4]) + (" …" if len(link.given) > 4 else "")
-        rest = f"{link.named - len(link.given)} not given" if link.named > len(link.given) else ""
+        rest = f"{link.named - len(link.given)} not listed" if link.named > len(link.given) else ""
         right = f"{len(link.given)} verified ({names})" if link.given else ""
         lines.append(f"  {link.stage} {link.role}: {', '.join(filter(None, (right, rest)))}")
     return lines
@@ -107,7 +107,7 @@ def _line(item: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a number with six digits, or text unchanged. All digits are in the JSON."""
+    """Return a number with six digits, or text unchanged. The JSON contains all digits."""
     if isinstance(value, list):
         return f"[{', '.join(map(_short, value))}]"
     return figure(value, ".6g") if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""l3 init: a folder with the recipes and pipeline of a camera, or with a benchmark."""
+"""l3 init: creates a folder with the recipes and the pipeline of a camera, or with a benchmark."""
 
 from pathlib import Path
 
@@ -25,15 +25,15 @@ def _completed(context: click.Context, parameter: click.Parameter, incomplete: s
 @click.argument("more", nargs=-1, metavar="")
 @declared.of(InitOptions)
 def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options: InitOptions) -> Result:
-    """Create the folder DIR with recipes for a camera and a Makefile that makes a picture and a report from them. DIR also
-    gets the same pipeline for Snakemake and for Slurm job arrays.
+    """Create the folder DIR with recipes for a camera and a Makefile that makes a picture and a report from them. DIR
+    also contains the same pipeline for Snakemake and for Slurm job arrays.
 
-    RECIPE is the name of a kind of camera or of a benchmark, the name of a camera whose measured curves come with l3
-    (--list), or a camera recipe of your own (.toml), which is copied together with its curves. The Makefile of a benchmark
+    RECIPE is the name of a type of camera or of a benchmark, the name of a camera whose measured curves come with l3
+    (--list), or your own camera recipe (.toml), which is copied together with its curves. The Makefile of a benchmark
     trains on one folder of your pictures and evaluates on another.
 
-    With --from, the camera recipe is derived from raw files. If several cameras took them, each camera gets a folder in DIR.
-    With --from and a design ("l3 design"), the recipe is that of its best array.
+    With --from, l3 derives the camera recipe from raw files. If the files are from several cameras, DIR gets a folder
+    for each camera. If --from specifies a design ("l3 design"), the recipe describes the best array of the design.
 
     Without arguments, list the recipes.
 
@@ -51,40 +51,43 @@ def init(recipe: str | None, folder: Path | None, more: tuple[str, ...], options
     if options.photos:  # the shell may have expanded a pattern to several files
         named = [Path(each) for each in (recipe, folder, *more) if each is not None]
         if not named:
-            raise click.UsageError('name the folder to make, such as "l3 init --from photo.dng mine"')
+            raise click.UsageError('specify a new folder, for example "l3 init --from photo.dng mine"')
         if single := next((each for each in options.photos if each.suffix in (".h5", ".toml")), None):
             what, make = ("design", start_designed) if single.suffix == ".h5" else ("recipe", start_recipe)
             if len(options.photos) + len(named) != 2:
-                raise click.UsageError(f"--from takes one {what} and one folder; give them alone")
+                raise click.UsageError(f"--from needs exactly one {what} and one folder; leave the other arguments out")
             if of_photos:
-                raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; leave it out with a {what}")
+                option = f"--{of_photos[0].replace('_', '-')}"
+                raise click.UsageError(f"{option} is only for raw files, not for a {what}; leave {option} out")
             return Result({"folders": [str(named[0])]}, files=make(single, named[0], options))
         made, files = start_from([*options.photos, *named[:-1]], named[-1], options)
         return Result({"folders": [str(each) for each in made]}, files=files)
     if of_photos:
-        raise click.UsageError(f"--{of_photos[0].replace('_', '-')} is for raw files; give them with --from")
+        raise click.UsageError(
+            f"--{of_photos[0].replace('_', '-')} is only for raw files; specify the raw files with --from"
+        )
     if more:
-        raise click.UsageError(f'"{more[0]}" is one argument too many; give raw files with --from')
+        raise click.UsageError(f'"{more[0]}" is one argument too many; specify raw files with --from')
     if options.named:
         words = " ".join(str(each) for each in (recipe, folder) if each is not None)
         cameras = {name: ", ".join(names) for name, names in cameras_by_name(words).items()}
         if not cameras:
-            raise click.UsageError(f'no camera is called "{words}"; "l3 init --list" lists all of them')
+            raise click.UsageError(f'no camera has the name "{words}"; "l3 init --list" lists all cameras')
         return Result({"cameras": cameras}, lambda: _list(cameras))
     known, by_name = starters(), cameras_by_name()
     if recipe is None:
         recipes = {name: summary(path) for name, path in known.items()}
         options.console.info(f'"l3 init --list" lists {len(by_name)} more cameras by name')
-        options.console.info('next: name one of them and a new folder, such as "l3 init bayer demo"')
+        options.console.info('next: choose a recipe and a new folder, for example "l3 init bayer demo"')
         return Result({"recipes": recipes}, lambda: _list(recipes))
     if recipe.endswith(".toml"):
         if folder is None:
-            raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} mine"')
+            raise click.UsageError(f'specify a new folder, for example "l3 init {recipe} mine"')
         return Result({"folders": [str(folder)]}, files=start_recipe(Path(recipe), folder, options))
     if recipe not in known and recipe not in by_name:
         raise click.UsageError(f'no recipe "{recipe}"; {suggestion(recipe, (*known, *by_name))}')
     if folder is None:
-        raise click.UsageError(f'name the folder to make, such as "l3 init {recipe} {recipe}"')
+        raise click.UsageError(f'specify a new folder, for example "l3 init {recipe} {recipe}"')
     files = start(known[recipe], folder, options) if recipe in known else start_named(recipe, folder, options)
     return Result({"folders": [str(folder)]}, files=files)
 

@@ -1,4 +1,4 @@
-"""l3 lab: camera → simulated lab measurements."""
+"""l3 lab: simulates lab measurements of a camera."""
 
 from pathlib import Path
 
@@ -14,8 +14,8 @@ from l3cli.options.commands import LabOptions
 @declared.output("Folder to write to", metavar="DIR")
 @declared.of(LabOptions)
 def lab(camera: Path, output: Path, options: LabOptions) -> Result:
-    """Simulate the lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of one
-    ("l3 init" lists them) or a camera.h5.
+    """Simulate lab measurements of CAMERA, as input for "l3 calibrate". CAMERA is a camera recipe, the name of a recipe
+    ("l3 init" lists the names) or a camera.h5.
 
     \b
     Example: l3 lab camera.toml -o lab

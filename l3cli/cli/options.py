@@ -1,4 +1,4 @@
-"""Options of the command line, built from their declarations in l3cli/options, and the options that every command has."""
+"""Makes click options from the declarations in l3cli/options, and defines the options that every command has."""
 
 import functools
 import os
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # checked when it is opened, where message and exit code can be specific
+FILE = click.Path(path_type=Path, readable=False)  # not checked by click, because opening the file gives a better message
 
 
 class RecipeFile(click.Path):
@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return names and files. bash completes no files by itself if anything else is offered."""
+        """Return recipe names and files. bash does not complete files itself if a program offers other completions."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -50,7 +50,7 @@ CAMERA = RecipeFile("cameras")
 
 
 class Value(click.ParamType):
-    """A value that the reader of an option parses."""
+    """A value that is parsed by the reader of an option."""
 
     name = "value"
 
@@ -102,9 +102,9 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Decorator that adds all options of a command and passes them as its parameter `options`.
+    """Return a decorator that adds all options of a command and passes them as its parameter `options`.
 
-    These are the declared options, `modes`, and --quiet, --log FILE and --json.
+    The options are the declared options, `modes`, and --quiet, --log FILE and --json.
     """
     declared = declarations(options)
 
@@ -121,11 +121,11 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """Add -o/--output FILE."""
+    """Add the option -o/--output FILE. `what` is its help text."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-LOG = "l3cli.log"  # in a context's meta: the path of --log
+LOG = "l3cli.log"  # key of the path of --log in the `meta` of a context
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
@@ -147,7 +147,7 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # results.begin has already read it
+_JSON = click.option(  # its value is not used, because results.begin has already searched the arguments for it
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""l3 render: raw frames through a table → pictures."""
+"""l3 render: renders raw frames to pictures with a table."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,27 +21,31 @@ if TYPE_CHECKING:
 @click.argument("table", type=declared.FILE, metavar="TABLE.h5")
 @click.argument("inputs", type=declared.FILE, nargs=-1, metavar="INPUT...")
 @declared.output(
-    "Picture (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - (y4m on stdout)"
+    "Picture to write (.png .tif .jpg .jxl .exr .dng), numbered files (a_%04d.png, a_####.tif), folder, video, or - for y4m "
+    "on stdout"
 )
 @declared.of(RenderOptions, declared.trust)
 def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Result:
-    """Render INPUT through TABLE.h5. INPUT is raw files or one sequence.
+    """Render INPUT with TABLE.h5. INPUT is one or more raw files, or one sequence.
 
-    Files: DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, or headerless .raw, .bin, .raw10 or .raw12. Sequences:
-    a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5, FITS, MATLAB), a headerless file of
-    many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless frames on stdin).
+    Files: DNG, camera raw, one-channel TIFF, PNG or PGM, FITS, .npy, or headerless .raw, .bin, .raw10 or .raw12.
+    Sequences: a folder, a pattern (a_%04d.tif, a_####.tif), a quoted glob, a stack (.npy, HDF5, FITS, MATLAB), a
+    headerless file with many frames, SER, a grey video (FFV1 in MKV, y4m, uncompressed AVI), or - (headerless frames on
+    stdin).
 
-    If several INPUTs are given and one is a sequence, each is a clip. If an INPUT folder contains videos, stacks or folders,
-    each of them is a clip. Every clip becomes a folder or file of its name in the folder -o. If a clip fails, the others are
-    still rendered (exit code 1). With --resume, the same command renders what was added or changed since.
+    If you specify several INPUTs and one of them is a sequence, each INPUT is a clip. If an INPUT folder contains
+    videos, stacks or folders, each of these is a clip. Every clip becomes a folder or file with the same name in the
+    output folder. If a clip fails, the other clips are still rendered (exit code 1). With --resume, the same command
+    renders the files that were added or changed since.
 
-    With --exposure auto, the 99th percentile of Y is shown as white. In a sequence, the exposure changes smoothly over time.
+    With --exposure auto, the 99th percentile of Y is shown as white. In a sequence, the exposure changes smoothly over
+    time.
 
     \b
     Example: l3 render table.h5 frame.dng -o picture.png
     """
     if click.get_current_context().ensure_object(Record).as_json and output == Path("-"):
-        raise click.UsageError("--json and -o - both write to stdout; name an output file or leave --json out")
+        raise click.UsageError("--json and -o - both write to stdout; specify an output file or leave --json out")
     from l3cli.io.isolated import start
     from l3cli.io.raw.files import is_photo, needs_isolation
 
@@ -52,14 +56,14 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     if not inputs:
         raise click.UsageError("Missing argument 'INPUT...'.")
     if any(needs_isolation(path) for path in inputs):
-        start()  # building takes a third of a second, about as long as the imports that follow
+        start()  # the isolated process needs a third of a second to start, about as long as the following imports
     from l3cli.stages.rendering.clips import Summary, are_clips, clips_of, render_clips, render_one
 
     clips = clips_of(inputs, table, options, output)
     if clips == inputs and not are_clips(inputs, table, options, output):
         return clips_result(render_one(table, inputs, output, options))
     if options.shard is not None:
-        raise click.UsageError("--shard is for one sequence, and these inputs are several clips; render one clip")
+        raise click.UsageError("--shard works only for one sequence, but the inputs are several clips; render one clip")
     summary = Summary()
     try:
         render_clips(table, clips, output, options, summary)
@@ -71,14 +75,17 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
 
 
 def clips_result(summary: "Summary", fault: BaseException | None = None, show_text: bool = False) -> Result:
-    """Return the result of l3 render. It prints a table if `show_text` is set, or if `fault` ended a run over many clips."""
+    """Return the result of l3 render.
+
+    A table is printed if `show_text` is set, or if the error `fault` ended a run over many clips.
+    """
     document = _worded(summary.document())
     text = (lambda: _table(document)) if show_text or fault else None
     return Result(document, text, fault, summary.exit_code, all_files(summary.files))
 
 
 def _worded(value: Any) -> Any:
-    """Return a document whose messages name options as --option."""
+    """Return a document in whose messages parameters are replaced by options."""
     if isinstance(value, dict):
         return {key: _worded(each) for key, each in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""l3 report: artifacts → one page with plots and pictures."""
+"""l3 report: shows artifacts on one page with plots and pictures."""
 
 from pathlib import Path
 
@@ -16,9 +16,9 @@ from l3cli.options.commands import ReportOptions
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> Result:
     """Show camera models, training sets and transform tables on one HTML page that needs no network.
 
-    Every table is evaluated on every training set of the same colour filter array that it was not trained on. Several
-    evaluations are shown side by side. If no camera model is given, the page shows those stored in the training sets. JSON
-    files from "l3 evaluate --sequence" are plotted over time in a common plot.
+    Every table is evaluated on every training set of the same colour filter array on which it was not trained. Several
+    evaluations are shown side by side. If you specify no camera model, the page shows the camera models in the training
+    sets. JSON files from "l3 evaluate --sequence" are shown in a common plot over time.
 
     \b
     Example: l3 report camera.h5 training.h5 table.h5 unseen.h5 -o report.html

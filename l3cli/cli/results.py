@@ -1,4 +1,6 @@
-"""The result of a command: a document and its text for people. --json prints it with a record of the run."""
+"""The result of a command: a JSON document, and a function that prints it as text. --json also prints a record of the
+run.
+"""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,9 +15,9 @@ from l3cli.system.console import Console, Logged, Passing
 from l3cli.system.files import Dated, FilesUsed, dated, require_regular, sha256
 
 T = TypeVar("T")
-RUN_FORMAT = 1  # version of the keys of "run"
+RUN_FORMAT = 1  # version of the keys in "run"
 ERROR_KINDS = {2: "call", 3: "input", 4: "device", 130: "interrupted", 143: "terminated"}  # by exit code
-MOST_MESSAGES = 1000  # messages kept, and as many warnings, because a run over many frames can produce any number
+MOST_MESSAGES = 1000  # largest number of recorded messages, and of recorded warnings, because many frames can cause many
 JSON = "--json"
 
 
@@ -24,7 +26,7 @@ class Result:
     """Result of a command."""
 
     document: Mapping[str, Any] = field(default_factory=dict)  # ready for JSON
-    text: Callable[[], object] | None = None  # prints the document for people; None if messages already did
+    text: Callable[[], object] | None = None  # prints the document as text; None if messages already contain the results
     fault: BaseException | None = None  # error that the result reports, or that ended the command early
     code: int = 0  # exit code without a fault
     files: FilesUsed = field(default_factory=FilesUsed)
@@ -34,7 +36,7 @@ class Result:
 class Record:
     """The course of a command: its log, and the messages and times that --json prints.
 
-    Click passes it on as the `obj` of its contexts.
+    Click passes the record to the commands as the `obj` of its contexts.
     """
 
     command: str = ""
@@ -42,10 +44,10 @@ class Record:
     log: Logged | None = None  # also receives the final error
     warnings: list[str] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    left_out: int = 0  # warnings and messages beyond MOST_MESSAGES
-    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # name → items done, seconds
+    left_out: int = 0  # number of warnings and messages that were not recorded
+    steps: dict[str, tuple[int, float]] = field(default_factory=dict)  # number of items and duration in s, by step
     error: dict[str, str] | None = None
-    console: Console = field(default_factory=Terminal)  # where the command's messages go
+    console: Console = field(default_factory=Terminal)  # console to which the command sends its messages
     begun: float = field(default_factory=time.time)  # s since 1970
     start: float = field(default_factory=time.monotonic)
 
@@ -56,13 +58,15 @@ class Record:
             self.left_out += 1
 
     def fail(self, message: str, code: int) -> None:
-        """Record the error that ended the command, also in the log."""
+        """Record the error that ended the command, and write it to the log."""
         if self.log is not None:
             self.log.heard("error", message)
         self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
-        """Print the document as JSON, with the record of the command under "run"; without digests after an interruption."""
+        """Print the document as JSON, with the record of the command under "run". After an interruption, digests are
+        left out.
+        """
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))
         files = result.files if result is not None and is_whole else FilesUsed()  # digests would delay Ctrl-C
@@ -90,35 +94,37 @@ class Record:
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
     """Return path, size and SHA-256 of a file.
 
-    Size and digest are None if the path is not a regular file, or if the file has changed since `at`.
+    The size and the digest are None if the path is not a regular file, or if the file has changed since `at`.
     """
     size, digest = None, None
     try:
         require_regular(path)
         if dated(path) != at:
-            console.warn(f"{path} changed during the run; its digest is left out")
+            console.warn(f"{path} changed during the run, so the JSON does not contain its digest")
         else:
             size, digest = at[0] if at else None, sha256(path)
     except InputFileError:
-        pass  # a folder, a stream, or a file that has been removed
+        pass  # the path is a folder or a stream, or the file was removed
     return {"path": str(path), "bytes": size, "sha256": digest}
 
 
 def begin(arguments: list[str]) -> Record:
-    """Return the record of a call. It must exist before the arguments are parsed, which may fail."""
+    """Return the record of a call. It is created before click parses the arguments, because parsing may fail."""
     before = arguments[: arguments.index("--")] if "--" in arguments else arguments
     return Record(next(iter(arguments), ""), as_json=JSON in before)
 
 
 class Recorded(Passing):
-    """A console that passes everything on and keeps it for the record."""
+    """A console that passes all messages to another console and adds them to the record."""
 
     def __init__(self, console: Console, record: Record) -> None:
         super().__init__(console)
         self._record = record
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress on the inner console and record its duration. Steps of the same name are added up."""
+        """Show progress on the inner console and record the duration. The durations of steps with the same name are
+        added.
+        """
         start = time.monotonic()
         done, before = self._record.steps.get(what, (0, 0.0))
         for item in self._console.progress(items, total, what):

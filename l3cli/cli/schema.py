@@ -1,4 +1,4 @@
-"""l3 schema: the JSON schema of recipes, for editors."""
+"""l3 schema: prints the JSON schema of recipes, for editors."""
 
 import click
 
@@ -16,8 +16,8 @@ KINDS = ("camera", "lab", "scenes", "classes", "design", "measurements")
 def schema(kind: str, options: Options) -> Result:
     """Print the JSON schema of a KIND of recipe: camera, lab, scenes, classes, design or measurements.
 
-    Editors (taplo, Even Better TOML) check a recipe against the schema if the first line of the recipe names the file with
-    the schema, such as "#:schema camera.schema.json".
+    Editors (taplo, Even Better TOML) check a recipe against the schema if the first line of the recipe refers to the
+    file of the schema, for example "#:schema camera.schema.json".
 
     \b
     Example: l3 schema camera

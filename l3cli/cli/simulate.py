@@ -1,4 +1,4 @@
-"""l3 simulate: camera × scenes × lights → training set."""
+"""l3 simulate: simulates a training set for a camera."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from l3cli.options.commands import SimulateOptions
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Result:
     """Simulate raw frames of many scenes with a camera, and the ideal pictures of these scenes.
 
-    SCENES.toml is a recipe, or the name of one that comes with l3, such as default or small.
+    SCENES.toml is a recipe, or the name of a recipe that comes with l3, such as default or small.
 
     \b
     Example: l3 simulate scenes.toml --camera camera.h5 -o training.h5

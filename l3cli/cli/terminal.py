@@ -1,7 +1,7 @@
-"""Everything that l3 prints.
+"""All functions that print something.
 
-Control characters are escaped, because names and texts may come from untrusted files, and these must not move the cursor,
-hide text or add lines.
+Control characters are escaped, because names and texts from untrusted files must not move the cursor, hide text or add
+lines.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 SIZE = re.compile("0*[1-9][0-9]{0,5}")  # valid values of COLUMNS and LINES
-PARAMETER = re.compile("‹([a-z_]+)›")  # a parameter in a message of the other packages, which do not know the options
+PARAMETER = re.compile("‹([a-z_]+)›")  # the form in which messages of other packages contain the names of parameters
 
 
 def show(*lines: str) -> None:
@@ -38,22 +38,25 @@ def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Seq
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON on stdout, in ASCII, so that it can be printed in every encoding, with any file name."""
+    """Print a document as JSON on stdout.
+
+    The output is ASCII, so that file names can be printed in every encoding.
+    """
     click.echo(json.dumps(document, indent=2, allow_nan=False))
 
 
 def finite(document: Any, console: "Console") -> Any:
-    """Replace NaN and infinity by null, because JSON has neither, and name the replaced values in a warning."""
+    """Replace NaN and infinity by null, because JSON has neither. A warning lists the replaced values."""
     missing: list[str] = []
     known = _finite(document, "", missing)
     if missing:
         named = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
-        console.warn(f"{named}: cannot be computed; null in the JSON")
+        console.warn(f"values that cannot be computed are null in the JSON: {named}")
     return known
 
 
 def _finite(value: Any, name: str, missing: list[str]) -> Any:
-    """Replace NaN and infinity in `value` by None, and append their names to `missing`."""
+    """Replace NaN and infinity in `value` by None, and append the names of the replaced values to `missing`."""
     if isinstance(value, dict):
         return {key: _finite(each, f"{name}.{key}".lstrip("."), missing) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -70,7 +73,7 @@ def with_options(message: str) -> str:
 
 
 def to_stderr(message: str) -> None:
-    """Print one message on stderr. If stderr cannot be written, the command continues without the message."""
+    """Print a message on stderr. If this fails, the command continues without the message."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -88,7 +91,7 @@ def prepare() -> None:
 
 
 def drop(stream: IO[str]) -> None:
-    """Redirect a stream that cannot be written to the null device, so that Python does not fail when it flushes at exit."""
+    """Redirect a broken stream to the null device, so that Python does not fail when it flushes the stream at exit."""
     try:
         stream.flush()
     except OSError:
@@ -96,11 +99,11 @@ def drop(stream: IO[str]) -> None:
             os.dup2(nowhere.fileno(), stream.fileno())
 
 
-LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s between two lines of progress without a terminal
+LONGEST_SILENCE, SHORTEST_SILENCE = 600.0, 10.0  # s; longest and shortest time between two progress lines if not a terminal
 
 
 def width() -> int | None:
-    """Return the width of stdout in characters, from the terminal or COLUMNS, or None for a pipe or file."""
+    """Return the width of stdout in characters, from the terminal or COLUMNS, or None for a pipe or a file."""
     import shutil
 
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
@@ -109,7 +112,7 @@ def width() -> int | None:
 
 
 def folded(line: str, deeper: int) -> list[str]:
-    """Wrap a line to the width of the terminal, and indent the continuation lines by `deeper` more characters."""
+    """Wrap a line to the width of the terminal. Continuation lines are indented by `deeper` more characters."""
     import textwrap
 
     wide = width()
@@ -120,10 +123,10 @@ def folded(line: str, deeper: int) -> list[str]:
 
 
 class Terminal:
-    """Console of a command: all messages go to stderr."""
+    """Console of a command. All messages go to stderr."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show a bar on a terminal. Elsewhere, print a line after each tenth, with elapsed time, rate and time left."""
+        """Show a progress bar if stderr is a terminal. Otherwise print a line after each tenth of the work."""
         interactive = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         return (_with_bar if interactive else _with_lines)(items, total, what)
 
@@ -138,7 +141,7 @@ class Terminal:
 
 
 class ErrorsOnly(Silent):
-    """Console of a command with --quiet: only reports of what was left out go to stderr."""
+    """Console of a command with --quiet. Only reports about omitted data go to stderr."""
 
     def report(self, message: str) -> None:
         to_stderr(message)
@@ -171,7 +174,7 @@ def _with_lines(items: Iterable[T], total: int | None, what: str) -> Iterator[T]
 
 
 def _pace(done: int, total: int | None, seconds: float) -> str:
-    """Return the percentage done, the rate and the time left."""
+    """Return the percentage that is done, the rate and the remaining time."""
     each = max(seconds, 1e-9) / done
     rate = f"{1 / each:.3g} per second" if each < 2 else f"{_span(each)} each"
     return f"{100 * done // total} %, {rate}, {_span(max(total - done, 0) * each)} left" if total else rate

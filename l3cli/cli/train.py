@@ -1,4 +1,4 @@
-"""l3 train: training sets → transform table, whole or in shards."""
+"""l3 train: trains a transform table on training sets, in one run or in shards."""
 
 from pathlib import Path
 
@@ -11,20 +11,20 @@ from l3cli.options.commands import ShardOptions
 
 @click.command()
 @click.argument("files", type=declared.FILE, nargs=-1, required=True, metavar="TRAINING.h5…")
-@declared.output("Transform table to write; with --shard the partial sums")
+@declared.output("Transform table to write, or partial sums to write with --shard")
 @declared.of(ShardOptions)
 def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Result:
-    """Learn a table of local linear transforms from one or more training sets.
+    """Train a table of local linear transforms on one or more training sets.
 
     \b
     Example: l3 train training.h5 --classes classes.toml -o table.h5
 
-    Patches are spread evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in these proportions,
-    however many frames they have.
+    Training patches are distributed evenly over all frames. With --shares 1,0.7,0.4, three training sets get patches in
+    these proportions, independently of their numbers of frames.
 
-    To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed. Training
-    takes two passes, because the errors of the first pass determine the weights in the second. That makes four steps. The
-    final table has the same bytes as a table that is trained without shards:
+    To train on several machines, divide the work into shards, with the same training sets, shares, recipe and seed.
+    Training takes two passes, because the errors of the first pass determine the weights in the second pass. Four steps
+    are therefore needed. The final table has the same bytes as a table that is trained without shards:
 
     \b
       l3 train training.h5 --shard 1/4 -o a1.h5                    … 4/4
@@ -32,18 +32,18 @@ def train(files: tuple[Path, ...], output: Path, options: ShardOptions) -> Resul
       l3 train training.h5 --shard 1/4 --first first.h5 -o b1.h5   … 4/4
       l3 train --merge b1.h5 b2.h5 b3.h5 b4.h5 -o table.h5
 
-    If the recipe has first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is only one pass. Training
-    then takes two steps, without --first. Every [[layer]] of the recipe adds a pass, with --first and the table of the
-    previous pass. --merge prints the next step.
+    If the recipe contains first_draws = 0, or if the outputs are neither XYZ nor a spectrum, there is only one pass.
+    Training then takes two steps, without --first. Every [[layer]] of the recipe adds a pass, with --first and the table
+    from the previous pass. --merge prints the next step.
     """
     from l3cli.stages.training.train import filling, merge_shards, train_shard
     from l3cli.stages.training.train import train as train_whole
 
     chosen = options.chosen() != ShardOptions().chosen() or options.inputs() or options.shard or options.scheduler
     if options.merge and chosen:
-        raise click.UsageError("--merge takes only shards, which store classes, shares and seed; leave these options out")
+        raise click.UsageError("--merge reads classes, shares and seed from the shards; leave these options out")
     if options.first and not options.shard:
-        raise click.UsageError("--first is for shards; give --shard, too")
+        raise click.UsageError("--first works only with --shard; add --shard I/N")
     if options.shard:
         used = train_shard(files, options.shard, output, options)
         return Result({"partial_sums": str(output), "shard": list(options.shard)}, files=used)

@@ -189,7 +189,7 @@ def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) 
         l3.load(tmp_path / "nothing.h5")
     with pytest.raises(RecipeError, match=r"did you mean \"default\""):
         l3.simulate("defalt", "bayer", tmp_path / "t.h5")
-    with pytest.raises(RecipeError, match="shares for 1 training sets"):
+    with pytest.raises(RecipeError, match="contains 2 values, but there"):
         l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")
@@ -235,7 +235,7 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
 def test_an_array_that_is_no_frame_is_described(wrong: Any, described: str) -> None:
     renderer = l3.Renderer(RGGB, backend="reference")
     for call in (renderer.picture, renderer.outputs, renderer.labels, renderer.sequence(None)):
-        with pytest.raises(InputFileError, match=f"array of .*{described} is not a raw frame; give DN"):
+        with pytest.raises(InputFileError, match=f"array with .*{described} is not a raw frame; pass DN"):
             call(wrong)
 
 
@@ -292,12 +292,12 @@ def test_figures_of_two_pictures_are_those_of_evaluations() -> None:
 @pytest.mark.parametrize(
     ("one", "other", "words"),
     [
-        (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* differ in shape"),
+        (np.zeros((8, 9, 3)), np.zeros((9, 8, 3)), r"\(8, 9, 3\) and dtype float64 and .*\(9, 8, 3\).* different shapes"),
         (np.zeros((8, 9)), np.zeros((8, 9)), r"\(8, 9\) and dtype float64 is not a colour picture"),
-        (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is not a picture; give sRGB"),
-        (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is not a picture; give uint8"),
-        (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 has values outside 0…1"),
-        (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 has values outside 0…1"),
+        (np.zeros((8, 9, 4)), np.zeros((8, 9, 4)), r"\(8, 9, 4\) .* is not a picture; pass an sRGB"),
+        (np.zeros((8, 9, 3), int), np.zeros((8, 9, 3), int), r"dtype int64 is not a picture; pass uint8"),
+        (np.full((8, 9, 3), 255.0), np.zeros((8, 9, 3)), r"dtype float64 contains values outside 0…1"),
+        (np.full((8, 9, 3), np.nan), np.zeros((8, 9, 3)), r"dtype float64 contains values outside 0…1"),
     ],
 )
 def test_arrays_that_are_no_pictures_are_described(one: np.ndarray, other: np.ndarray, words: str) -> None:

@@ -148,7 +148,7 @@ def require_listed(path: Path, text: str, l3: L3) -> None:
     found = noted(out)
     assert code == 3
     assert len(found) == len(comments(text)), out
-    assert err == f"l3: {len(found)} faults in 1 of 1 files; correct them\n"
+    assert err == f"l3: {len(found)} faults in 1 of 1 files; correct the files\n"
     for number, words in comments(text):
         assert [message for _, line, message in found if line == number and words in message], (number, words, out)
 

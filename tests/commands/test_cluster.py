@@ -309,7 +309,7 @@ def test_wrong_doors_are_one_line(
     assert "no scheduler answers at tcp://127.0.0.1:1" in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert 'pip install "l3cli[cluster]"' in refused(1, *run, "--scheduler", "tcp://127.0.0.1:1")
-    assert "--merge takes only shards" in refused(
+    assert "--merge reads classes" in refused(
         2, "train", "--merge", made / "training.h5", "-o", tmp_path / "no.h5", "--scheduler", "tcp://127.0.0.1:1"
     )
     with pytest.raises(RecipeError):

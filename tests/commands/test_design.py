@@ -197,7 +197,7 @@ def test_filters_are_tuned_and_arrays_trained_on_the_same_scenes(
     rows = re.findall(r"<t[dh][^>]*>(plain|edge|dark|bright|neutral|blue)</t[dh]>", text)
     assert rows[:4] == ["plain", "edge", "dark", "bright"]
     assert text.count("at 4×") == 2 * (1 + len(trained.trained))
-    assert "trained, and evaluated on the same unseen scenes" in out
+    assert "trained arrays, evaluated on the same unseen scenes" in out
 
 
 def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:

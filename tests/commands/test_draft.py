@@ -385,7 +385,7 @@ def test_drafts_are_refused_before_any_work(lab: Path, tmp_path: Path, refused: 
     assert "neither a sweep nor responsivities, and there is no raw frame" in tables
     assert "leave --photo out" in refused(2, *draft, "-o", tmp_path / "M.toml", "--photo", "a.dng")
     assert "leave MEASUREMENTS.toml out" in refused(2, *draft, lab / "MEASUREMENTS.toml", "-o", tmp_path / "M.toml")
-    assert "--camera is for --draft" in refused(
+    assert "--camera is only for --draft" in refused(
         2, "calibrate", lab / "MEASUREMENTS.toml", "--camera", "bayer", "-o", tmp_path / "c.h5"
     )
     assert "but the frames have" in refused(2, *draft, "--camera", "fiveband", "-o", tmp_path / "M.toml")

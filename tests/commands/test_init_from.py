@@ -387,13 +387,13 @@ def test_a_mixed_folder_is_sorted_by_camera(bayer: CameraModel, photo: Path, tmp
 
 
 def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
-    assert "name the folder to make" in refused(2, "init", "--from", photo)
-    assert "give them with --from" in refused(2, "init", "bayer", tmp_path / "new", "--light", "A")
+    assert "specify a new folder" in refused(2, "init", "--from", photo)
+    assert "specify the raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "--light", "A")
     assert "--phase is for raw files" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
     dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
     assert "--phase applies to one camera" in refused(2, *both)
-    assert "give raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
+    assert "specify raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
     assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.txt").write_text("")

@@ -58,7 +58,7 @@ def test_the_list_is_searched_by_words(l3: L3, refused: Refused) -> None:
     assert len(json.loads(l3("init", "--list", "--json")[1])["cameras"]) == 52
     assert "Kiss X7" in l3("init", "--list", "rebel sl1")[1]  # by another name of it
     assert '"l3 init --list" lists 52 more cameras by name' in l3("init")[2]
-    assert 'no camera is called "zeiss"; "l3 init --list"' in refused(2, "init", "--list", "zeiss")
+    assert 'no camera has the name "zeiss"; "l3 init --list"' in refused(2, "init", "--list", "zeiss")
     assert 'no recipe "nikon_d81"; did you mean "nikon_d810" or ' in refused(2, "init", "nikon_d81", "x")
 
 

@@ -76,11 +76,11 @@ def test_arrays_of_rawpy(there: Path) -> None:
 def test_arrays_that_are_no_frames(there: Path) -> None:
     table, values = l3cli.load_table("table.h5"), np.full((8, 8), 100, np.uint16)
     for pattern in ("rgb", "rgxb", ["rg", "gb"], np.array([["rg", "g"], ["g", "b"]])):
-        with pytest.raises(RecipeError, match=r"pattern .* is not a filter array; give letters of RGBCMYW"):
+        with pytest.raises(RecipeError, match=r"pattern .* is not a filter array; pass rows of the letters RGBCMYW"):
             l3cli.raw_frame(values, table, pattern=pattern)
     with pytest.raises(InputFileError, match="the array has the colour filter array rr/gg"):
         l3cli.raw_frame(values, table, pattern="rrgg")
-    with pytest.raises(InputFileError, match="is not a raw frame; give DN"):
+    with pytest.raises(InputFileError, match="is not a raw frame; pass DN"):
         l3cli.raw_frame(values.astype(np.float32), table)
     stated = l3cli.raw_frame(values, table, neutral={"R": 0.5, "G": 1.0, "B": 0.7}, black_level=10, white_level=255)
     assert (stated.neutral, stated.black_level, stated.white_level) == ((0.5, 1.0, 0.7), 10, 255)

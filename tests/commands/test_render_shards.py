@@ -77,7 +77,7 @@ def test_wrong_shards_are_one_line(l3: L3, tmp_path: Path, still_table: Path, st
     missing = ("render", still_table, tmp_path / "missing", "-o", tmp_path / "out", *FAST)
     assert "missing does not exist" in refused(3, *missing, "--shard", "1/2")
     several = ("render", still_table, still_frames, still_frames, "-o", tmp_path / "out", *FAST)
-    assert "--shard is for one sequence" in refused(2, *several, "--shard", "1/2")
+    assert "--shard works only for one sequence" in refused(2, *several, "--shard", "1/2")
     stream = ("render", still_table, "-", "-o", tmp_path / "out", "--size", "40x52", *FAST)
     assert "does not state its number of frames; give the frames of all shards together with --frames" in refused(
         2, *stream, "--shard", "1/2"

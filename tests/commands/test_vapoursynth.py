@@ -185,7 +185,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({}, {"temporal": True}, "temporal needs the camera's noise"),
         ({}, {"size": (30, 28)}, "frames have 20×28 pixels .* not 30×28 as expected; .* give size 20x28"),
         ({}, {"size": "30x28"}, "frames have 20×28 pixels .* not 30×28 as expected; .* give size 20x28"),
-        ({}, {"size": "30"}, 'size "30" is not two whole numbers with "x" between them'),
+        ({}, {"size": "30"}, 'size is "30"; write two whole numbers'),
         ({}, {"white_level": 3.0}, "black level 64 and white level 3 do not fit; give black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),
         ({}, {"table": "/"}, "/ is a folder"),

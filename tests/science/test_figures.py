@@ -113,7 +113,7 @@ def test_what_is_no_number_is_null_and_reported(capsys: pytest.CaptureFixture[st
     terminal.show_json(terminal.finite(document, terminal.Terminal()))
     out, err = capsys.readouterr()
     assert strict(out) == {"a": [1.0, None], "b": {"c": None}, "d": "nan", "e": None, "f": [True, 2]}
-    assert err == "warning: a.1, b.c: cannot be computed; null in the JSON\n"
+    assert err == "warning: values that cannot be computed are null in the JSON: a.1, b.c\n"
     terminal.show_json(terminal.finite(document, terminal.ErrorsOnly()))
     assert capsys.readouterr().err == ""
     assert [figure(value, ".2f") for value in (1.234, float("nan"), float("inf"))] == ["1.23", "–", "–"]

@@ -182,8 +182,8 @@ def test_same_bytes_for_jobs_and_shards(
         ("a/b", "is not I/N"),
     ):
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
-    assert "--merge takes only shards" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
-    assert "--first is for shards" in refused(2, "train", *run, "--first", first, "-o", out)
+    assert "--merge reads classes" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
+    assert "--first works only with --shard" in refused(2, "train", *run, "--first", first, "-o", out)
 
 
 @pytest.mark.usefixtures("same_workers")
@@ -307,7 +307,7 @@ def test_wrong_shares_are_one_line(shares: str, why: str, bayer: CameraModel, tm
 
 
 def test_shares_do_not_go_with_merge(tmp_path: Path, refused: Refused) -> None:
-    assert "--merge takes only shards" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
+    assert "--merge reads classes" in refused(2, "train", "--merge", "a.h5", "--shares", "1", "-o", tmp_path / "no.h5")
 
 
 @pytest.mark.slow
