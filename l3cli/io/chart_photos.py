@@ -1,4 +1,4 @@
-"""Read photos of charts: raw files, their illuminant and their chart (docs/method.md#charts-in-photographs)."""
+"""Read photos of charts, their illuminants and the reflectances of the charts (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,26 +22,26 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import without_noise
 
-SEEN = (400.0, 700.0)  # nm, range that a measured illuminant must cover
-GRID = np.arange(380.0, 781.0, 5.0)  # nm, grid of named illuminants and charts
+COVERED_NM = (400.0, 700.0)  # range that the spectrum of a measured illuminant must cover
+GRID = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths of named illuminants and charts
 Array = NDArray[np.float64]
-# Facts about raw files that do not state them: "black_level" and "white_level" in DN. "opcodes": "leave" ignores the opcodes
-# of a DNG that l3 does not support.
+# Facts that raw files do not state: "black_level" and "white_level" in DN, and "opcodes" with the value "leave" to ignore
+# the opcodes of a DNG file that l3 does not support.
 Levels = Mapping[str, Any]
 
 
 class Illuminant(NamedTuple):
-    """Illuminant of a photo."""
+    """The illuminant of a photo."""
 
     wavelength: Array  # (wavelength) nm
     radiance: Array  # (wavelength) relative photon radiance
 
 
 def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
-    """Return the illuminant that a measurement file at `path` states for a photo.
+    """Return the illuminant of a photo in the measurement file `path`.
 
-    An illuminant that is to be estimated is equal-energy for now. Raises RecipeError for an unknown name, and InputFileError
-    if the file of a measured illuminant cannot be used.
+    If the illuminant is to be estimated, this function returns an equal-energy placeholder. Raises RecipeError if the name
+    is unknown, and InputFileError if the file of a measured illuminant cannot be used.
     """
     if photo.light is None:
         return Illuminant(GRID, np.ones_like(GRID))
@@ -53,21 +53,22 @@ def illuminant_of(photo: PhotoRecipe, path: Path) -> Illuminant:
     unit = None if any(table.units) else photo.unit
     radiance = without_noise(table.photons(unit, absolute=False))[0]
     if radiance.min() < 0:
-        raise InputFileError(f"{file}: the light is negative by more than noise; subtract the dark spectrum again")
-    if table.wavelength[0] > SEEN[0] or table.wavelength[-1] < SEEN[1]:
+        raise InputFileError(f"{file}: the spectrum has negative values beyond noise; subtract the dark spectrum again")
+    if table.wavelength[0] > COVERED_NM[0] or table.wavelength[-1] < COVERED_NM[1]:
         raise InputFileError(
-            f"{file}: its {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm do not cover {SEEN[0]:g}…{SEEN[1]:g} nm; "
-            "measure the light over what a camera sees"
+            f"{file} covers only {table.wavelength[0]:g}…{table.wavelength[-1]:g} nm; measure the light from "
+            f"{COVERED_NM[0]:g} to {COVERED_NM[1]:g} nm"
         )
     if radiance.max() <= 0:
-        raise InputFileError(f"{file}: the light is dark; measure it again")
+        raise InputFileError(f"{file} contains no light; measure the spectrum again")
     return Illuminant(table.wavelength, radiance)
 
 
 def chart_of(photo: PhotoRecipe, path: Path) -> Chart:
-    """Return the chart that a measurement file at `path` states for a photo.
+    """Return the chart of a photo in the measurement file `path`.
 
-    Raises RecipeError for an unknown name or a wrong layout, and InputFileError if the file of reflectances cannot be used.
+    Raises RecipeError if the name is unknown or the layout wrong, and InputFileError if the file of reflectances cannot be
+    used.
     """
     if names_file(photo.chart):
         table = read_table(path.parent / photo.chart)
@@ -96,22 +97,22 @@ def capture_of(
     photo : PhotoRecipe
         The photo in a measurement file.
     illuminant, chart
-        What is in the photo.
+        The illuminant of the photo, and the chart in the photo.
     body : Body
         The camera.
     levels : mapping
-        Levels that the files do not state.
+        Levels to use if the raw files do not state them.
     path : Path
-        The measurement file, which files are named relative to.
+        The measurement file. File names are relative to its folder.
     read : callable
-        Reads a raw file, given the names of the levels that it need not state.
+        Reads a raw file, given the levels that the file need not state.
 
     Raises
     ------
     InputFileError
-        If a file is not a raw file of this camera, or differs from the others in size or phase.
+        If a file is not a raw file of this camera, or if the files differ in size or phase.
     """
-    known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames will give the black level
+    known = {"black_level": 0.0, **levels} if photo.dark else levels  # dark frames determine the black level later
     frames, darks, whites = (
         tuple(_frame(path.parent / name, read(path.parent / name, known), body, known) for name in names)
         for names in (photo.frames, photo.dark, photo.white)
@@ -122,10 +123,10 @@ def capture_of(
 
 
 def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFrame:
-    """Return a raw file's frame as it is, with its own levels."""
+    """Convert the content of a raw file to a frame, with the levels that the file states."""
     content: Mapping[str, Any] = {**levels, **stated}
     if "black_level" not in content:
-        raise InputFileError(f"{path} states no black level; name a dark frame, as dark, or give a [datasheet]")
+        raise InputFileError(f'{path} states no black level; add a "dark" frame or a [datasheet] to the measurement file')
     pattern = content.get("pattern")
     phase = (0, 0) if pattern is None else phase_of(path, pattern, body)
     values, white = np.ascontiguousarray(content["values"], np.uint16), content.get("white_level", 2**body.bits - 1)
@@ -142,26 +143,26 @@ def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFra
 def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None, levels: Levels) -> MeasurementRecipe:
     """Return a measurement file for raw files that state their array, levels and size.
 
-    All files are from one camera under one illuminant, and each is a photo. Pixel pitch and optics are placeholders, because
-    responsivities do not depend on them.
+    All files must be from one camera under one illuminant. Each file is a separate photo. Pixel pitch and optics are
+    placeholders, because responsivities do not depend on them.
 
     Parameters
     ----------
     paths : sequence of Path
         The raw files.
     first : RawContent
-        Content of the first one.
+        Content of the first raw file.
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping
-        Levels that the files do not state.
+        Levels to use if the raw files do not state them.
 
     Raises
     ------
     InputFileError
-        If the first file does not state enough.
+        If the first file does not state its array and levels, or if the array is too large.
     RecipeError
-        If no camera can have what it states.
+        If the facts in the first file are invalid for a camera.
     """
     content = {**levels, **first}
     stated, white = content.get("pattern"), content.get("white_level")
@@ -172,7 +173,9 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
         )
     cfa = array_of(stated)
     if max(len(cfa.pattern), len(cfa.pattern[0].split())) > MAX_CFA:
-        raise InputFileError(f"{paths[0]}: its colour filter array is larger than {MAX_CFA}×{MAX_CFA}")
+        raise InputFileError(
+            f"{paths[0]} has a colour filter array larger than {MAX_CFA}×{MAX_CFA} sites; use files of another camera"
+        )
     rows, cols = content["values"].shape
     recipe = MeasurementRecipe(
         name=paths[0].stem,
@@ -186,12 +189,12 @@ def recipe_of_photos(paths: Sequence[Path], first: RawContent, light: str | None
 
 
 def bits_of(white_level: float) -> int:
-    """Return the bits of a sensor with a given white level (DN)."""
+    """Return the number of bits of a sensor with the given white level in DN."""
     return min(int(np.ceil(np.log2(white_level + 1))), MAX_BITS)
 
 
 def array_of(codes: NDArray[np.integer]) -> CfaRecipe:
-    """Return the colour filter array from the codes (row, col) in a raw file. Channels are named by letters."""
+    """Return the colour filter array for the colour codes (row, col) in a raw file. Channels are named by letters."""
     pattern = least_period(codes)
     names = {int(code): LETTERS[code].lower() if code < FREE_CODE else f"c{code}" for code in np.unique(pattern)}
     return CfaRecipe(list(names.values()), [" ".join(names[int(code)] for code in row) for row in pattern])

@@ -1,7 +1,7 @@
-"""Read and write curves over wavelength: CSV, tables of sweeps, and rawtoaces JSON (sensitivities of cameras per energy).
+"""Read and write curves over wavelength: CSV files, tables of sweeps, and JSON files of rawtoaces (camera sensitivities).
 
-The module also reads the statistics of measured cameras' curves, either those that come with l3 or those of a folder
-(docs/method.md#charts-in-photographs).
+The module also reads the statistics of the measured curves of many cameras, which are included in l3 or computed from the
+files in a folder (docs/method.md#charts-in-photographs).
 """
 
 import csv
@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 
 
 def write_curves(path: Path, wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> None:
-    """Write columns (column, wavelength) as CSV. The heading states the common `unit`, if there is one."""
+    """Write columns (column, wavelength) to a CSV file. The heading states `unit`, unless it is empty."""
     write_whole(path, curve_text(wavelength, columns, names, unit))
 
 
 def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit: str = "") -> str:
-    """Return the CSV text that `write_curves` writes."""
+    """Return the text that `write_curves` writes."""
     heading = io.StringIO()  # csv quotes names that contain a comma
     csv.writer(heading, lineterminator="").writerow(
         ["wavelength_nm", *(f"{name} ({unit})" if unit else name for name in names)]
@@ -44,24 +44,23 @@ def curve_text(wavelength: NDArray, columns: NDArray, names: Sequence[str], unit
 
 
 def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: int | str = 0) -> SweepTable:
-    """Read a wavelength sweep of a camera that was measured together with a calibrated photodiode.
+    """Read a wavelength sweep that was measured with a camera and a calibrated photodiode.
 
     Parameters
     ----------
-    path : Path
-        Table with these columns, in this order or by name: wavelength, mean of each channel with light, mean of each
-        channel in the dark, reading of the photodiode with light, its reading in the dark.
+        Table with these columns, in this order or with these names: wavelength, mean of each channel with light, mean of
+        each channel in the dark, reading of the photodiode with light, its reading in the dark.
     photodiode : Path
-        Table with the photodiode's response per energy.
+        Table with the response of the photodiode per energy.
     channels : sequence of str
         Names of the channels.
     column : int or str
-        Name or number (from 1) of the column with the response; 0 if the table has only one.
+        Name or number (from 1) of the column with the response. 0 stands for the only column.
 
     Raises
     ------
     InputFileError
-        If the response does not cover the sweep.
+        If the response of the photodiode does not cover the wavelengths of the sweep.
     """
     count = len(channels)
     wanted = [f"{kind} {channel}" for kind in ("light", "dark") for channel in channels] + ["diode light", "diode dark"]
@@ -70,60 +69,70 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     diodes = read_table(photodiode)
     if not column and len(diodes.values) > 1:
         raise InputFileError(
-            f"{photodiode} has {len(diodes.values)} curves; name one, photodiode = "
+            f"{photodiode} contains {len(diodes.values)} curves; select one, for example with photodiode = "
             f'{{file = "{photodiode.name}", column = 1}}'
         )
     grid, response = diodes.wavelength, diodes.column(column or 1).per_energy()
     if grid[0] > wavelength[0] or grid[-1] < wavelength[-1]:
         raise InputFileError(
-            f"{photodiode}: its {grid[0]:g}…{grid[-1]:g} nm do not cover the sweep's "
-            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; give the response over the whole sweep"
+            f"{photodiode} covers {grid[0]:g}…{grid[-1]:g} nm, but the sweep covers "
+            f"{wavelength[0]:g}…{wavelength[-1]:g} nm; use a response that covers the whole sweep"
         )
-    # Point values suffice, because the response is smooth and each step of the sweep is a narrow line.
+    # Interpolation suffices, because the response is smooth and the light of each step has a narrow spectrum.
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
-        raise InputFileError(f"{path}: a sweep needs three wavelengths or more that the photodiode responds to")
+        raise InputFileError(
+            f"{path}: the sweep has fewer than three wavelengths, or the photodiode does not respond at one of them; "
+            "use a sweep and a photodiode with a common range"
+        )
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
 
 
 def read_finished(
     path: Path, channels: Sequence[str], per_energy: bool, columns: Mapping[str, str] | None = None
 ) -> FinishedCurves:
-    """Read finished responsivities from CSV or from rawtoaces JSON.
+    """Read finished responsivities from a CSV file or from a JSON file of rawtoaces.
 
     Parameters
     ----------
     path : Path
-        CSV with wavelength in nm and one column per channel, or JSON.
+        CSV file with the wavelength in nm and one column per channel, or JSON file.
     channels : sequence of str
         Names of the channels.
-    per_energy : bool
-        Whether the curves are per energy instead of per photon.
+        Whether the curves are per energy rather than per photon.
     columns : mapping, optional
-        Channel → name of its column, if different.
+        Channel → name of its column, if they differ.
     """
     table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
     if grid.size < 3 or grid[0] <= 0 or curves.min() < 0 or (curves.max(axis=1) <= 0).any():
-        raise InputFileError(f"{path}: curves need three wavelengths or more, no negative value, and light in every channel")
+        raise InputFileError(
+            f"{path}: curves must have at least three wavelengths, no negative value, and a positive value in every "
+            "channel; correct the file"
+        )
     return FinishedCurves(grid, curves / grid if per_energy else curves, table.note)
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Return the curves of a rawtoaces file, with the names that its index states."""
+    """Return the curves of a rawtoaces file, with the names in its index."""
     try:
-        content = json.loads(read_bounded(path, "give curves as CSV or rawtoaces JSON"))["spectral_data"]
+        content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")
         table = np.array([[float(key), *map(float, values)] for key, values in rows.items()])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputFileError(f"{path} is not a rawtoaces JSON: spectral_data.data.main is missing or not numbers") from error
+        raise InputFileError(
+            f"{path} is not a rawtoaces JSON file: spectral_data.data.main is missing or does not contain numbers; "
+            "export it from rawtoaces again"
+        ) from error
     if table.ndim != 2 or table.shape[1] < 2:
-        raise InputFileError(f"{path} is not a rawtoaces JSON: it has no curves")
+        raise InputFileError(f"{path} contains no curves; use a JSON file of rawtoaces with curves")
     table = table[np.argsort(table[:, 0])]
     if not (np.abs(table) <= MAX_NUMBER).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputFileError(f"{path}: wavelengths must differ, and every value must be a number within ±{MAX_NUMBER:g}")
+        raise InputFileError(
+            f"{path}: a wavelength occurs twice, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
+        )
     if other := other_unit(float(table[0, 0]), float(table[-1, 0])):
-        raise InputFileError(f"{path}: {other[0]}; give them in nm")
+        raise InputFileError(f"{path}: {other[0]}; convert the wavelengths to nm")
     values = table[:, 1:].T
     named = isinstance(names, list) and len(names) == len(values) and all(isinstance(name, str) for name in names)
     return CurveTable(path, table[:, 0], values, tuple(names) if named else None, (None,) * len(values))
@@ -131,27 +140,27 @@ def _read_json(path: Path) -> CurveTable:
 
 # ---------------------------------------------------------------------------------- statistics of measured curves
 
-ROLES = ("r", "g", "b")  # channels of the included table and of cameras in a folder
+ROLES = ("r", "g", "b")  # channels of the included table and of the cameras in a folder
 CURVE_FILES = (".csv", ".json")
-MIN_CAMERAS = 8  # fewer cameras in a folder say too little about the variation of curves
-MAX_CAMERAS = 2000  # more cameras in a folder are refused
+MIN_CAMERAS = 8  # minimum number of cameras in a folder; fewer cameras do not represent the variation of curves
+MAX_CAMERAS = 2000  # maximum number of cameras in a folder
 
 
 class PriorRecipe(Recipe):
-    """Statistics of measured curves."""
+    """Statistics of the measured curves of many cameras."""
 
     title: ClassVar[str] = "a table of curve statistics"
 
     source: str  # cameras, author and licence of the curves
     wavelength_nm: list[float]
-    mean: dict[str, list[float]]  # channel → wavelength
-    modes: list[dict[str, list[float]]]  # channel → wavelength; each mode is scaled to its standard deviation
+    mean: dict[str, list[float]]  # channel → value at each wavelength
+    modes: list[dict[str, list[float]]]  # channel → value at each wavelength, scaled to the standard deviation of the mode
     log_peak: list[float]
     log_peak_covariance: list[list[float]]
 
 
 def shipped_statistics() -> CurveStatistics:
-    """Return the statistics of r, g and b that are included in l3."""
+    """Return the statistics of r, g and b curves that are included in l3."""
     recipe = load_recipe(recipe_folder() / "priors" / "rgb.toml", PriorRecipe)
     return CurveStatistics(
         np.array(recipe.wavelength_nm),
@@ -163,11 +172,12 @@ def shipped_statistics() -> CurveStatistics:
 
 
 def prior_files(folder: Path) -> list[Path]:
-    """Return the files of curves in a folder. Raises InputFileError if there are too few or too many."""
+    """Return the curve files in a folder. Raises InputFileError if there are too few or too many."""
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in CURVE_FILES) if folder.is_dir() else []
     if not MIN_CAMERAS <= len(files) <= MAX_CAMERAS:
         raise InputFileError(
-            f"{folder} has {len(files)} files of curves (CSV or rawtoaces JSON); a prior needs {MIN_CAMERAS} cameras or more"
+            f"{folder} contains {len(files)} files of curves (CSV or rawtoaces JSON); use a folder with "
+            f"{MIN_CAMERAS} to {MAX_CAMERAS} cameras"
         )
     return files
 

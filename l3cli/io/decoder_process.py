@@ -3,12 +3,12 @@
 Three measures confine a worker:
 
 * Resource limits restrict processor time, address space and file size.
-* Landlock, a security module of Linux (man 7 landlock), restricts file access. A worker can read only the files that it is
-  given, the Python installation and the system's libraries. It cannot write files or start programs. On newer kernels it
-  also cannot open TCP connections or send signals to other processes.
-* seccomp denies system calls that reach beyond the process. It is used if pyseccomp and libseccomp are installed.
+* Landlock, a security module of Linux (man 7 landlock), restricts file access. A worker can read only its input file, the
+  Python installation and the system's libraries. It cannot write files or start programs. On newer kernels it also cannot
+  open TCP connections or send signals to other processes.
+* seccomp denies system calls that affect anything outside the process. It is used if pyseccomp and libseccomp are installed.
 
-The measures are independent: if one is not available, the others still apply. A worker can always use files and sockets that
+The measures are independent. If one is not available, the others still apply. A worker can always use files and sockets that
 are already open.
 """
 
@@ -35,20 +35,20 @@ try:
 except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
     pyseccomp = None
 
-ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version follows the first
+ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version number follows the first name
 SET_NO_NEW_PRIVILEGES = 38  # option of prctl
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls; the numbers are the same on all machines
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET that asks for the version of Landlock
-PATH_BENEATH = 1  # kind of rule: rights for a file, or for everything below a folder
-FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1; versions that each added one more right
+ASK_FOR_VERSION = 1  # flag of CREATE_RULESET that requests the version of Landlock
+PATH_BENEATH = 1  # type of rule: rights for a file, or for everything below a folder
+FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the later versions that added one right each
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
-TCP, TCP_SINCE = 0b11, 4  # the rights to bind and to connect; version of Landlock that added them
-SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions for abstract Unix sockets and signals; version that added them
+TCP, TCP_SINCE = 0b11, 4  # the rights to bind and to connect, and the version of Landlock that added them
+SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions for abstract Unix sockets and signals, and the version that added them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # number of workers that are kept alive, because several files may be read alternately
+MAX_WORKERS = 8  # number of workers that stay alive, because the frames of several files may be read alternately
 
-REFUSED = {  # denied system calls, by the resource beyond the process that they reach
+DENIED = {  # denied system calls, by what they affect outside the process
     "sockets": "socket socketpair connect bind listen accept accept4",
     "programs": "execve execveat",
     "processes": "fork vfork setpgid setsid",
@@ -69,9 +69,9 @@ _measures: tuple[str, ...] = ()  # measures that confine this process, besides r
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
-    """Confine this process to reading `files`. It must have only one thread. The confinement cannot be undone.
+    """Confine this process to reading `files`. The process must have only one thread. The confinement is permanent.
 
-    Returns the names of the measures that are now in force, such as ("Landlock ABI 7", "seccomp").
+    Returns the names of the measures that are now active, such as ("Landlock ABI 7", "seccomp").
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -88,9 +88,9 @@ def _installation() -> set[Path]:
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
-    """Deny TCP, signals to other processes, and all file access except reading the paths `readable` and below.
+    """Deny TCP, signals to other processes, and all file access except reading `readable` files and folders.
 
-    Returns the version of Landlock in the kernel, or 0 if Landlock is not in force.
+    Returns the version of Landlock in the kernel, or 0 if Landlock cannot be used.
     """
     version = libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ASK_FOR_VERSION)
     file_rights = (1 << FILE_RIGHTS + sum(version >= added for added in ADDED_IN)) - 1
@@ -115,16 +115,16 @@ def _restrict_files(libc: ctypes.CDLL, readable: Iterable[Path]) -> int:
 
 
 def _filter_system_calls() -> bool:
-    """Deny system calls that reach beyond the process. Returns False if pyseccomp or the kernel does not support this."""
+    """Deny system calls that affect anything outside the process. Returns False if the system does not support this."""
     if pyseccomp is None:
         return False
     itself, refuse = os.getpid(), pyseccomp.ERRNO(errno.EPERM)
     try:
         rules = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
-        for name in " ".join(REFUSED.values()).split():
-            with contextlib.suppress(OSError):  # this version of libseccomp does not support the system call
+        for name in " ".join(DENIED.values()).split():
+            with contextlib.suppress(OSError):  # the installed libseccomp does not know the system call
                 rules.add_rule(refuse, name)
-        # A filter cannot read the flags of `clone3`. If `clone3` seems not to exist, the C library falls back to `clone`.
+        # A filter cannot read the flags of `clone3`. If `clone3` seems to be missing, the C library falls back to `clone`.
         rules.add_rule(pyseccomp.ERRNO(errno.ENOSYS), "clone3")
         rules.add_rule(refuse, "clone", pyseccomp.Arg(0, pyseccomp.MASKED_EQ, CLONE_THREAD, 0))
         for name, own in (("kill", itself), ("tgkill", itself), ("prlimit64", 0)):
@@ -142,7 +142,7 @@ def measures(path: Path) -> tuple[str, ...]:
 
 
 def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
-    """Answer decoding requests until the caller closes the connection. Every file is decoded by a worker process of its own.
+    """Answer decoding requests until the caller closes the connection. Each file is decoded by its own worker process.
 
     Parameters
     ----------
@@ -153,11 +153,11 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
     cpu_seconds : float
         CPU time that a worker may use for one request, in s.
     max_bytes : int
-        Limit of the address space of a process, and of the size of a file that it writes, in bytes.
+        Maximum address space of a process, and maximum size of a file that it writes, in bytes.
     """
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_AS: max_bytes, resource.RLIMIT_FSIZE: max_bytes}
     for what, most in limits.items():
-        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit too, so that nobody can raise it again
+        resource.setrlimit(what, 2 * (_allowed(what, most),))  # the hard limit too, so that no process can raise it again
     workers: dict[str, _Worker] = {}  # by file and decoder, least recently used first
     with socket.socket(fileno=socket_descriptor) as connection:
         send(connection, READY)
@@ -174,7 +174,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
                     others = [connection, *(worker.socket for worker in workers.values())]
                     workers[task] = _Worker(Path(folder, path), arrays, cpu_seconds, others)
                 except OSError:
-                    problem = L3Error(f"no process to decode {path} can be started; {MORE_MEMORY}, or add ‹trust›")
+                    problem = L3Error(f"the process that decodes {path} cannot be started; {MORE_MEMORY}, or add ‹trust›")
                     send(connection, _problem(problem))
                     continue
             workers[task] = worker = workers.pop(task)
@@ -184,17 +184,17 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries before workers are forked and confined, so that each worker need not."""
-    with contextlib.suppress(Exception):  # the worker tries again and reports the error
+    """Import a decoder and its libraries before workers are forked, so that not every worker must import them."""
+    with contextlib.suppress(Exception):  # the worker imports the decoder again and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
 
 
 class _Worker:
-    """A forked process that can read one file and decodes it."""
+    """A forked process that decodes one file and can read no other."""
 
     def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
-        """Fork the worker, which closes the sockets that it inherits. Raises OSError if the process cannot be started."""
+        """Fork the worker. It closes the `inherited` sockets. Raises OSError if the process cannot be started."""
         self.socket, theirs = socket.socketpair()
         with theirs:
             try:
@@ -211,7 +211,7 @@ class _Worker:
                     os._exit(1)
 
     def answer(self, request: bytes) -> bytes:
-        """Return the worker's reply. If it died, end this process in the same way, which the caller reports."""
+        """Return the worker's reply. If the worker has died, end this process with the same signal or exit code."""
         try:
             send(self.socket, request)
             return receive(self.socket)
@@ -231,7 +231,7 @@ class _Worker:
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
-    """Confine this process to one file, answer requests for this file until the connection closes, and exit."""
+    """Confine this process to one file, answer requests for this file until the connection closes, then exit."""
     global _measures
     _measures = confine([path])
     while True:
@@ -239,7 +239,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
             folder, _, module, name, path_there, *plain = json.loads(receive(connection))
         except EOFError:
             os._exit(0)
-        os.chdir(folder)  # the caller's folder, so that relative paths work and messages repeat them as given
+        os.chdir(folder)  # the folder of the caller, so that relative paths work and messages contain them unchanged
         used = resource.getrusage(resource.RUSAGE_SELF)
         until = _allowed(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + cpu_seconds) + 1)
         resource.setrlimit(resource.RLIMIT_CPU, (until, resource.getrlimit(resource.RLIMIT_CPU)[1]))
@@ -247,7 +247,7 @@ def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: flo
 
 
 def _allowed(what: int, most: int) -> int:
-    """Return the smaller of `most` and the hard limit of this process for the resource `what`."""
+    """Return `most`, or the hard limit of this process for the resource `what` if that is smaller."""
     hard = resource.getrlimit(what)[1]
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
@@ -260,13 +260,13 @@ def _answer(module: str, name: str, path: Path, plain: list[Any], arrays: int) -
             text = json.dumps(plain_of({"value": value}, stream)).encode()
         if len(text) <= MAX_REPLY:
             return text
-        return _problem(InputFileError(f"{path} holds too many parts; it is damaged"))
+        return _problem(InputFileError(f"{path} contains too many parts, so it is probably damaged; copy it again"))
     except L3Error as error:
         return _problem(error)
     except MemoryError:
         return _problem(InputFileError(too_much(path)))
-    except OSError as error:  # from writing the arrays; decoders convert their own errors to InputFileError
-        return _problem(InputFileError(f"{path}: its content cannot be handed over ({error.strerror or error})"))
+    except OSError as error:  # raised by writing the arrays, because decoders convert their own errors to InputFileError
+        return _problem(InputFileError(f"{path}: its content cannot be passed on ({error.strerror or error})"))
 
 
 def _problem(error: L3Error) -> bytes:

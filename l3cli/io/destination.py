@@ -1,6 +1,6 @@
-"""Destinations of pictures: a file, its pages, a folder, numbered files, a video or a stream.
+"""Where pictures are written: to a file, to its pages, to a folder, to numbered files, to a video or to a stream.
 
-This module determines the destination, checks what exists there, and opens the writer of frames.
+The module determines the destination, checks whether files exist there, and opens the writer of frames.
 """
 
 import contextlib
@@ -22,15 +22,15 @@ from l3cli.system.locks import sole_writer_of_folder
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
 STDOUT = Path("-")
-PICTURE_WRITERS = 2  # threads that compress picture files
+PICTURE_WRITERS = 2  # number of threads that compress picture files
 
 
 @dataclass(frozen=True)
 class Destination:
-    """Where pictures go.
+    """Where pictures are written.
 
-    `kind` is "stream" (y4m to stdout), "video", "pattern" (numbered files), "folder", "file" (a single one) or "pages" (of
-    one file).
+    `kind` is "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (a single picture) or "pages"
+    (of a single TIFF file).
     """
 
     path: Path
@@ -41,17 +41,17 @@ class Destination:
 
     @property
     def one_by_one(self) -> bool:
-        """Whether every frame becomes a file."""
+        """Whether every frame is written to its own file."""
         return self.kind in ("pattern", "folder", "file")
 
     @property
     def pictures(self) -> bool:
-        """Whether every frame becomes a picture of its own, as a file or a page."""
+        """Whether every frame becomes a separate picture, as a file or a page."""
         return self.one_by_one or self.kind == "pages"
 
     @property
     def linear(self) -> bool:
-        """Whether linear values are written instead of codes."""
+        """Whether linear values are written rather than integer codes."""
         return self.one_by_one and holds_linear(self.file(0, "frame"), self.bits)
 
     @property
@@ -61,23 +61,23 @@ class Destination:
 
     @property
     def has_times(self) -> bool:
-        """Whether every frame has its own time."""
+        """Whether the destination stores an individual time for every frame."""
         return self.kind == "video" and self.path.suffix.lower() != Y4M
 
     def file(self, number: int, stem: str) -> Path:
-        """Return the file of a frame."""
+        """Return the file to which a frame is written."""
         if self.kind == "pattern":
             return numbered_name(self.path, number)
         return self.path / f"{stem}.{self.suffix}" if self.kind == "folder" else self.path
 
     @property
     def file_suffix(self) -> str | None:
-        """Suffix of the files, if every frame becomes one."""
+        """Suffix of the files if every frame is written to its own file, otherwise None."""
         return self.file(0, "frame").suffix if self.one_by_one else None
 
     @property
     def checkpoint(self) -> Path:
-        """The checkpoint file, in the folder or beside the file or the numbered files."""
+        """The checkpoint file. It is in the output folder, or in the folder of the output files."""
         ending = f"{self._of_shard}{UNFINISHED}"
         if self.kind == "folder":
             return self.path / ending
@@ -85,7 +85,7 @@ class Destination:
 
     @property
     def lock(self) -> tuple[Path, str]:
-        """Folder and name of the lock that other runs respect. Shards of a sequence have different locks."""
+        """Folder and name of the lock that excludes other runs. Each shard of a sequence has its own lock."""
         folder, name = (self.path, "") if self.kind == "folder" else (self.path.parent, self.path.name)
         return folder, name + self._of_shard
 
@@ -100,26 +100,28 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
     Parameters
     ----------
     output : Path
-        The name.
+        The output name: a file, a folder, a pattern, or - for stdout.
     suffix : str
-        Suffix of files in a folder.
+        Suffix of the files in a folder.
     choice : VideoChoice
-        Bits, codec and further settings.
+        Bits, codec and other settings.
     shard : tuple of int, optional
         Number of the shard from 1, and number of shards.
 
     Raises
     ------
     RecipeError
-        If nothing with that name can be written.
+        If l3 cannot write the kind of output that the name implies, or not with these settings.
     """
     if choice.bits == FLOAT_BITS and (output == STDOUT or is_video(output)):
-        raise RecipeError("values of 32 bits are for pictures; name a .tif or .exr, or leave ‹bits› out")
+        raise RecipeError("videos cannot store 32 bits per value; write a .tif or .exr file, or remove ‹bits›")
     if output == STDOUT:
         destination = Destination(output, "stream", suffix, shard=shard)
         check_video(Path("stdout.y4m"), choice)
         if sys.stdout.isatty():
-            raise RecipeError("a y4m stream is not for a terminal; pipe it on, or name a file with -o")
+            raise RecipeError(
+                "a y4m stream cannot be shown in a terminal; pipe it to another program, or specify a file with -o"
+            )
     elif is_video(output):
         destination = Destination(output, "video", suffix, shard=shard)
         check_video(output, choice)
@@ -128,22 +130,22 @@ def destination_of(output: Path, suffix: str, choice: VideoChoice, shard: tuple[
         destination = Destination(output, "pattern" if PATTERN.search(output.name) else kind, suffix, choice.bits, shard)
         format_of(destination.file(0, "frame"), choice.bits)
         if choice.codec or choice.crf is not None:
-            raise RecipeError(f"{output}: ‹codec› and ‹crf› are for videos; name a .mp4, .mov or .mkv")
+            raise RecipeError(f"{output}: ‹codec› and ‹crf› apply only to videos; write a .mp4, .mov or .mkv")
     return destination
 
 
 def paged(destination: Destination, sequence: FrameSequence) -> Destination:
-    """Return the destination with pages, if it is a single file that can have pages and there are several frames."""
+    """Return a destination with pages if it is a single TIFF file and there are several frames, otherwise `destination`."""
     if destination.kind == "file" and sequence.rendered != 1 and destination.path.suffix.lower() in PAGED:
         return replace(destination, kind="pages")
     return destination
 
 
 def guard_outputs(destination: Destination, may_exist: bool, guard: OutputGuard) -> None:
-    """Check a destination before anything is read.
+    """Check a destination before any input is read.
 
-    Raises L3Error if nothing can be written there, if another run writes there, or if a video or single picture exists and
-    not `may_exist`. Raises RecipeError if the output is also an input.
+    Raises L3Error if the destination is not writable, if another run writes there, or if a video or single picture exists
+    and `may_exist` is False. Raises RecipeError if the output is also an input.
     """
     if destination.kind in ("video", "file"):
         guard.guard_file(destination.path, may_exist)
@@ -159,13 +161,13 @@ def refuse_outputs(
 ) -> None:
     """Raise RecipeError if the frames do not fit the destination or would replace an input.
 
-    Raises L3Error if they would replace other existing files, unless `force` or `is_ours(file)`.
+    Raises L3Error if a frame would replace another existing file, unless `force` or `is_ours(file)` is true.
     """
     if destination.kind == "file" and sequence.rendered != 1:
         count = "a sequence" if sequence.rendered is None else f"{sequence.rendered} frames"
         raise RecipeError(
-            f"{destination.path} holds one picture, the inputs are {count}; name a folder, a pattern "
-            f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif or a video"
+            f"{destination.path} can store only one picture, but the inputs are {count}; write to a folder, a pattern "
+            f"({destination.path.stem}_%04d{destination.path.suffix}), a .tif file or a video"
         )
     if destination.kind == "stream":
         return
@@ -177,14 +179,14 @@ def refuse_outputs(
         pictures = (reference for place, reference in enumerate(sequence.frames) if sequence.renders(place))
         files = [destination.file(reference.number, reference.stem) for reference in pictures]
     if len(set(files)) < len(files):
-        raise RecipeError("two inputs have the same name and would write the same file; render them one by one")
+        raise RecipeError("two inputs have the same name and would be written to the same file; render them separately")
     for file in files:
         refuse_protected(file)
         refuse_existing(file, force or is_ours(file))
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing pictures that frames of a stream, which may be endless, would replace."""
+    """Return the existing pictures that the frames of a stream would replace. The stream may be endless."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -196,7 +198,7 @@ def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
 
 
 def _pictures(destination: Destination) -> list[Path]:
-    """Return the existing files in a folder or of a pattern."""
+    """Return the existing files in the folder or of the pattern."""
     if destination.kind == "pattern":
         return list(numbered_files(destination.path).values())
     return sorted(destination.path.glob(f"*.{destination.suffix}"))
@@ -207,10 +209,10 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open the writer of frames. Yields the writer and the number of threads that may call it at the same time.
+    """Open the writer of frames. Yields the writer, and the number of threads that may call it at the same time.
 
-    `before_rename` is called with each file, the temporary file that is about to be renamed to it, and its frame. The frame
-    is None for a file that holds all frames.
+    Before each temporary file is renamed, `before_rename` is called with the final file, the temporary file and the frame.
+    The frame is None if the file contains all frames.
     """
     path = destination.path
 

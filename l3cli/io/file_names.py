@@ -1,7 +1,6 @@
-"""Names that stand for several files: folders, globs, and patterns with numbers such as frame_%04d.tif and frame_####.tif.
+"""Find the files that a folder, a glob or a numbered pattern such as frame_%04d.tif or frame_####.tif refers to.
 
-Also: the order of numbered names, and the clips of one call: which files of a folder they are, and the names of their
-outputs.
+The module also sorts numbered names, finds the clips in a folder, and derives the names of output files.
 """
 
 import contextlib
@@ -16,25 +15,25 @@ from l3cli.io.raw.files import BY_SUFFIX, RawOverrides, format_of, holds_several
 from l3cli.system.files import STDIN
 
 RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
-MOST_WILD = 4  # path components of a glob that may have wildcards; each multiplies the number of folders searched
-MOST_DIGITS = 18  # digits of a number, enough for a time in microseconds, within 64 bits
+MOST_WILD = 4  # maximum number of path components with wildcards; each multiplies the number of folders to search
+MOST_DIGITS = 18  # maximum number of digits, sufficient for a time in microseconds and within 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder of a number
 DIGITS = re.compile(r"[0-9]+")  # ASCII digits only, because Python cannot convert every digit that \d matches
 
 
 def natural_order(path: Path) -> tuple[Any, ...]:
-    """Return a sort key that orders 9 before 10."""
+    """Return a sort key that sorts file names by their numbers, so that frame_9 comes before frame_10."""
     return tuple((int(part), part) if DIGITS.fullmatch(part) else (0, part) for part in re.split(r"([0-9]+)", str(path)))
 
 
 def last_number(path: Path) -> int | None:
-    """Return the last number in a file's name, or None."""
+    """Return the last number in the name of a file, or None if the name contains no number."""
     numbers = DIGITS.findall(path.stem)
     return int(numbers[-1]) if numbers and len(numbers[-1]) <= MOST_DIGITS else None
 
 
 def numbered_name(pattern: Path, number: int) -> Path:
-    """Return the file of a pattern with a number in place of %d, %04d or a run of #."""
+    """Return the file name that a pattern has for a number, which replaces %d, %04d or a sequence of #."""
 
     def digits(field: re.Match[str]) -> str:
         width = len(field[0]) if field[0][0] == "#" else int(field[1] or 0)
@@ -44,7 +43,7 @@ def numbered_name(pattern: Path, number: int) -> Path:
 
 
 def numbered_files(pattern: Path) -> dict[int, Path]:
-    """Return the existing files of a pattern by number, in order."""
+    """Return the existing files that match a numbered pattern, as a mapping from number to file in ascending order."""
     where = PATTERN.search(pattern.name)
     if where is None or not pattern.parent.is_dir():
         return {}
@@ -60,7 +59,7 @@ def numbered_files(pattern: Path) -> dict[int, Path]:
 
 
 def is_glob(path: Path) -> bool:
-    """Whether a name has wildcards."""
+    """Whether a path contains wildcards."""
     return any(letter in str(path) for letter in "*?[")
 
 
@@ -71,16 +70,18 @@ def globbed(path: Path) -> list[Path]:
 
 
 def of_one_kind(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Return the files of a folder in natural order. Raises InputFileError if their suffixes differ."""
+    """Sort the files of a folder in natural order. Raises InputFileError if their suffixes differ."""
     files = sorted(files, key=natural_order)
     kinds = sorted({path.suffix.lower() for path in files})
     if len(kinds) > 1:
-        raise InputFileError(f'{folder} holds {" and ".join(kinds)} files; name one kind, such as "{folder}/*{kinds[0]}"')
+        raise InputFileError(
+            f'{folder} contains {" and ".join(kinds)} files; select one file type, for example with "{folder}/*{kinds[0]}"'
+        )
     return files
 
 
 def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]:
-    """Find the scene files of a name or glob.
+    """Find the scene files that a name or glob in a recipe refers to.
 
     Parameters
     ----------
@@ -94,28 +95,30 @@ def find_scenes(pattern: str, folder: Path, folders: bool = False) -> list[Path]
     Returns
     -------
     list of Path
-        Sorted.
+        The files, sorted by name.
 
     Raises
     ------
     InputFileError
-        If there are none.
+        If no file matches.
     """
     wanted = Path.is_dir if folders else Path.is_file
     single = folder / pattern
     if wanted(single):
         return [single]
     if single.is_dir():
-        raise InputFileError(f"{single} is a folder; name the scene files in it")
+        raise InputFileError(f"{single} is a folder; specify the scene files in the folder")
     if sum(is_glob(Path(part)) for part in single.parts) > MOST_WILD:
-        raise InputFileError(f"{single} has wildcards in more than {MOST_WILD} folders; name a folder nearer to the files")
+        raise InputFileError(
+            f"{single} has wildcards in more than {MOST_WILD} parts of the path; write the upper folders without wildcards"
+        )
     root = Path(single.anchor)  # "" for a relative folder
     try:
         paths = sorted(path for path in root.glob(str(single.relative_to(root))) if wanted(path))
     except ValueError as error:
-        raise InputFileError(f'{single} is not a glob; write "**" between slashes only') from error
+        raise InputFileError(f'{single} is not a valid glob; use "**" only as a whole folder name') from error
     if not paths:
-        raise InputFileError(f"{single} does not exist; name a scene file or a glob relative to the recipe")
+        raise InputFileError(f"{single} does not exist; specify a scene file or a glob relative to the folder of the recipe")
     return paths
 
 
@@ -123,54 +126,57 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 
 
 def name_of(source: Path) -> str:
-    """Return the name of a clip's output.
+    """Return the output name of a clip.
 
-    It is the name of the clip's file or folder. For a pattern or glob, it is the name without placeholders or, if nothing
-    remains, the name of the folder.
+    A clip in a file or folder has the name of that file or folder. A clip that is specified by a pattern or glob has the
+    name of the pattern without placeholders or, if nothing remains, the name of the folder.
     """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
-        return PATTERN.sub("_", name) or "clip"  # the output must not look like a pattern
+        return PATTERN.sub("_", name) or "clip"  # otherwise the output name could be mistaken for a pattern
     plain = WILD.sub("", PATTERN.sub("", source.stem)).strip("_-. ")
     return plain or WILD.sub("", source.parent.resolve().name) or "clip"
 
 
 def refuse_one_name(sources: Sequence[Path]) -> None:
-    """Raise RecipeError if two clips have the same output name."""
+    """Raise RecipeError if two clips would have the same output name, or if stdin is one of several inputs."""
     named: dict[str, Path] = {}
     for source in sources:
         if source == STDIN:
-            raise RecipeError("stdin cannot be combined with other inputs; render it on its own")
+            raise RecipeError("stdin cannot be combined with other inputs; render stdin with a separate command")
         other = named.setdefault(name_of(source), source)
         if other != source:
-            raise RecipeError(f'{other} and {source} would both become "{name_of(source)}"; render them separately')
+            raise RecipeError(
+                f'{other} and {source} have the same output name "{name_of(source)}"; render them with separate commands'
+            )
 
 
 def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, warn: Callable[[str], None]) -> list[Path]:
-    """Return the clips in a folder: videos, files of several frames, folders of frames, and single frames.
+    """Return the clips in a folder. A clip is a video, a file with several frames, a folder of frames, or a single frame.
 
     Parameters
     ----------
     folder : Path
         The folder.
     sensor : callable
-        Returns the table or camera, for the size of headerless files.
+        Returns the table or camera, which states the frame size of headerless files.
     known : RawOverrides
-        Facts about the raw files.
+        Facts about the raw files that the user states.
     warn : callable
-        Receives a warning if files are left out.
+        Called with a warning if files are left out.
 
     Returns
     -------
     list of Path
-        Empty if the folder is itself one clip, that is, if its first readable frame file contains a single frame.
+        The clips. The list is empty if the folder itself is one clip, that is, if its first readable file contains a single
+        frame.
     """
-    paths = [path for path in folder.iterdir() if path.name[0] != "."]  # there may be a million
+    paths = [path for path in folder.iterdir() if path.name[0] != "."]
     frames = {path.name for path in paths if is_frame(path)}
     longer = [path for path in paths if path.name not in frames and _is_clip(path)]
     several = None
     for path in map(folder.joinpath, sorted(frames)):
-        with contextlib.suppress(L3Error):  # a broken file says nothing about the folder
+        with contextlib.suppress(L3Error):  # skip a damaged file and try the next
             if path.is_file():
                 several = holds_several(path, sensor, known)
                 break
@@ -180,7 +186,10 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     left_out = sorted(path.name for path in longer if not format_of(path).wants_dataset)
     if left_out:
         more = f" and {len(left_out) - 1} more" if len(left_out) > 1 else ""
-        warn(f"{folder} is taken for its frames, without {left_out[0]}{more}; name these, too, if they are meant")
+        warn(
+            f"{folder} is rendered as one sequence of frames, without {left_out[0]}{more}; "
+            "to render these files, specify them as inputs"
+        )
     return []
 
 
@@ -191,4 +200,4 @@ def _is_clip(path: Path) -> bool:
             return path.suffix.lower() in BY_SUFFIX and path.is_file()
         return any(each.name[0] != "." and each.suffix.lower() in BY_SUFFIX for each in path.iterdir())
     except OSError:
-        return True  # rendering it reports the error
+        return True  # the error is reported when the clip is rendered

@@ -1,6 +1,6 @@
-"""Read frames that a lab has captured, in raw DN: single-channel 16-bit pictures (TIFF, PNG, PGM) or raw files.
+"""Read captured frames in DN from single-channel 16-bit pictures (TIFF, PNG, PGM) or from raw files.
 
-This module also classifies the files in a folder of captures as raw frames, tables of spectra or other files.
+The module also sorts the files in a folder of captures into raw frames, tables of spectra and other files.
 """
 
 import os
@@ -32,42 +32,42 @@ from l3cli.system.files import require_regular
 from l3cli.system.limits import require_picture
 
 TIFF = (".tif", ".tiff")
-RAW_FILE = "give a raw file of a chart (DNG, CR2, NEF, ARW…)"
+RAW_FILE = "use a raw file from the camera (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # formats whose bit depth is checked before pixels are read
-MOST_FILES, DEEPEST = 20_000, 8  # largest number of files and largest depth of nested folders that are searched
+MOST_FILES, DEEPEST = 20_000, 8  # maximum number of files, and maximum depth of nested folders, that are searched
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # suffixes of files that usually contain other text than tables
-FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # the beginning of a row of numbers in a table
+PROSE = (".txt", ".asc", ".xml")  # suffixes of text files that often contain something other than a table
+FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # beginning of a line of numbers in a table
 
 
 def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
     """Return the content of a raw file with one frame.
 
-    Raises InputFileError if the file is not a mosaic of one channel, or if it has a fault that none of the `answered`
-    parameters resolves.
+    Raises InputFileError if the file is not a single-channel mosaic, or if it has a fault that the user has not resolved by
+    setting one of the `answered` parameters.
     """
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame or kind.wants_geometry:
-        raise InputFileError(f"{path} is not a raw file of a camera; {RAW_FILE}, or a picture of one channel")
+        raise InputFileError(f"{path} is not a raw file of a camera; {RAW_FILE} or a picture with one channel")
     content = kind.read(path)
     if content["values"].ndim != 2 or content["values"].size == 0:
         raise InputFileError(f"{path} is not a mosaic; {RAW_FILE}")
     require_picture(str(path), *content["values"].shape)
     refuse_faults(str(path), content, answered)
-    if content["values"].dtype not in (np.uint8, np.uint16):  # callers check the depth of these types
+    if content["values"].dtype not in (np.uint8, np.uint16):  # the callers check the bit depth of these two types
         content["values"] = require_dn(str(path), content["values"])
     return content
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """Frames in files. Each iteration reads the frames again, one by one."""
+    """The frames in a list of files. Each iteration reads the frames again, one by one."""
 
     paths: tuple[Path, ...]
     shape: tuple[int, int]
     bits: int
-    array: FilterArray | None = None  # CFA of the sensor, which raw files must match
+    array: FilterArray | None = None  # CFA of the sensor, which the raw files must match
 
     def __iter__(self) -> Iterator[NDArray[np.uint16]]:
         for path in self.paths:
@@ -81,7 +81,7 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """Raw files that show the whole sensor of a known camera. Each iteration reads the files again, one by one."""
+    """Raw files with full frames of a known camera. Each iteration reads the files again, one by one."""
 
     paths: tuple[Path, ...]
     camera: CameraModel
@@ -91,14 +91,15 @@ class WholeFrames:
         for path, frame in ((each, frame) for each in self.paths for frame in self._frames_in(each)):
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
-                    f"{path} of {frame.values.shape[0]}×{frame.values.shape[1]} pixels, first site {frame.phase}, is not a "
-                    f"whole frame of camera {self.camera.name} of {shape[0]}×{shape[1]}; give whole raw frames"
+                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels from CFA site {frame.phase}, but a "
+                    f"full frame of camera {self.camera.name} has {shape[0]}×{shape[1]} pixels from CFA site (0, 0); "
+                    "use uncropped raw frames"
                 )
             require_bits(path, frame.values, self.camera.bits)
             yield frame.values
 
     def _frames_in(self, path: Path) -> Iterator[RawFrame]:
-        """Yield the frame of a file, or the frames of a stack."""
+        """Yield all frames in a file."""
         pages = pages_of(path)
         if pages is None:
             yield read_raw(path, self.camera)
@@ -108,12 +109,12 @@ class WholeFrames:
 
 
 def pages_of(path: Path) -> Iterator[tuple[str, RawContent]] | None:
-    """Return the frames of a stack. A stack is a TIFF file with several pages, or a .npy or FITS file with three axes.
+    """Return the frames of a stack: a TIFF file with several pages, or a .npy or FITS file with three axes.
 
     Parameters
     ----------
     path : Path
-        A file of captures.
+        A file with captured frames.
 
     Returns
     -------
@@ -143,7 +144,7 @@ def _stack(path: Path) -> MultiFrameFile | None:
 def _counted(pages: MultiFrameFile, number: int) -> RawContent:
     content = pages.read(number)
     assert content is not None  # a stack contains `count` frames
-    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # any type is allowed
+    if content["values"].dtype.kind in "iu" and content["values"].dtype.itemsize > 2:  # integers of any size are allowed
         content["values"] = require_dn(pages.name(number), content["values"])
     return content
 
@@ -151,8 +152,8 @@ def _counted(pages: MultiFrameFile, number: int) -> RawContent:
 def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray | None = None) -> NDArray[np.uint16]:
     """Read a frame (row, col) in DN from a raw file or a single-channel 16-bit picture.
 
-    The picture may have 8 bits if the sensor has at most 8 bits. Raises InputFileError if the file is neither, if its size
-    differs from `shape`, if values exceed `bits`, or if the CFA or phase in the file contradicts `array`.
+    The picture may have 8 bits if the sensor has at most 8 bits. Raises InputFileError if the file is neither a raw file nor
+    such a picture, if its size differs from `shape`, if values exceed `bits`, or if its CFA or phase contradicts `array`.
     """
     if path.suffix.lower() in BY_SUFFIX and format_of(path).suffixes[0] not in PICTURES:
         content = raw_content(path, ("black_level",))
@@ -166,22 +167,25 @@ def read_frame(path: Path, shape: tuple[int, int], bits: int, array: FilterArray
 def _whole_frame(
     path: Path, content: RawContent, shape: tuple[int, int], bits: int, array: FilterArray | None
 ) -> NDArray[np.uint16]:
-    """Return the values of a frame of the whole sensor. Raises InputFileError in the same cases as `read_frame`."""
+    """Return the values of a full frame. Raises InputFileError in the same cases as `read_frame`."""
     values, pattern = content["values"], content.get("pattern")
     if array is not None and pattern is not None:
         phase = phase_of(path, pattern, array)
         if not np.array_equal(shifted_cfa(array.cfa, phase), array.cfa):
-            begins = f"row {phase[0]}, column {phase[1]} of cfa.pattern"
-            raise InputFileError(f"{path} begins at {begins}; begin cfa.pattern there")
+            raise InputFileError(
+                f'{path} begins at row {phase[0]}, column {phase[1]} of "cfa.pattern"; begin the pattern with this site'
+            )
     _check(path, str(values.dtype), 1, values.shape, shape, bits)
     require_bits(path, values, bits)
     return values.astype(np.uint16, copy=False)
 
 
 def require_bits(path: Path, values: NDArray, bits: int) -> None:
-    """Raise InputFileError if any value is too large for the bit depth `bits`."""
+    """Raise InputFileError if a value needs more than `bits` bits."""
     if values.max() >= 2**bits:
-        raise InputFileError(f"{path} contains {values.max()} DN, more than {bits} bits can store; check sensor.bits")
+        raise InputFileError(
+            f'{path} contains the value {values.max()} DN, which does not fit in {bits} bits; correct "sensor.bits"'
+        )
 
 
 @isolated("OpenImageIO")
@@ -192,24 +196,26 @@ def _read_picture(path: Path, rows: int, cols: int, bits: int) -> NDArray:
 
 
 def phase_of(path: Path, pattern: NDArray[np.int64], array: FilterArray) -> tuple[int, int]:
-    """Return the site of a sensor's CFA at the first pixel of a file with the CFA `pattern`.
+    """Return the site of the sensor's CFA at the first pixel of a file whose CFA is `pattern`.
 
-    Raises InputFileError if there is no such site.
+    Raises InputFileError if `pattern` does not fit the sensor's CFA.
     """
     try:
         return find_phase(str(path), pattern, array)
     except InputFileError as error:
-        reason = str(error).partition(";")[0].replace("the table", "cfa.pattern")
-        raise InputFileError(f"{reason}; correct cfa.pattern") from error
+        reason = str(error).partition(";")[0].replace("the table", '"cfa.pattern"')
+        raise InputFileError(f'{reason}; correct "cfa.pattern"') from error
 
 
 def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: tuple[int, int], bits: int) -> None:
     depths = ("uint16", "uint8") if bits <= 8 else ("uint16",)
     if depth not in depths or channels != 1:
-        raise InputFileError(f"{path} holds {channels} channels of {depth}; give raw frames of one channel and 16 bits")
+        raise InputFileError(
+            f"{path} has {channels} channel{'s' * (channels != 1)} of {depth}; use 16-bit raw frames with one channel"
+        )
     if size != shape:
         raise InputFileError(
-            f"{path} has {size[0]}×{size[1]} pixels, the sensor {shape[0]}×{shape[1]}; give whole raw frames"
+            f"{path} has {size[0]}×{size[1]} pixels, but the sensor has {shape[0]}×{shape[1]}; use uncropped raw frames"
         )
 
 
@@ -217,31 +223,33 @@ def _check(path: Path, depth: str, channels: int, size: tuple[int, ...], shape: 
 
 
 def list_captures(folder: Path) -> CaptureFolder:
-    """List the frames and tables in a folder and its subfolders.
+    """List the raw frames and tables in a folder and its subfolders.
 
     Raises InputFileError if `folder` is not a folder, or if it contains too many files.
     """
     if not folder.is_dir():
-        raise InputFileError(f"{folder} is not a folder; give the folder of a lab's captures")
+        raise InputFileError(f"{folder} is not a folder; specify the folder that contains the captures")
     frames, tables, notes = [], [], Counter[str]()
     for number, path in enumerate(_files(folder)):
         if number >= MOST_FILES:
-            raise InputFileError(f"{folder} holds more than {MOST_FILES} files; give the folder of one camera's captures")
+            raise InputFileError(
+                f"{folder} contains more than {MOST_FILES} files; specify a folder with the captures of one camera"
+            )
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
-        if re.search("[\ud800-\udfff]", name):  # names that are not UTF-8 cannot be written in a measurement file
-            notes[f"{suffix}: their names are not text; left out"] += 1
+        if re.search("[\ud800-\udfff]", name):  # a measurement file cannot contain names that are not UTF-8
+            notes[f"{suffix} left out, because the file names are not UTF-8 text"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
         if suffix in SUFFIXES:
             tables.append(name)
         elif suffix in DEVELOPED:
-            notes[f"{suffix}: developed pictures, never raw values; left out"] += 1
+            notes[f"{suffix} left out, because developed pictures contain no raw values"] += 1
         elif kind is None:
             continue
         elif kind.wants_geometry:
-            notes[f"{suffix}: headerless frames, whose size and packing no file states; save them as TIFF, left out"] += 1
+            notes[f"{suffix} left out, because headerless files do not state their size and packing; save them as TIFF"] += 1
         elif not kind.holds_frame:
-            notes[f"{suffix}: sequences or data files, no single frames; left out"] += 1
+            notes[f"{suffix} left out, because they are sequences or data files instead of single frames"] += 1
         else:
             frames.append(name)
     return CaptureFolder(
@@ -252,7 +260,7 @@ def list_captures(folder: Path) -> CaptureFolder:
 def _files(folder: Path) -> Iterator[Path]:
     """Yield the regular files in a folder and its subfolders, sorted by name.
 
-    Hidden files and folders are skipped, and links to folders are not followed.
+    Hidden files and folders are skipped, and symbolic links to folders are not followed.
     """
     for place, folders, names in os.walk(folder):
         deep = len(Path(place).relative_to(folder).parts)
@@ -264,7 +272,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def read_capture(path: Path) -> RawFile:
-    """Read a raw frame without changing its values. If the file is a stack, read the first frame.
+    """Read a raw frame without changing its values. If the file is a stack, only the first frame is read.
 
     Raises InputFileError if the file is damaged, or is a developed picture rather than a raw file.
     """
@@ -281,9 +289,9 @@ def read_capture(path: Path) -> RawFile:
 
 
 def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, CurveTable]]:
-    """Read the tables of spectra in a folder. A line is added to `notes` for each file that is left out.
+    """Read the tables of spectra in a folder. For each file that is left out, a line is added to `notes`.
 
-    Text files without rows of numbers are left out silently.
+    Text files that contain no lines of numbers are left out without a note.
     """
     found = []
     for name in folder.tables:
@@ -293,12 +301,12 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
             if Path(name).suffix.lower() in PROSE and not _has_numbers(folder.folder / name):
                 continue
             reason = str(error).removeprefix(f"{folder.folder / name}: ").removeprefix(f"{folder.folder / name} ")
-            notes.append(f"{name}: no table of spectra, {reason}; left out")
+            notes.append(f"{name} left out, because it is not a table of spectra ({reason})")
     return found
 
 
 def _has_numbers(path: Path) -> bool:
-    """Whether a text file has rows of numbers, so that the user may consider it a table."""
+    """Whether a text file contains several lines of numbers. The user may then expect that l3 reads it as a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

@@ -1,4 +1,4 @@
-"""Glare that calibration found in photos of charts, as dark frames (docs/method.md#charts-in-photographs)."""
+"""Write the glare that calibration found in photos of charts as dark frames (docs/method.md#charts-in-photographs)."""
 
 import io
 from pathlib import Path
@@ -9,8 +9,8 @@ import tifffile
 from l3cli.artifacts.camera import CameraModel
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-LARGEST_DN = 65535  # in 16 bits
-PAGES = 2  # of equal values: their difference says that the dark frame has no noise
+LARGEST_DN = 65535  # largest 16-bit value
+PAGES = 2  # number of identical pages; from their difference, `l3 render` concludes that the dark frame has no noise
 
 
 def glare_files(camera: CameraModel) -> dict[str, bytes]:
@@ -22,12 +22,12 @@ def glare_files(camera: CameraModel) -> dict[str, bytes]:
     Parameters
     ----------
     camera : CameraModel
-        Any camera. There are no files for one that does not come from photos.
+        The camera model. If it was not calibrated from photos of a chart, the result is empty.
 
     Returns
     -------
     dict of str to bytes
-        TIFF files, by name.
+        Contents of the TIFF files, by file name.
     """
     photo = camera.fit.photo if camera.fit else None
     if photo is None:

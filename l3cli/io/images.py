@@ -1,4 +1,4 @@
-"""Read pictures and linear values in any format that OpenImageIO supports."""
+"""Read pictures, including pictures with linear values, in any format that OpenImageIO supports."""
 
 import contextlib
 import re
@@ -30,26 +30,31 @@ def read_image(path: Path) -> tuple[NDArray, tuple[str, ...]]:
 
 @isolated("OpenImageIO")
 def picture_flip(path: Path) -> int:
-    """Return LibRaw's flip code that makes the stored pixels upright, from the tag Orientation."""
+    """Return the LibRaw flip code that turns the stored pixels upright, from the tag Orientation."""
     with opened(path) as (_, spec):
         return flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
 
 
 @isolated("OpenImageIO")
 def picture_size(path: Path) -> tuple[int, int]:
-    """Return rows and columns of a picture from its header. Raises InputFileError if it has none."""
+    """Return the number of rows and columns of a picture from its header. Raises InputFileError if it cannot be read."""
     with opened(path) as (_, spec):
         return spec.height, spec.width
 
 
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
-    """Return the stored values (row, col) of a single-channel picture, 8 or 16 bits as uint16, and its exposure time (s)."""
+    """Return the values (row, col) of a single-channel picture as stored, and its exposure time in s.
+
+    Values of 8 or 16 bits are returned as uint16. The exposure time is None if the file does not state it.
+    """
     if spec.nchannels != 1:
-        raise InputFileError(f"{path} has {spec.nchannels} channels of {spec.format}; a raw image has one channel")
+        raise InputFileError(
+            f"{path} has {spec.nchannels} channels of {spec.format}, but a raw image has one channel; use a raw file"
+        )
     values = pixels_of(path, source, spec)[..., 0]
     if values.dtype not in (np.uint8, np.uint16):
         return values, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
-    # OpenImageIO scales depths such as 12 bits up to 16. The stored value is in the upper bits.
+    # OpenImageIO scales values with, for example, 12 bits up to 16 bits. The upper bits are the stored value.
     depth = 8 * values.dtype.itemsize
     unused = np.uint16(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
     return values.astype(np.uint16) >> unused, spec.get_float_attribute(EXPOSURE_TIME, 0.0) or None
@@ -57,40 +62,45 @@ def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | N
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a file with OpenImageIO, and yield its input and specification. Refuse several pictures, and too large ones."""
+    """Open a file with OpenImageIO, and yield its ImageInput and ImageSpec.
+
+    Raises InputFileError if the file contains several pictures or a picture that is too large.
+    """
     with contextlib.closing(open_image(path)) as source:
         spec = source.spec()
         require_bearable(path, spec)
         require_whole_stack(path, spec, 1)
         if source.seek_subimage(1, 0):
             what = "page" if source.format_name() == "tiff" else "part"
-            raise InputFileError(f"{path} has more than one {what}; give a file with one picture, or render it alone")
-        source.geterror()  # clears the error that there is no second picture
+            raise InputFileError(f"{path} has more than one {what}; use files with one picture, or pass this file alone")
+        source.geterror()  # clear the error that the file has no second picture
         source.seek_subimage(0, 0)
         yield source, spec
 
 
 def open_image(path: Path) -> Any:
-    """Open a file with OpenImageIO."""
+    """Return OpenImageIO's ImageInput of a file. Raises InputFileError if OpenImageIO cannot read the file."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(str(path))
     if source is None:
-        raise InputFileError(f"{path} is not an image that can be read ({_reason(oiio.geterror(), str(path))})")
+        raise InputFileError(
+            f"{path} is not a picture that l3 can read ({_reason(oiio.geterror(), str(path))}); use a TIFF or PNG file"
+        )
     return source
 
 
 def require_bearable(path: Path, spec: Any) -> None:
-    """Raise InputFileError unless a picture is flat and not too large."""
+    """Raise InputFileError if a picture is too large, is a volume, or has deep samples."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
-        raise InputFileError(f"{path} is a volume or has deep samples; give a flat picture")
+        raise InputFileError(f"{path} is a volume or has deep samples; use a two-dimensional picture with plain pixels")
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
-    """Raise InputFileError if a picture's description states more frames than the file has pages.
+    """Raise InputFileError if the description of a picture states more frames than the file has pages.
 
-    ImageJ and tifffile may store a stack as a single page, with the other frames somewhere after it.
+    ImageJ and tifffile may store only the first frame of a stack as a page, and the other frames behind that page.
     """
     text = spec.get_string_attribute("ImageDescription")
     count = re.search(r"^images=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
@@ -101,18 +111,20 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
         frames = prod(lengths[:-2]) if lengths[-2:] == [spec.height, spec.width] else 0
     if frames > pages * spec.nchannels:
         have = f"{pages} page{'s' if pages > 1 else ''}"
-        raise InputFileError(f"{path} describes {frames} frames but has {have}; save it with a page for each frame")
+        raise InputFileError(
+            f"{path} has {frames} frames according to its description, but only {have}; save each frame as a page"
+        )
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
     """Read the pixels (row, col, channel) of an open picture."""
     pixels = source.read_image(spec.format)
     if pixels is None:
-        raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); give a whole image")
+        raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); copy it again")
     return pixels.reshape(spec.height, spec.width, spec.nchannels)
 
 
 def _reason(message: str, name: str) -> str:
-    """Return OpenImageIO's message in one line, without the file name at its beginning."""
+    """Return the first line of a message of OpenImageIO, without the file name at its beginning."""
     line = message.strip().splitlines()[0] if message.strip() else "unknown format"
     return line.removeprefix(f"{name}: ")

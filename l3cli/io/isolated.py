@@ -1,10 +1,13 @@
-"""Decode foreign files in an isolated process with limited time and memory.
+"""Decode untrusted files in an isolated process with limited time and memory.
 
-If a third-party decoder crashes, it can end only that process, never this one. The process is started when the first file
-is read. It forks a worker for each file, which decodes the file and can access nothing else (decoder_process.py), as far as
-the kernel supports that. If a worker dies, the process dies with it, and the next file gets a new one. Requests and replies
-are JSON. Arrays are passed through a memory file and copied after checking their sizes, so that nothing a worker sends is
-executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) have them decoded in the caller's process.
+If a third-party decoder crashes, it can end only the isolated process, never this process. The isolated process is started
+when the first file is read. It forks a worker for each file (decoder_process.py). A worker decodes its file and can access
+nothing else, as far as the kernel supports that. If a worker dies, the isolated process also ends, and the next file is
+decoded by a new process.
+
+Requests and replies are JSON. Arrays are passed through a memory file and copied after their sizes have been checked, so
+that no data from a worker are executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) can have them
+decoded in the caller's process.
 """
 
 import atexit
@@ -29,12 +32,12 @@ from l3cli.system.files import require_regular, stamp
 from l3cli.system.limits import MEGAPIXELS, ONE_BLAS_THREAD, SECONDS, TRUST, decode_seconds, most_bytes, trusted
 from l3cli.system.locks import ThreadLock
 
-PATIENCE = 5  # limit of the wall-clock time, as a multiple of the CPU time, for slow disks
-ROOM = 1 << 30  # bytes of address space for the interpreter, the libraries and their buffers
-COPIES = 2  # further address space, as a multiple of the largest allowed content of a file
-MORE_MEMORY = "free some memory, or raise its limit (ulimit -v)"
+WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the CPU time, which allows for slow disks
+PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers
+COPIES = 2  # further address space, as a multiple of the maximum content of a file
+MORE_MEMORY = "free some memory, or raise the memory limit of the shell (ulimit -v)"
 READY = b"ready"  # first message of the process
-MAX_REPLY = 64 << 20  # bytes, largest reply without its arrays
+MAX_REPLY = 64 << 20  # bytes, maximum size of a reply without its arrays
 LENGTH = struct.Struct("<I")
 KINDS = {kind.__name__: kind for kind in (L3Error, RecipeError, InputFileError)}
 ONE_THREAD = ONE_BLAS_THREAD | {"OPENIMAGEIO_THREADS": "1"}
@@ -43,7 +46,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def isolated(*libraries: str) -> Callable[[F], F]:
-    """Decorate a decoder of foreign files so that it runs in the isolated process.
+    """Decorate a decoder of untrusted files so that it runs in the isolated process.
 
     Parameters
     ----------
@@ -57,9 +60,9 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
     Notes
     -----
-    The function must be at module level and take a path, then plain values (text, numbers, None). It returns arrays of
-    numbers, plain values, and tuples, lists and dictionaries of these. It may read no other file. Exceptions other than this
-    package's own become an InputFileError that names the file.
+    The function must be at module level. Its parameters are a path, then text, numbers or None. It returns arrays of
+    numbers, text, numbers or None, or tuples, lists and dictionaries of these. It may read no other file. Exceptions that
+    are not L3Error become an InputFileError that names the file.
     """
 
     def made(function: F) -> F:
@@ -79,18 +82,18 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
 
 def start() -> None:
-    """Start the process early, for a caller who knows that it will be needed."""
+    """Start the isolated process before it is needed."""
     if not trusted():
         with _lock:
             _the_child()
 
 
 def _require_utf8(path: Path) -> None:
-    """Raise InputFileError for a name in another encoding, which the libraries cannot open."""
+    """Raise InputFileError if a file name is not UTF-8, because the libraries cannot open such files."""
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise InputFileError(f"{path}: its name is not UTF-8; rename the file or its folder") from None
+        raise InputFileError(f"{path}: the file name is not UTF-8; rename the file or its folder") from None
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
@@ -102,23 +105,25 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
     except MemoryError as error:
         raise InputFileError(too_much(path)) from error
     except ImportError as error:
-        raise L3Error(f"a library that decodes {path} cannot be loaded ({error}); {MORE_MEMORY}") from error
-    except Exception as error:  # decoders raise all kinds of exceptions
+        raise L3Error(f"the library that decodes {path} cannot be loaded ({error}); {MORE_MEMORY}") from error
+    except Exception as error:  # decoders raise exceptions of many types
         if isinstance(error, OSError) and error.strerror:
             raise InputFileError(f"{path}: {error.strerror}") from error
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise InputFileError(f"{path} cannot be decoded ({reason}); it is damaged or of another kind") from error
+        raise InputFileError(
+            f"{path} cannot be decoded ({reason}), so it is damaged or has another format; copy it again"
+        ) from error
 
 
 def too_much(path: Path) -> str:
     return (
-        f"{path} needs more memory to decode than the {most_bytes() / 1e9:.3g} GB of content that a file may have; "
-        f"if it is whole, raise {MEGAPIXELS}, or add ‹trust›"
+        f"{path} needs more memory than the {most_bytes() / 1e9:.3g} GB of content that a file may have; "
+        f"if the file is intact, raise {MEGAPIXELS} or add ‹trust›"
     )
 
 
 class _Child:
-    """The isolated process and the socket to it."""
+    """The isolated process, and the socket to it."""
 
     def __init__(self, limits: tuple[float, int]) -> None:
         self.limits = limits
@@ -133,10 +138,10 @@ class _Child:
                 [sys.executable, "-P", "-c", program],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,  # decoders print messages there
+                stderr=subprocess.DEVNULL,  # decoders print messages to stderr
                 pass_fds=inherited,
                 env=os.environ | ONE_THREAD | {"MALLOC_ARENA_MAX": "2", TRUST: "1"},
-                process_group=0,  # Ctrl-C reaches only this process, which then ends the other
+                process_group=0,  # Ctrl-C reaches only the caller, which then ends the isolated process
             )
         self._open, self._ready = True, False
 
@@ -157,12 +162,12 @@ class _Child:
         self._arrays.close()
 
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
-        """Return the result of the function `name` of `module` for the file."""
+        """Return the result of the function `name` in `module` for a file."""
         try:
             self._await_beginning()
             request = [os.getcwd(), stamp(path), module, name, str(path), *plain]
             send(self._socket, json.dumps(request).encode())
-            answer = json.loads(receive(self._socket, time.monotonic() + PATIENCE * self.limits[0]))
+            answer = json.loads(receive(self._socket, time.monotonic() + WALL_PER_CPU_TIME * self.limits[0]))
             result = arrays_back(answer, self._arrays)
             self._arrays.truncate(0)
             if "error" in result:
@@ -171,28 +176,31 @@ class _Child:
         except L3Error:
             raise
         except BaseException as error:
-            self.end()  # a late reply to this request must not be taken for the reply to the next
+            self.end()  # otherwise a late reply could be mistaken for the reply to the next request
             if isinstance(error, TimeoutError):
                 raise InputFileError(self._too_long(path)) from error
             if isinstance(error, EOFError | ConnectionError):
                 raise InputFileError(self._epitaph(path)) from error
             if isinstance(error, ValueError | TypeError | KeyError | RecursionError):
-                raise InputFileError(f"{path}: the decoder returned an invalid reply; the file may be damaged") from error
+                raise InputFileError(
+                    f"{path}: the decoder returned an invalid reply, so the file may be damaged; copy it again"
+                ) from error
             raise
 
     def _await_beginning(self) -> None:
-        """Wait until the process is ready. Raises L3Error if it ends before that, since no file is to blame."""
+        """Wait until the process is ready. Raises L3Error if the process ends first, because then no file is the cause."""
         if self._ready:
             return
         try:
-            self._ready = receive(self._socket, time.monotonic() + PATIENCE * self.limits[0]) == READY
+            self._ready = receive(self._socket, time.monotonic() + WALL_PER_CPU_TIME * self.limits[0]) == READY
         except (EOFError, ConnectionError) as error:
             self.end()
             raise L3Error(f"the process that decodes files cannot be started; {MORE_MEMORY}, or add ‹trust›") from error
 
     def _too_long(self, path: Path) -> str:
         return (
-            f"{path} takes longer than {self.limits[0]:g} s to decode; it is damaged, or else raise {SECONDS} or add ‹trust›"
+            f"{path} takes longer than {self.limits[0]:g} s to decode, so it may be damaged; "
+            f"if the file is intact, raise {SECONDS} or add ‹trust›"
         )
 
     def _epitaph(self, path: Path) -> str:
@@ -202,7 +210,7 @@ class _Child:
         if code == -signal.SIGKILL:
             return too_much(path)
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        return f"{path} makes its decoder crash ({ended}); it is damaged"
+        return f"{path} crashes its decoder ({ended}), so it is probably damaged; copy it again"
 
 
 _child: _Child | None = None
@@ -210,9 +218,9 @@ _lock = ThreadLock()  # one request at a time
 
 
 def _the_child() -> _Child:
-    """Return the isolated process. A new one is started if it has died or if the limits have changed."""
+    """Return the isolated process. If it has died or if the limits have changed, a new process is started."""
     global _child
-    wanted = decode_seconds(), ROOM + COPIES * most_bytes()
+    wanted = decode_seconds(), PROGRAM_BYTES + COPIES * most_bytes()
     if _child is None or not _child.usable or _child.limits != wanted:
         _end_child()
         _child = _Child(wanted)
@@ -229,7 +237,7 @@ def _end_child() -> None:
 
 
 def arrays_back(answer: Any, file: BinaryIO) -> Any:
-    """Return a reply with its arrays copied from `file`.
+    """Convert a reply back to values, with arrays copied from `file`.
 
     Raises ValueError, TypeError or KeyError if the reply is invalid.
     """
@@ -249,15 +257,15 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
     kind, shape, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
-        raise ValueError("no array of numbers")
+        raise ValueError("not an array of numbers")
     if offset + prod(shape) * dtype.itemsize > os.fstat(file.fileno()).st_size:
-        raise ValueError("an array outside its file")
+        raise ValueError("an array that exceeds the memory file")
     file.seek(offset)
     return np.fromfile(file, dtype, prod(shape)).reshape(shape)
 
 
 def plain_of(value: Any, file: BinaryIO) -> Any:
-    """Convert a value to JSON types. Its arrays are written to `file`."""
+    """Convert a value to JSON types. Arrays are written to `file`."""
     if isinstance(value, np.ndarray):
         offset = file.tell()
         np.ascontiguousarray(value).tofile(file)
@@ -270,7 +278,7 @@ def plain_of(value: Any, file: BinaryIO) -> Any:
         return {"tuple" if isinstance(value, tuple) else "list": [plain_of(item, file) for item in value]}
     if value is None or isinstance(value, str | bool | int | float):
         return value
-    raise TypeError(f"{type(value).__name__} cannot be handed over")
+    raise TypeError(f"a {type(value).__name__} cannot be passed between processes")
 
 
 def send(connection: socket.socket, text: bytes) -> None:
@@ -278,10 +286,10 @@ def send(connection: socket.socket, text: bytes) -> None:
 
 
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
-    """Return a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
+    """Receive a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:
-        raise ValueError("an endless message")
+        raise ValueError("a message that exceeds the maximum size")
     return _exactly(connection, length, until)
 
 

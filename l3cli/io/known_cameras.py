@@ -1,6 +1,4 @@
-"""Cameras by name: 52 cameras whose measured curves are included (configs/priors/cameras.csv), and published facts about
-them (cameras.toml).
-"""
+"""Included cameras: the measured curves of 52 cameras (configs/priors/cameras.csv) and published facts (cameras.toml)."""
 
 import functools
 from typing import ClassVar, Literal
@@ -17,20 +15,20 @@ from l3cli.recipes.toml import Count, Positive, Recipe
 from l3cli.spectra.file import read_table
 
 ROLES = ("r", "g", "b")
-USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed for cameras of which only the curves are known
-BLACK_SHARE = 32  # assumed ratio of full scale to black level
-ARRAYS = {  # in one phase each; raw files are rendered in any phase
+USUAL_ROWS, USUAL_COLS, USUAL_BITS = 1080, 1920, 14  # assumed for cameras whose data are not published
+FULL_SCALE_PER_BLACK = 32  # assumed ratio of full scale to black level
+ARRAYS = {  # each array in one phase; raw files may have any phase
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}  # ignored words in makers' names
+COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}  # words in makers' names that are ignored
 
 
 class KnownCamera(Recipe):
     """Published facts about a camera."""
 
     name: str  # make and model
-    also: list[str] = msgspec.field(default_factory=list)  # other names, also of cameras with the same sensor and filters
+    also: list[str] = msgspec.field(default_factory=list)  # other names, and other cameras with the same sensor and filters
     array: Literal["bayer", "xtrans"] = "bayer"
     rows: Count | None = None
     cols: Count | None = None
@@ -40,7 +38,7 @@ class KnownCamera(Recipe):
 
     @property
     def body(self) -> Body:
-        """Sensor, array and optics, with typical values for facts that are not published."""
+        """Sensor, array and optics, with typical values for unpublished facts."""
         cfa = np.array([[ROLES.index(site) for site in row.split()] for row in ARRAYS[self.array]], np.uint8)
         pitch, optics = (self.pixel_pitch_um or PITCH_UM) * 1e-6, Optics(FOCAL_MM / 1000, F_NUMBER, 0.0)
         size = self.rows or USUAL_ROWS, self.cols or USUAL_COLS
@@ -48,18 +46,18 @@ class KnownCamera(Recipe):
 
     @property
     def levels(self) -> tuple[float, float]:
-        """Typical black level and highest value, in DN. Each raw file states its own levels."""
+        """Typical black level and maximum value in DN. They are replaced by the levels that a raw file states."""
         values = 2.0 ** (self.bits or USUAL_BITS)
-        return values / BLACK_SHARE, values - 1
+        return values / FULL_SCALE_PER_BLACK, values - 1
 
     @property
     def stated(self) -> Stated:
-        """The published facts, in the form in which raw files state them."""
+        """The published facts, in the same type as facts from a raw file."""
         return Stated(self.name, (), None, self.iso, self.pixel_pitch_um, None, None)
 
 
 class KnownCameras(Recipe):
-    """All cameras by name."""
+    """All included cameras, by name."""
 
     title: ClassVar[str] = "a table of cameras"
 
@@ -74,16 +72,16 @@ def known_cameras() -> KnownCameras:
 
 
 def known_curves(slug: str) -> FinishedCurves:
-    """Return the measured curves r, g and b of a camera by its name."""
+    """Return the measured curves r, g and b of an included camera. `slug` is its key in cameras.toml."""
     table = read_table(recipe_folder() / "priors" / "cameras.csv")
     chosen = table.channel_columns(ROLES, {role: f"{slug} {role}" for role in ROLES})
     return FinishedCurves(chosen.wavelength, chosen.values)
 
 
 def known_as(stated: str) -> str | None:
-    """Return the name of the included camera with the make and model that a raw file states, or None."""
+    """Return the key of the included camera whose make and model a raw file states, or None if it is not included."""
     words = [word for word in slug_of(stated).split("_") if word not in COMPANY]
-    model = "_".join(dict.fromkeys(words))  # without repetition of the make, as in "NIKON CORPORATION", "NIKON D810"
+    model = "_".join(dict.fromkeys(words))  # without a repeated make, as in "NIKON CORPORATION", "NIKON D810"
     return next(
         (slug for slug, each in known_cameras().camera.items() if model in map(slug_of, (each.name, *each.also))), None
     )

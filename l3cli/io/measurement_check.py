@@ -13,7 +13,10 @@ from l3cli.system.text import array_lines, counted, seconds_text
 
 
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the keys and of every named file. `measurement_meaning` finds the faults of photos."""
+    """Yield the faults in the keys of a measurement file and in every file that it lists.
+
+    Photos are not opened here. `measurement_meaning` raises InputFileError if a photo is faulty.
+    """
     yield from key_faults(recipe)
     faults: list[Fault] = []
     read_contents(recipe, source.path, functools.partial(source.noting, faults))
@@ -21,7 +24,7 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Return the sections of a measurement file with their captures, frames and exposures."""
+    """Summarise the sections of a measurement file: their captures, frames and exposures."""
     measured = measurements_of(recipe, source.path)
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]
@@ -46,7 +49,7 @@ def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Re
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
-    """Return the numbers of captures and frames of each section, and the range of exposures."""
+    """Return the number of captures, the number of frames and the range of exposure times of each section."""
     sections: dict[str, list[CaptureRecipe]] = {}
     for section, _, capture in captures_of(recipe):
         sections.setdefault(section, []).append(capture)
@@ -61,7 +64,7 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
 
 
 def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
-    """Format the sections as lines."""
+    """Format the result of `measurement_meaning` as lines of text."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
         texts = (

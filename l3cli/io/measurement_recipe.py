@@ -1,8 +1,9 @@
 """The measurement file and its keys (docs/own-lab.md, docs/method.md#calibration).
 
-It states one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]), [[chart]] captures for its scale,
-and [[dark]] and [[white]] frames or a [datasheet] for the sensor. A file with [[dark]] and [[white]] frames only takes
-everything else from a camera model or recipe, its `base`. File names are relative to its folder.
+A measurement file contains exactly one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]). [[chart]]
+captures determine its scale. [[dark]] and [[white]] frames or a [datasheet] describe the sensor. A file that contains only
+[[dark]] and [[white]] frames takes all other facts from its `base`, a camera model or camera recipe. File names are relative
+to the folder of the measurement file.
 """
 
 from collections.abc import Iterator
@@ -35,13 +36,13 @@ from l3cli.system.files import write_whole
 from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
-CAPTURES = ("mono", "band", "chart", "white", "dark")  # lists of tables that name frames
-MOST_UNREFERENCED = 2.0  # largest reading, or its inverse, that counts as a ratio if there is no reference
-MOST_MONITOR = 10.0  # largest ratio of lamp readings, or its inverse; a larger change indicates another lamp
+CAPTURES = ("mono", "band", "chart", "white", "dark")  # sections whose entries list frames
+MOST_UNREFERENCED = 2.0  # a reading without a reference counts as a ratio if it or its inverse does not exceed this
+MOST_MONITOR = 10.0  # maximum ratio of lamp readings, or of its inverse; a larger change indicates a different lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
-SITE_PIXELS = 8  # smallest number of super-pixels in rows and columns, needed for local means
+SITE_PIXELS = 8  # minimum number of CFA periods along rows and columns, needed for local means
 
 
 class BodyRecipe(Recipe):
@@ -52,124 +53,124 @@ class BodyRecipe(Recipe):
 
 
 class MonitorRecipe(Recipe):
-    """Readings of the lamp during a sweep, one row per wavelength."""
+    """A table with readings of a lamp monitor during a sweep, one row per wavelength."""
 
-    file: str  # wavelength, and readings in any unit
-    column: int | str = 1  # readings during the captures, by name or by number from 1 without counting the wavelength
-    reference: int | str | None = None  # readings when the spectra were measured; default: `column` is the ratio of both
+    file: str  # table with the wavelength and readings in any unit
+    column: int | str = 1  # readings during the captures; column name, or number from 1 without the wavelength column
+    reference: int | str | None = None  # readings when the spectra were measured; default: `column` contains the ratios
 
 
 class CaptureRecipe(Recipe, kw_only=True):
-    """Dark or white frames of one exposure."""
+    """Dark or white frames with the same exposure."""
 
     frames: Names
-    exposure_s: Positive | None = None  # exactly one of these three
+    exposure_s: Positive | None = None  # exactly one of these three keys must be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    # reading of the lamp during the capture, relative to the reading when its spectrum was measured;
-    # for [[mono]], also a table of readings
+    # reading of a lamp monitor during the capture, relative to the reading when the spectrum was measured;
+    # [[mono]] captures may use a table of readings instead
     monitor: Annotated[float, msgspec.Meta(ge=1 / MOST_MONITOR, le=MOST_MONITOR)] | MonitorRecipe = 1.0
 
     @property
     def seconds(self) -> float | None:
-        """The exposure in seconds, or None unless exactly one key gives it."""
+        """The exposure in seconds, or None unless exactly one of the three keys is set."""
         exposures = [(self.exposure_s, 1.0), (self.exposure_ms, 1e3), (self.exposure_us, 1e6)]
-        given = [value / parts for value, parts in exposures if value is not None]
-        return given[0] if len(given) == 1 else None
+        seconds = [value / parts for value, parts in exposures if value is not None]
+        return seconds[0] if len(seconds) == 1 else None
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Dark or white frames at an ISO speed. The lowest speed gives the camera's gain, others give further gains."""
+    """Dark or white frames at an ISO speed. The lowest speed determines the gain, and other speeds further gains."""
 
-    iso: float | None = None  # stated for all such captures, or for none
+    iso: float | None = None  # either all such captures state it, or none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):
-    """An even field under the light of one monochromator step."""
+    """Frames of a uniform field under the light of a monochromator at one wavelength."""
 
-    spectrum: str  # CSV of measured radiances, bandwidth and stray light included
-    column: int | str = 1  # column, by name or by number from 1 without counting the wavelength
-    unit: str | None = None  # unit of the radiances, if the heading states none; default: photons/s/sr/m²/nm
+    spectrum: str  # CSV file of measured radiances, including bandwidth and stray light
+    column: int | str = 1  # column name, or number from 1 without the wavelength column
+    unit: str | None = None  # unit of the radiances, if the CSV file states none; default: photons/s/sr/m²/nm
 
 
 class ChartRecipe(CaptureRecipe, kw_only=True):
-    """A ColorChecker under one light. As [[band]], it is behind one filter, and radiances may be relative."""
+    """A ColorChecker under one illuminant. In [[band]], it is seen through a filter, and radiances may be relative."""
 
     illuminant: str
-    corners: Corners  # col, row in pixels of the outer corners of patches 1, 6, 24, 19 (clockwise)
-    radiance: str  # CSV of measured radiances, 24 columns, named by patch or row by row from dark skin to black
+    corners: Corners  # (col, row) in pixels of the outer corners of patches 1, 6, 24 and 19 (clockwise)
+    radiance: str  # CSV of measured radiances: 24 columns with the names of patches, or row by row from dark skin to black
     unit: str | None = None  # as in [[mono]]
 
 
 class CommonRecipe(Recipe):
-    """Keys that apply to all [[mono]] and [[band]] captures that do not state them."""
+    """Defaults for keys that [[mono]] and [[band]] captures do not set."""
 
-    exposure_s: Positive | None = None  # one of these three
+    exposure_s: Positive | None = None  # at most one of these three keys may be set
     exposure_ms: Positive | None = None
     exposure_us: Positive | None = None
-    unit: str | None = None  # unit of radiances, if the heading states none
-    monitor: MonitorRecipe | None = None  # for [[mono]]
+    unit: str | None = None  # unit of radiances, if a CSV file states none
+    monitor: MonitorRecipe | None = None  # for [[mono]] captures
 
 
 class ColumnRecipe(Recipe):
-    """One column of a table with several."""
+    """One column of a table with several columns."""
 
     file: str
-    column: int | str  # by name, or by number from 1 without counting the wavelength
+    column: int | str  # column name, or number from 1 without the wavelength column
 
 
 class SweepRecipe(Recipe):
-    """A monochromator sweep as a table of means."""
+    """A monochromator sweep as a table of mean values."""
 
-    table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (means of each channel in DN), diode light, diode dark
-    photodiode: str | ColumnRecipe  # CSV: nm, response of the photodiode per energy, such as A/W
+    table: str  # CSV: nm, light r, light g, …, dark r, dark g, … (mean of each channel in DN), diode light, diode dark
+    photodiode: str | ColumnRecipe  # CSV: nm, response of the photodiode per energy, for example in A/W
 
     @property
     def response(self) -> ColumnRecipe:
-        """The photodiode's table and column; column 0 is the only one."""
+        """The table and column with the response of the photodiode. Column 0 stands for the only column."""
         return ColumnRecipe(self.photodiode, 0) if isinstance(self.photodiode, str) else self.photodiode
 
 
 class CurvesRecipe(Recipe):
     """Finished responsivities from another source."""
 
-    file: str  # CSV with nm and one column per channel, or JSON of rawtoaces
-    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → name of its column, if different
-    per_energy: bool = True  # false if the curves are per photon
+    file: str  # CSV file with nm and one column per channel, or JSON file of rawtoaces
+    columns: dict[str, str] = msgspec.field(default_factory=dict)  # channel → column, if their names differ
+    per_energy: bool = True  # False if the curves are per photon
 
 
 class PhotoRecipe(Recipe):
-    """Raw files of a chart under one light."""
+    """Raw files that show a chart under one illuminant."""
 
-    frames: Names  # one scene at one exposure; the differences between two or more frames give the noise
-    light: str | None = None  # "D65", "3200K", or a CSV file of its spectrum; without it, l3 guesses the light
-    column: int | str = 1  # column of the light's CSV, as in [[mono]]
-    unit: str = "relative power"  # unit of the light's CSV, if the heading states none
-    chart: str = "classic"  # name of a chart, or CSV of reflectances with one column per patch, row by row
-    layout: tuple[Count, Count] = (4, 6)  # rows, columns of patches
-    corners: Corners | None = None  # col, row as in [[chart]]; without them, l3 searches the chart
-    dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, at the same exposure
-    white: list[str] = msgspec.field(default_factory=list)  # raw files of an even white in the chart's place
+    frames: Names  # one scene at one exposure; differences between two or more frames determine the noise
+    light: str | None = None  # "D65", "3200K", or a CSV file with the spectrum; None to estimate the illuminant
+    column: int | str = 1  # column of the spectrum, as in [[mono]]
+    unit: str = "relative power"  # unit of the spectrum, if the CSV file states none
+    chart: str = "classic"  # name of a chart, or CSV file of reflectances with one column per patch, row by row
+    layout: tuple[Count, Count] = (4, 6)  # rows and columns of patches
+    corners: Corners | None = None  # (col, row), as in [[chart]]; None to search for the chart
+    dark: list[str] = msgspec.field(default_factory=list)  # raw files without light, with the same exposure
+    white: list[str] = msgspec.field(default_factory=list)  # raw files of a uniform white target in place of the chart
 
 
 class DatasheetRecipe(NoiseRecipe, kw_only=True):
-    """Figures of the sensor from its data sheet."""
+    """Properties of the sensor from its data sheet."""
 
     black_level_dn: float
     white_level_dn: float
-    gain_dn_per_e: Positive | None = None  # default: the full well is at the white level
+    gain_dn_per_e: Positive | None = None  # default: the full well corresponds to the white level
 
 
 class UncertaintyRecipe(Recipe):
-    """Uncertainty of the lights (one standard deviation), which widens the confidence band."""
+    """Uncertainties (one standard deviation) of the light, which widen the confidence band."""
 
-    lamp_drift: Below1 = 0.0  # relative drift of a light from its measured spectrum, after correction by the monitor
-    photodiode: Below1 = 0.0  # relative error of the response of a [sweep]'s photodiode at each wavelength
+    lamp_drift: Below1 = 0.0  # relative drift of an illuminant from its measured spectrum, after correction by the monitor
+    photodiode: Below1 = 0.0  # relative error of the response of the photodiode in [sweep], at each wavelength
     wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # wavelength error of spectrometer or monochromator
 
 
 class MeasurementRecipe(Recipe):
-    """The measurement file MEASUREMENTS.toml."""
+    """A measurement file, usually MEASUREMENTS.toml."""
 
     title: ClassVar[str] = "a measurement file"
 
@@ -182,13 +183,13 @@ class MeasurementRecipe(Recipe):
     sweep: SweepRecipe | None = None
     curves: CurvesRecipe | None = None
     photo: PhotoRecipe | list[PhotoRecipe] = msgspec.field(default_factory=list)
-    prior: str | None = None  # folder of measured curves of r g b cameras, for photos; default: the included table
+    prior: str | None = None  # folder with measured r, g and b curves of cameras, for photos; default: the included table
     band: list[ChartRecipe] = msgspec.field(default_factory=list)
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     dark: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     datasheet: DatasheetRecipe | None = None
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposures, gains that differ by channel
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposures or gains that differ by channel
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
     def __post_init__(self) -> None:
@@ -203,22 +204,22 @@ class MeasurementRecipe(Recipe):
 
     @property
     def photos(self) -> list[PhotoRecipe]:
-        """The entries of [photo] or [[photo]]."""
+        """The entries of [photo] or [[photo]], as a list."""
         return self.photo if isinstance(self.photo, list) else [self.photo]
 
     def photo_key(self, number: int) -> KeyPath:
-        """Return the key of a photo."""
+        """Return the TOML key of a photo."""
         return ("photo", number) if isinstance(self.photo, list) else ("photo",)
 
 
 class CorrectionRecipe(Recipe):
-    """A measurement file for a camera that is known except for its defects and flat field."""
+    """A measurement file that adds defects and flat field to a known camera."""
 
     title: ClassVar[str] = MeasurementRecipe.title
 
-    base: str  # camera model or recipe, relative to this file
-    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # lens cap on, one exposure or several
-    white: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # an even white, neither clipped nor dark
+    base: str  # camera model or camera recipe, relative to this file
+    dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # with the lens cap on, at one or more exposures
+    white: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # of a uniform white target, neither clipped nor dark
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
@@ -232,7 +233,7 @@ def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[
 
 
 def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
-    """Yield the faults of numbers and names that do not depend on other files."""
+    """Yield the faults in numbers and names that can be found without reading other files."""
     if isinstance(recipe, MeasurementRecipe):
         yield from _sensor_faults(recipe)
         yield from _source_faults(recipe)
@@ -243,39 +244,43 @@ def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
 
 
 def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield a fault unless there is one source of responsivity, one source of the sensor's figures, and all that they
-    need.
-    """
-    given = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
+    """Yield a fault if sections are missing, or if they exclude each other."""
+    sources = [name for name in ("mono", "sweep", "curves", "band", "photo") if getattr(recipe, name)]
     rules = (
         (
-            len(given) != 1,
-            "give one source of responsivity, [[mono]] [sweep] [curves] [[band]] or [photo]; "
-            f"given: {' and '.join(given) or 'none'}",
+            len(sources) != 1,
+            f"the file contains {' and '.join(sources) or 'no source of responsivity'}; specify exactly one of "
+            "[[mono]], [sweep], [curves], [[band]] and [photo]",
         ),
-        (recipe.prior and not recipe.photos, "prior is for a [photo], and there is none; leave it out"),
+        (recipe.prior and not recipe.photos, 'the key "prior" applies only to [photo]; remove it'),
         (
             bool(recipe.white) == (recipe.datasheet is not None) and (recipe.white or not recipe.photos),
-            "give either [[white]] frames, and measure the sensor, or its [datasheet]",
+            "the sensor must be described either by [[white]] captures or by a [datasheet]; specify exactly one of them",
         ),
-        (recipe.white and not recipe.dark, "there is no [[dark]] capture; add some"),
+        (recipe.white and not recipe.dark, "[[white]] captures need [[dark]] captures; add [[dark]] captures"),
         (
             {each.iso for each in recipe.white} != {each.iso for each in recipe.dark} and recipe.white,
-            "give [[dark]] and [[white]] captures at the same ISO speeds",
+            "[[dark]] and [[white]] captures must have the same ISO speeds; add the missing captures",
         ),
         (
             None in (speeds := {each.iso for each in recipe.dark}) and len(speeds) > 1,
-            "some [[dark]] and [[white]] captures state their iso and others do not; give it to all, or to none",
+            'only some [[dark]] and [[white]] captures state "iso"; state it for all of them, or for none',
         ),
-        (recipe.mono and recipe.datasheet, "[[mono]] frames need [[white]] and [[dark]] frames, not a [datasheet]"),
-        (recipe.band and recipe.white, "[[band]] captures need a [datasheet], not [[white]] frames"),
+        (
+            recipe.mono and recipe.datasheet,
+            "[[mono]] captures cannot be combined with a [datasheet]; replace it with [[white]] and [[dark]] captures",
+        ),
+        (
+            recipe.band and recipe.white,
+            "[[band]] captures cannot be combined with [[white]] captures; replace them with a [datasheet]",
+        ),
         (
             recipe.chart and not recipe.white,
-            "[[chart]] captures need [[white]] and [[dark]] frames; take them or leave the charts out",
+            "[[chart]] captures need [[white]] and [[dark]] captures; add these captures or remove the charts",
         ),
         (
             len(recipe.chart) == 1 or (recipe.mono and not recipe.chart),
-            "one [[chart]] does not separate gain from light; give charts under two illuminants",
+            "gain and light cannot be separated with fewer than two [[chart]] captures; add charts under two illuminants",
         ),
     )
     yield from (fault(message, ()) for holds, message in rules if holds)
@@ -288,46 +293,51 @@ def _sensor_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
     yield from array
     size = "sensor.rows", "sensor.cols"
     if sensor.rows * sensor.cols > most_pixels():
-        yield fault(f"{sensor.rows}×{sensor.cols} pixels are more than inputs may have; raise {MEGAPIXELS}", *size)
+        yield fault(f"{sensor.rows}×{sensor.cols} pixels are more than an input may have; raise {MEGAPIXELS}", *size)
     elif not array:
         rows, cols = len(recipe.cfa.pattern), len(recipe.cfa.pattern[0].split())
         if sensor.rows < SITE_PIXELS * rows or sensor.cols < SITE_PIXELS * cols:
-            yield fault(f"{sensor.rows}×{sensor.cols} pixels are too few to measure noise; check sensor", *size)
+            yield fault(
+                f'{sensor.rows}×{sensor.cols} pixels are too few to measure noise; correct "sensor.rows" and "sensor.cols"',
+                *size,
+            )
     yield from channel_faults(recipe.channel, recipe.cfa.channels)
     if recipe.datasheet is not None:
         yield from _datasheet_faults(recipe.datasheet, 2**sensor.bits - 1)
 
 
 def _datasheet_faults(declared: DatasheetRecipe, most: int) -> Iterator[Fault]:
-    """Yield the faults of data sheet figures. `most` is the largest DN."""
+    """Yield the faults in numbers from a data sheet. `most` is the maximum DN."""
     if not 0 <= declared.black_level_dn < declared.white_level_dn <= most:
-        yield fault(f"datasheet needs 0 ≤ black_level_dn < white_level_dn ≤ {most}", "datasheet")
+        yield fault(
+            f"[datasheet] must satisfy 0 ≤ black_level_dn < white_level_dn ≤ {most}; correct these keys", "datasheet"
+        )
     yield from share_faults(declared.prnu, "datasheet.prnu", MAX_PRNU)
 
 
 def _source_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
-    """Yield the faults of [uncertainty] and of the columns in [curves]."""
+    """Yield the faults in [uncertainty] and in the columns of [curves]."""
     if recipe.uncertainty.photodiode and recipe.sweep is None:
-        yield fault("uncertainty.photodiode is of the photodiode of a [sweep]; leave it out", "uncertainty.photodiode")
+        yield fault('"uncertainty.photodiode" applies only to a [sweep]; remove it', "uncertainty.photodiode")
     if recipe.curves is not None:
         yield from column_faults(recipe.curves.columns, recipe.cfa.channels, "curves.columns")
 
 
 def _capture_faults(capture: CaptureRecipe, key: KeyPath) -> Iterator[Fault]:
-    """Yield the faults of the exposure of a capture."""
+    """Yield the faults in the exposure and the monitor of a capture."""
     if isinstance(capture.monitor, MonitorRecipe) and not isinstance(capture, MonoRecipe):
-        message = f"monitor is a table by wavelength for [[mono]] captures alone; give a [[{key[0]}]] capture a number"
+        message = f'only [[mono]] captures may have a table as "monitor"; set it to a number for the [[{key[0]}]] capture'
         yield fault(message, (*key, "monitor"))
     if capture.seconds is None:
-        message = f"a [[{key[0]}]] capture needs one of exposure_s, exposure_ms and exposure_us"
+        message = f'a [[{key[0]}]] capture needs exactly one of the keys "exposure_s", "exposure_ms" and "exposure_us"'
         yield fault(message, *((*key, name) for name in EXPOSURES))
 
 
-# -------------------------------------------------------------------------------------------- files that are named
+# ----------------------------------------------------------------------------------- files that the recipe refers to
 
 
 def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[KeyPath, str]]:
-    """Return the key and name of every frame in a measurement file, in order."""
+    """Return the key and the file name of every frame in a measurement file, in order."""
     lists: list[tuple[KeyPath, list[str]]] = [
         ((section, number, "frames"), capture.frames) for section, number, capture in captures_of(recipe)
     ]
@@ -339,7 +349,7 @@ def frames_named(recipe: MeasurementRecipe | CorrectionRecipe) -> list[tuple[Key
 
 
 def spectrum_names(recipe: MeasurementRecipe) -> list[str]:
-    """Return the names of all files of spectra, tables and curves in a measurement file, each once, in order."""
+    """Return the names of all files with spectra, tables or curves in a measurement file, each once, in order."""
     names = [step.spectrum for step in recipe.mono] + [chart.radiance for chart in [*recipe.band, *recipe.chart]]
     names += [step.monitor.file for step in recipe.mono if isinstance(step.monitor, MonitorRecipe)]
     names += [recipe.sweep.table, recipe.sweep.response.file] if recipe.sweep else []
@@ -354,11 +364,11 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
     Parameters
     ----------
     camera : CameraModel
-        The camera.
+        The camera that the captures come from.
     uncertainty : UncertaintyRecipe
-        Uncertainty of the lights.
+        Uncertainties of the light.
     **captures
-        Lists `mono`, `chart`, `white` and `dark`.
+        Lists of captures: `mono`, `chart`, `white` and `dark`.
     """
     return MeasurementRecipe(
         name=camera.name,
@@ -377,7 +387,7 @@ def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:
 
 
 def _toml(table: dict[str, Any], prefix: str = "") -> str:
-    """Convert a table of numbers, texts, lists, tables and lists of tables to TOML."""
+    """Convert a table of numbers, texts, lists, tables and lists of tables to TOML. `prefix` is the key of the table."""
 
     def is_table(value: Any) -> bool:
         return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))

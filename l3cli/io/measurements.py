@@ -1,7 +1,7 @@
-"""Read a measurement file and everything that it names into one value (docs/architecture.md#the-path-of-a-measurement).
+"""Read a measurement file and all files that it refers to (docs/architecture.md#the-path-of-a-measurement).
 
-The file's keys are read first (measurement_recipe.py), then the tables of spectra that it names, then the photos. Other
-frames are read later, one by one, because a lab takes more of them than fit into memory.
+The keys of the file are read first (measurement_recipe.py), then the tables of spectra, then the photos. All other frames
+are read later, one by one, because a lab captures more frames than fit in memory.
 """
 
 import contextlib
@@ -68,32 +68,32 @@ from l3cli.system.files import sha256, stamp
 Array = NDArray[np.float64]
 ReadTable = Callable[[Path], CurveTable]
 AnyRecipe = MeasurementRecipe | CorrectionRecipe
-At = Callable[..., AbstractContextManager[None]]  # at(*keys): a block whose errors are about these keys
+At = Callable[..., AbstractContextManager[None]]  # at(*keys): context of a block whose errors concern these keys
 
 
 @dataclass(frozen=True)
 class MeasurementFiles:
-    """Measurements, and the files that they come from with the state that these had before any was read."""
+    """Measurements, the files from which they were read, and the state of these files before any of them was read."""
 
     measurements: Measurements
-    recipe: str  # text of the measurement file; "" for photos without one
-    files: dict[str, list[Path]]  # role → its files
+    recipe: str  # text of the measurement file; "" for photos without a measurement file
+    files: dict[str, list[Path]]  # role → files
     stamps: dict[Path, tuple[int, ...]]  # size, times and inode of each file
 
     def history(self, options: dict[str, Any]) -> Stage:
-        """Return the history stage of a calibration: options, measurement file and the SHA-256 of all its files.
+        """Return the history stage of a calibration: its options, the measurement file, and the SHA-256 of every file.
 
-        Raises InputFileError if a file has changed since, so that the digests always describe what was read.
+        Raises InputFileError if a file has changed since it was read, because its digest would then be wrong.
         """
         digests = {role: [sha256(file) for file in files] for role, files in self.files.items()}
         for file, before in self.stamps.items():
             if stamp(file) != before:
-                raise InputFileError(f"{file} has changed while it was read; run again when nothing writes to it")
+                raise InputFileError(f"{file} changed while l3 was reading it; run again when no program writes to it")
         return Stage("calibrate", options, self.recipe, digests)
 
 
 def read_measurements(path: Path) -> MeasurementFiles:
-    """Read a measurement file and everything that it names.
+    """Read a measurement file and all files that it refers to.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ def read_measurements(path: Path) -> MeasurementFiles:
     Returns
     -------
     MeasurementFiles
-        Its measurements. Frames other than photos are read later, one by one.
+        The measurements. Frames other than photos are read later, one by one.
 
     Raises
     ------
     RecipeError
-        If the file is invalid.
+        If the measurement file is invalid.
     InputFileError
         If a spectrum or a frame is missing or damaged.
     """
@@ -130,12 +130,12 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
     light : str or None
         Name of the illuminant, or None to estimate it.
     levels : mapping, optional
-        Levels that the files do not state.
+        Levels to use if the raw files do not state them.
 
     Raises
     ------
     InputFileError
-        If neither the files nor `levels` state everything that is needed.
+        If `levels` and the files together do not state all that is needed.
     """
     levels = levels or {}
     stamps = {file: stamp(file) for file in photos}
@@ -150,7 +150,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
 
 
 def parse_measurements(text: str, path: Path) -> AnyRecipe:
-    """Return the content of a measurement file. Raises RecipeError, beginning with `path`, if a key is wrong."""
+    """Parse the text of a measurement file. Raises RecipeError, beginning with `path`, if a key is wrong."""
     name, based = str(path), "base" in parse_toml(text, str(path))
     recipe = parse_recipe(text, CorrectionRecipe, name) if based else parse_recipe(text, MeasurementRecipe, name)
     refuse_first(key_faults(recipe), path)
@@ -158,14 +158,14 @@ def parse_measurements(text: str, path: Path) -> AnyRecipe:
 
 
 def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
-    """Read what a measurement file names.
+    """Read all files that a measurement file refers to.
 
     Parameters
     ----------
     recipe : MeasurementRecipe or CorrectionRecipe
-        Its content, as `parse_measurements` returns it.
+        The content of the measurement file, as `parse_measurements` returns it.
     path : Path
-        Its path. The file need not exist, but file names are relative to its folder.
+        The path of the measurement file. The file need not exist, but file names are relative to its folder.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def measurements_of(recipe: AnyRecipe, path: Path) -> Measurements:
 
 
 def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
-    """Return the files that a measurement file names, by role."""
+    """Return the files that a measurement file refers to, by role."""
     folder = path.parent
     if isinstance(recipe, CorrectionRecipe):
         frames = [folder / name for capture in (*recipe.dark, *recipe.white) for name in capture.frames]
@@ -186,20 +186,20 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
     return {"frames": frames, "spectra": [folder / name for name in spectrum_names(recipe)] + priors}
 
 
-# ---------------------------------------------------------------------------------------- tables that a file names
+# ------------------------------------------------------------------------------ tables that a measurement file lists
 
 
 class MonoLight(NamedTuple):
-    """Measured light of a monochromator step."""
+    """The measured light of one monochromator step."""
 
     wavelength: Array  # (wavelength) nm
     radiance: Array  # (wavelength) photons/s/sr/m²/nm
-    absolute: bool  # whether the scale of the radiance is known
-    monitor: float  # light of the lamp during the capture, relative to this spectrum
+    absolute: bool  # whether the absolute scale of the radiance is known
+    monitor: float  # light of the lamp during the capture, relative to the light when the spectrum was measured
 
 
 class PatchRadiances(NamedTuple):
-    """Measured radiances of the patches of a chart."""
+    """The measured radiances of the patches of a chart."""
 
     wavelength: Array  # (wavelength) nm
     radiance: Array  # (24, wavelength) photons/s/sr/m²/nm
@@ -207,7 +207,7 @@ class PatchRadiances(NamedTuple):
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of the files that a measurement file names, except frames; each tuple in the order of the file."""
+    """The contents of all listed files except frames. Each tuple has the order of the measurement file."""
 
     base: CameraModel | None = None
     mono: tuple[MonoLight, ...] = ()
@@ -219,35 +219,35 @@ class Contents:
 
 
 def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
-    """Let errors of a block end the reading, whatever they are about."""
+    """Return a context that does not catch any errors. The first error then ends the reading."""
     return contextlib.nullcontext()
 
 
 def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
-    """Read the files that a measurement file names, except frames, of which it only checks that they exist.
+    """Read the files that a measurement file lists, except frames. Of frames, it only checks that the files exist.
 
     Parameters
     ----------
     recipe : MeasurementRecipe or CorrectionRecipe
-        Content of the measurement file.
+        The content of the measurement file.
     path : Path
-        Its path, which names are relative to.
+        The path of the measurement file. File names are relative to its folder.
     at : callable
-        Returns a context manager for the block that reads what some keys state. `l3 check` gives one that collects errors.
-        What is wrong is then missing from the result. By default the first error ends the reading.
+        Returns a context manager for a block of code whose errors concern the given keys. `l3 check` passes a function that
+        collects errors, and faulty entries are then missing from the result. By default, the first error ends the reading.
 
     Raises
     ------
     RecipeError
-        If a column number or a name does not exist.
+        If a column or a name does not exist.
     InputFileError
-        If a file is missing or does not contain what is needed.
+        If a file is missing or has unsuitable content.
     """
     folder, read = path.parent, functools.cache(read_table)  # many captures share a table
     for key, name in frames_named(recipe):
         with at(key):
             if not os.path.isfile(folder / name):
-                raise InputFileError(f"{folder / name} does not exist; it is named as a frame")
+                raise InputFileError(f"{folder / name} does not exist; copy the frame there, or correct its name")
     if isinstance(recipe, CorrectionRecipe):
         with at(("base",)):
             return Contents(base=load_camera(folder / recipe.base))
@@ -283,11 +283,13 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
         with at(("mono", number, "spectrum"), ("mono", number, "column")):
             table = read(path.parent / step.spectrum)
             if isinstance(step.column, int) and not 1 <= step.column <= len(table.values):
-                raise RecipeError(f"{path}: column {step.column} of {step.spectrum} is none of its 1…{len(table.values)}")
+                raise RecipeError(
+                    f"{path}: {step.spectrum} has no column {step.column}; set a column from 1 to {len(table.values)}"
+                )
             light = table.column(step.column)
             radiance = light.photons(step.unit)[0]
             if radiance.max() <= 0:
-                raise InputFileError(f"{table.path}: column {step.column} is dark; measure the light again")
+                raise InputFileError(f"{table.path}: column {step.column} contains no light; measure the spectrum again")
             monitor, nm = step.monitor, float(light.wavelength[radiance.argmax()])
             with at(("mono", number, "monitor")):
                 ratio = monitor_at(monitor, nm, path.parent, read) if isinstance(monitor, MonitorRecipe) else monitor
@@ -297,16 +299,16 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
 
 
 def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
-    """Return what the lamp gave during a capture, relative to what it gave when its spectrum was measured.
+    """Return the light of the lamp during a capture, relative to the light when its spectrum was measured.
 
     Parameters
     ----------
     monitor : MonitorRecipe
         The table of readings.
     nm : float
-        Wavelength in nm at which the spectrum of the capture peaks.
+        Wavelength in nm of the maximum of the capture's spectrum.
     folder : Path
-        Folder of the measurement file, which the table is named relative to.
+        The folder of the measurement file. The name of the table is relative to it.
     read : callable
         Reads a table.
 
@@ -318,37 +320,40 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     Raises
     ------
     InputFileError
-        If the table does not reach the wavelength, the ratio is that of another lamp, or a column without reference holds
+        If the table does not cover the wavelength, if the ratio is implausible, or if a column without a reference contains
         readings instead of ratios.
     """
     table = read(folder / monitor.file)
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
-        raise InputFileError(f"{table.path} holds {first:g}…{last:g} nm, and a capture is at {nm:g} nm; add its reading")
+        raise InputFileError(
+            f"{table.path} covers only {first:g}…{last:g} nm, but a capture is at {nm:g} nm; add a reading there"
+        )
     reading, unit = _reading(table, monitor.column, nm)
     if monitor.reference is None:
         if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
+            with_unit = " (with a unit)" if unit else ""
             raise InputFileError(
-                f"{table.path}: {reading:.4g} at {nm:g} nm{' has a unit and' if unit else ''} is no ratio near 1 of "
-                "readings during the capture and before; as reference name the column of those before"
+                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of lamp readings; "
+                'set "reference" to the column of the readings before the captures'
             )
         return reading
     before, other = _reading(table, monitor.reference, nm)
     if unit != other:
         raise InputFileError(
-            f"{table.path}: the columns of monitor have different units; name two columns of one detector's readings"
+            f'{table.path}: the columns of "monitor" have different units; specify two columns with readings of one detector'
         )
     ratio = reading / before if before > 0 else math.inf
     if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
         raise InputFileError(
-            f"{table.path}: at {nm:g} nm the reading is {reading:.4g} and its reference {before:.4g}, which is not within "
-            f"{1 / MOST_MONITOR:g}…{MOST_MONITOR:g} of it; name the column of the readings when the spectra were measured"
+            f"{table.path}: at {nm:g} nm, the reading {reading:.4g} differs from its reference {before:.4g} by more than a "
+            f'factor of {MOST_MONITOR:g}; set "reference" to the column of the readings when the spectra were measured'
         )
     return ratio
 
 
 def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, dict[str, int]]:
-    """Return a column's value at a wavelength, in SI units where the heading states its unit, and these units' powers."""
+    """Return the value of a column at a wavelength, and the powers of its SI units. Without a unit, the powers are {}."""
     found = table.column(column)
     unit = None if found.units[0] is None else units.parse(found.units[0])
     value = float(np.interp(nm, found.wavelength, found.values[0]))
@@ -365,16 +370,19 @@ def _patch_radiances(
             file = folder / capture.radiance
             measured = read(file).ordered(PATCH_NAMES, patch_name)
             if section == "chart" and {capture.unit, *measured.units} & set(RELATIVE):
-                raise InputFileError(f"{file}: radiances of a [[chart]] give the scale and cannot be relative; measure them")
+                raise InputFileError(
+                    f"{file} contains relative radiances, but [[chart]] captures determine the scale; "
+                    "measure absolute radiances"
+                )
             radiance = measured.photons(capture.unit, absolute=section == "chart")
             if radiance.max(axis=1).min() <= 0:
-                raise InputFileError(f"{file}: a patch without light; measure the chart again")
+                raise InputFileError(f"{file}: a patch has no light; measure the chart again")
             radiances.append(PatchRadiances(measured.wavelength, radiance))
     return tuple(radiances)
 
 
 def patch_name(heading: str) -> str:
-    """Return the patch that a heading means: "patch 13", "13", "blue", "white 9.5 (.05 D)". Other headings are unchanged."""
+    """Return the name of the patch in a heading: "patch 13", "13", "blue", "white 9.5 (.05 D)". Other headings are kept."""
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
         return PATCH_NAMES[int(number[1]) - 1]
@@ -382,7 +390,7 @@ def patch_name(heading: str) -> str:
 
 
 def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurves | None:
-    """Return the curves in [sweep] or [curves], if there are any."""
+    """Return the curves of [sweep] or [curves], or None if the measurement file has neither."""
     if recipe.sweep is not None:
         response = recipe.sweep.response
         return read_sweep(folder / recipe.sweep.table, folder / response.file, recipe.cfa.channels, response.column)
@@ -393,7 +401,7 @@ def _curve(recipe: MeasurementRecipe, folder: Path) -> SweepTable | FinishedCurv
 
 
 def _cameras(recipe: MeasurementRecipe, folder: Path) -> CurveStatistics | tuple[FinishedCurves, ...] | None:
-    """Return the prior knowledge about curves, which photos need."""
+    """Return the curves of other cameras or their statistics, which photos need, or None if there are no photos."""
     if not recipe.photos:
         return None
     return shipped_statistics() if recipe.prior is None else read_cameras(prior_files(folder / recipe.prior))
@@ -409,9 +417,9 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Return the measurements of a recipe whose files have been read, and read its photos.
+    """Combine a recipe and the contents of its files to measurements, and read its photos.
 
-    `levels` are those that photos do not state; None: those of [datasheet].
+    `levels` are used if photos do not state their levels. If `levels` is None, the levels of [datasheet] are used.
     """
     if isinstance(recipe, CorrectionRecipe):
         assert contents.base is not None
@@ -451,7 +459,7 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the dark and white frames of a known camera."""
+    """Return the dark and white frames for a known camera."""
     body = Body(
         camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
     )
@@ -491,7 +499,7 @@ def _figures(declared: DatasheetRecipe) -> SensorFigures:
 
 
 def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) -> dict[float | None, tuple[Capture, ...]]:
-    """Return the captures by ISO speed; None if not stated."""
+    """Return the captures at each ISO speed. The key is None for captures that do not state a speed."""
     found: dict[float | None, tuple[Capture, ...]] = {}
     for each in recipes:
         found[each.iso] = (*found.get(each.iso, ()), Capture(**_frames(each, body, folder)))
@@ -499,12 +507,12 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments that all captures have in common, with frames that are read later."""
+    """Return the keyword arguments that all types of captures need. The frames are read later."""
     files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 
 
 def _chart(chart: ChartRecipe, patches: PatchRadiances, body: Body, folder: Path) -> dict[str, Any]:
-    """Return a chart capture as keyword arguments."""
+    """Return the keyword arguments for a chart capture."""
     corners = np.array(chart.corners, dtype=np.float64)
     return {**_frames(chart, body, folder), "illuminant": chart.illuminant, "corners": corners, **patches._asdict()}

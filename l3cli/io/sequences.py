@@ -1,7 +1,7 @@
-"""Find frames that belong together, in order and with numbers: folders, patterns, globs, stacks, headerless streams, videos.
+"""Find the frames of a sequence, in order and with numbers: folders, patterns, globs, stacks, headerless streams, videos.
 
-Also sequences of finished pictures that are evaluated. Frames are listed here but not read, so that memory does not grow
-with their number and they can be read ahead.
+The module also finds sequences of finished pictures for evaluation. It lists frames without reading them. Memory therefore
+does not grow with the number of frames, and frames can be read in advance.
 """
 
 import contextlib
@@ -43,34 +43,34 @@ from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, Stated, is_video, p
 from l3cli.physics.display import srgb_decoded
 from l3cli.system.files import STDIN
 
-STDIN_NAME = "stdin"  # name in messages
+STDIN_NAME = "stdin"  # name of the input in messages
 
 
 @dataclass(frozen=True)
 class FrameReference:
-    """Names a frame of a sequence, which `Frames.read` reads."""
+    """Identifies a frame of a sequence. `Frames.read` reads the frame."""
 
     number: int
-    stem: str  # stem of the output file
-    source: Path | None = None  # the file, if it contains this frame only
-    origin: str = ""  # digest of what its picture is made from, once computed
+    stem: str  # output file name without its suffix
+    source: Path | None = None  # the file, if it contains only this frame
+    origin: str = ""  # digest of everything from which the picture is made, once it has been computed
 
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """Frames in order. The frames of a stream go on until one of them reads as None."""
+    """Frames in order. A stream ends at the first frame for which `read` returns None."""
 
-    what: str  # name in messages
-    frames: "Frames"  # the existing frames, or the possible frames of a stream
+    what: str  # name of the input in messages
+    frames: "Frames"  # existing frames, or possible frames of a stream
     count: int | None  # expected number of frames; None for a stream of unknown length
-    stills: bool  # whether the frames are single files and not a sequence in time
+    stills: bool  # whether the frames are independent pictures rather than a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it
-    missing: Sequence[range] = ()  # numbers of frames that are missing from the sequence
+    missing: Sequence[range] = ()  # numbers of the frames that are missing
     is_stream: bool = False
     wanted: range | None = None  # numbers selected from a stream
-    unit: int | None = 1  # step of the numbers from frame to frame; None if they do not count frames
+    unit: int | None = 1  # increment of the numbers from frame to frame; None if the numbers do not count frames
     times: Stated | None = None  # times of the frames, if the file states them
-    part: range | None = None  # positions, from 0, of the frames to render; None for all
+    part: range | None = None  # positions, counted from 0, of the frames to render; None for all frames
 
     @property
     def lost(self) -> int:
@@ -83,32 +83,32 @@ class FrameSequence:
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Whether the frame at a position is rendered. Other frames are only read because later frames depend on them."""
+        """Whether the frame at a position is rendered. Other frames are only read because rendered frames depend on them."""
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
-        """Return the error for frames that do not exist."""
+        """Return the error that reports missing frames."""
         step = f"x{numbers.step}" if numbers.step > 1 else ""
         named = f"frame {numbers[0]} is" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}{step} are"
-        return InputFileError(f"{named} not in {self.what}; choose with ‹frames›, or add ‹skip_bad›")
+        return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the numbers selected from a stream, beginning at the number where it ended."""
+        """Return the selected numbers that a stream no longer contains if it ended before frame `number`."""
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
 class _Series:
-    """An input: its frame numbers, and a function that reads a frame by number."""
+    """An input: the numbers of its frames, and a function that reads a frame by its number."""
 
-    what: str  # name in messages
+    what: str  # name of the input in messages
     numbers: Collection[int] | None  # in order; None for a stream
     read: Callable[[int], RawFrame | None]
     stem: Callable[[int], str]
     rate: Fraction | None = None
-    files: Mapping[int, Path] | None = None  # number → file, if each frame has a file of its own
-    times: Stated | None = None  # times of the frames of a stream
-    expected: range | None = None  # expected numbers; None if only the existing numbers are expected
+    files: Mapping[int, Path] | None = None  # number → file, if each frame has its own file
+    times: Stated | None = None  # times of the frames, for a stream
+    expected: range | None = None  # numbers that should exist; None if no further numbers are expected
 
 
 def find_frames(
@@ -125,12 +125,12 @@ def find_frames(
     inputs : tuple of Path
         The inputs.
     table : TransformTable
-        States the size of headerless frames, and the array.
+        States the CFA, and the size of headerless frames.
     known : RawOverrides
-        Facts about the raw files.
+        Facts about the raw files that the user states.
     selection : range, optional
-        Frame numbers to select, all of which are expected to exist. The number of a file is the last number in its name.
-        Frames of a stack count from 0. For a pattern, every number between the first and the last is expected.
+        Frame numbers to select. All of them are expected to exist. The number of a file is the last number in its name. The
+        frames of a stack are counted from 0. For a pattern, all numbers between the first and the last are expected.
     dataset : str, optional
         Name of the array in an HDF5 or MATLAB file.
 
@@ -139,16 +139,17 @@ def find_frames(
     InputFileError
         If there are no frames.
     RecipeError
-        If one of several inputs is not a single file.
+        If there are several inputs and one of them is not a file with a single frame.
     """
     plain = [path for path in inputs if is_one_file(path)]
     if len(plain) < len(inputs) and len(inputs) > 1:
         other = next(path for path in inputs if not is_one_file(path))
-        raise RecipeError(f"{other} is a sequence; give it alone, or several files of one frame each")
+        raise RecipeError(f"{other} is a sequence; pass it as the only input, or pass only files with one frame each")
     stills = len(inputs) > 1
     series = _series_of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
     if known.gains and series.numbers is not None and len(series.expected or series.numbers) != len(known.gains):
-        text = f"{len(series.expected or series.numbers)} frames, and ‹gains› lists {len(known.gains)}; list one for each"
+        count = len(series.expected or series.numbers)
+        text = f"{count} frames, but ‹gains› lists {len(known.gains)} gains; list one gain per frame"
         raise InputFileError(f"{series.what}: {text}")
     if series.numbers is None:
         count = None if selection is None else len(selection)
@@ -164,8 +165,11 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Split the wanted numbers into existing numbers, in order, and ranges of missing ones. Both may be too many to list."""
-    if isinstance(numbers, range):  # of a stack: from 0 on
+    """Split the wanted numbers into existing numbers, in order, and ranges of missing numbers.
+
+    Ranges are not expanded, because they may contain too many numbers to list.
+    """
+    if isinstance(numbers, range):  # numbers of the frames of a stack, beginning with 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
     there, missing, following = sorted(number for number in numbers if number in wanted), [], 0
@@ -178,9 +182,9 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of frames exposed without light. Raises InputFileError if one is missing, damaged or different."""
+    """Return the mean of dark frames. Raises InputFileError if a frame is missing or damaged, or if sizes differ."""
     if sequence.what == STDIN_NAME:
-        raise RecipeError("dark frames are files, not a stream; save them first")
+        raise RecipeError("dark frames cannot be read from stdin; save them in files")
     # The number of frames in a video is known only at its end.
     return average_dark(_until_none(sequence.frames.read(frame.number) for frame in sequence.frames))
 
@@ -193,7 +197,7 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the files of an input of any kind. Raises InputFileError if there are none."""
+    """Return the files of an input of any kind. Raises InputFileError if there are no files."""
     if path.is_dir():
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
@@ -208,7 +212,7 @@ def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of a series. References are created one by one in each iteration, since there may be many."""
+    """The frames of an input. References are created one by one during iteration, because there may be many."""
 
     series: _Series
     wanted: Iterable[int]
@@ -217,18 +221,21 @@ class Frames:
         return map(self.reference, self.wanted)
 
     def reference(self, number: int) -> FrameReference:
-        """Return the frame with a number."""
+        """Return the reference to the frame with the given number."""
         series = self.series
         source = series.files.get(number) if series.files else None
         return FrameReference(number, series.stem(number), source)
 
     def read(self, number: int) -> RawFrame | None:
-        """Read the frame with a number. None after the end of a stream; InputFileError if it is damaged."""
+        """Read the frame with the given number.
+
+        Returns None after the end of a stream. Raises InputFileError if the frame is damaged.
+        """
         return self.series.read(number)
 
 
 def is_one_file(path: Path) -> bool:
-    """Whether a path, existing or not, names a file that can contain a single frame."""
+    """Whether a path, existing or not, is the name of a file that can contain a single frame."""
     if path == STDIN or path.is_dir() or not format_of(path).holds_frame:
         return False
     return path.exists() or not (PATTERN.search(path.name) or is_glob(path))
@@ -236,10 +243,10 @@ def is_one_file(path: Path) -> bool:
 
 def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str | None) -> _Series:
     if dataset is not None and not format_of(path).wants_dataset:
-        raise RecipeError(f"‹dataset› names an array of an HDF5 file; {path} is not one")
+        raise RecipeError(f"‹dataset› applies only to HDF5 and MATLAB files, not to {path}; remove ‹dataset›")
     if path == STDIN:
         if known.size is None:
-            raise RecipeError("raw frames on stdin have no header with their size; give it with ‹size› ROWSxCOLS")
+            raise RecipeError("raw frames on stdin do not state their size; set ‹size› ROWSxCOLS")
         return _series_of_stack(STDIN_NAME, "", read_stdin(table, known), table, known)
     if not path.exists() and PATTERN.search(path.name):
         return _series_of_pattern(path, table, known)
@@ -253,31 +260,32 @@ def _series(path: Path, table: TransformTable, known: RawOverrides, dataset: str
 
 def _in_folder(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if is_frame(path) and path.name[0] != "." and path.is_file()]
-    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # added by a simulation
+    ideals = {path.name.removesuffix(RAW) + IDEAL for path in found if path.name.endswith(RAW)}  # written by `l3 simulate`
     files = of_one_kind(folder, (path for path in found if path.name not in ideals))
     if not files:
-        raise InputFileError(f"{folder} holds no raw frames; give a folder of .tif .tiff .png .npy .raw .dng …")
+        raise InputFileError(f"{folder} contains no raw frames; use a folder with .tif, .png, .npy, .raw or .dng files")
     return files
 
 
 def _globbed(path: Path) -> list[Path]:
     files = globbed(path)
     if not files:
-        raise InputFileError(f"{path} matches no file; give the raw frames' names")
+        raise InputFileError(f"{path} matches no file; correct the glob of the raw frames")
     return files
 
 
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
     """Return a series with one frame per file.
 
-    Frames are numbered by file name, or from 0 if a name has no number or two have the same number.
+    The number of a frame is the last number in its file name. If a name has no number, or if two have the same number, the
+    frames are counted from 0.
     """
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
     numbers = named if len(set(named)) == len(paths) else range(len(paths))
     files = dict(zip(numbers, paths, strict=True))
     places = {number: place for place, number in enumerate(numbers)}
-    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # a single frame has no rate
+    rate = _film_rate(paths[0]) if len(paths) > 1 else None  # the rate of a single frame has no meaning
     return _Series(
         what, files, lambda number: read_raw(files[number], table, known.of_frame(places[number])),
         lambda number: files[number].stem, rate, files,
@@ -285,15 +293,15 @@ def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, kn
 
 
 def _film_rate(path: Path) -> Fraction | None:
-    """Return the frame rate that a file with one frame states, as in CinemaDNG."""
+    """Return the frame rate that a file with one frame states, as in CinemaDNG, or None."""
     return format_of(path).rate(path) if path.is_file() else None
 
 
 def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides) -> _Series:
     files = numbered_files(pattern)
     if not files:
-        raise InputFileError(f"{pattern} matches no file; give the raw frames' pattern, such as frame_%04d.tif")
-    # A pattern implies consecutive numbers, so a missing number is a lost frame.
+        raise InputFileError(f"{pattern} matches no file; use a pattern of the raw frames, such as frame_%04d.tif")
+    # The files of a pattern should have consecutive numbers, so a missing number means a lost frame.
     whole, rate = range(min(files), max(files) + 1), _film_rate(next(iter(files.values())))
     return _Series(
         str(pattern), files, lambda number: read_raw(files[number], table, known.of_frame(number - whole.start)),
@@ -305,9 +313,9 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of a file or of stdin. Output names are the `stem`, if there is one, and the number."""
+    """Return the frames of a file or of stdin. Output names consist of `stem`, unless it is empty, and the frame number."""
     if stack.count == 0:
-        raise InputFileError(f"{what} holds no frames; give a file of frames × rows × columns")
+        raise InputFileError(f"{what} contains no frames; use a file with frames × rows × columns")
 
     def read(number: int) -> RawFrame | None:
         content = stack.read(number)
@@ -315,7 +323,7 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
             return frame_of(f"{what} {stack.name(number)}", content, table, known.of_frame(number))
         if number < len(known.gains):
             raise InputFileError(
-                f"{what} has no frame {number}, and ‹gains› lists {len(known.gains)}; list one for each frame"
+                f"{what} has only {number} frames, but ‹gains› lists {len(known.gains)} gains; list one gain per frame"
             )
         return None
 
@@ -330,27 +338,27 @@ def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: Transfo
 
 PICTURES = suffixes("codes")
 Linear = NDArray[np.float32]  # (row, col, 3) linear sRGB
-GIVE = 'give a folder of pictures, a pattern such as "out/%04d.png", or a video'
+GIVE = 'use a folder of pictures, a pattern such as "out/%04d.png", or a video'
 KNOWN_MOTION = ("down", "right", "seen")
 
 
 @dataclass(frozen=True)
 class PictureSequence:
-    """Pictures in order, read one by one."""
+    """Pictures in order, which are read one by one."""
 
     name: str
     shape: tuple[int, int]  # rows, cols
     count: int | None  # None for a video, whose length is unknown
     pictures: Callable[[], Iterator[Linear]]
     files: tuple[Path, ...]
-    motion: tuple[Path, ...] = ()  # files with the motion of each picture since the previous one
+    motion: tuple[Path, ...] = ()  # files with the motion from the previous picture to each picture
 
 
 def find_pictures(path: Path) -> PictureSequence:
     """Find a sequence of pictures: a folder, a numbered pattern, a glob, or a video.
 
-    For a folder from a simulation, these are the ideal pictures. Raises InputFileError if there are none, if sizes differ,
-    or if a number is missing.
+    If the folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
+    pictures, if sizes differ, or if a number is missing.
     """
     if is_video(path) and not _names_several(path):
         return PictureSequence(str(path), _video_shape(path), None, functools.partial(_video_pictures, path), (path,))
@@ -358,10 +366,10 @@ def find_pictures(path: Path) -> PictureSequence:
 
 
 def picture_files(path: Path) -> list[Path]:
-    """Return the pictures of a folder, a numbered pattern or a glob, in order, of any size.
+    """Return the pictures of a folder, a numbered pattern or a glob, in order. Their sizes may differ.
 
-    For a folder from a simulation, these are the ideal pictures. Raises InputFileError if there are none, or if a number is
-    missing.
+    If the folder was written by `l3 simulate`, only the ideal pictures are used. Raises InputFileError if there are no
+    pictures, or if a number is missing.
     """
     if not _names_several(path):
         what = "is a single file" if path.exists() else "does not exist"
@@ -373,29 +381,31 @@ def picture_files(path: Path) -> list[Path]:
         if lost := [
             number for number in range(min(numbered, default=0), max(numbered, default=0)) if number not in numbered
         ]:
-            raise InputFileError(f"{path}: number {lost[0]} is missing; name what is there with a glob, or render it again")
+            raise InputFileError(
+                f"{path}: number {lost[0]} is missing; select the existing pictures with a glob, or render it again"
+            )
         files = list(numbered.values())
     else:
         files = globbed(path)
     if not files:
-        raise InputFileError(f"{path} holds no pictures; {GIVE}")
+        raise InputFileError(f"{path} contains no pictures; {GIVE}")
     if wrong := next((each for each in files if each.suffix.lower() not in PICTURES), None):
-        raise InputFileError(f"{wrong} is not a picture; pictures are {', '.join(PICTURES)}")
+        raise InputFileError(f"{wrong} is not a supported picture; use {', '.join(PICTURES)}")
     return files
 
 
 def require_alike(ours: PictureSequence, wanted: PictureSequence | None) -> None:
-    """Raise InputFileError if a sequence has a single picture, or differs from the ideal one in size or length."""
+    """Raise InputFileError if a sequence has only one picture, or differs from the ideal sequence in size or length."""
     if ours.count == 1:
-        raise InputFileError(f"{ours.name} holds one picture; a sequence has two or more")
+        raise InputFileError(f"{ours.name} contains only one picture; use a sequence of at least two")
     if wanted is None:
         return
     if ours.shape != wanted.shape:
         sizes = " and ".join(f"{rows}×{cols}" for rows, cols in (ours.shape, wanted.shape))
-        raise InputFileError(f"{ours.name} and {wanted.name} are of {sizes} pixels; give pictures of the same frames")
+        raise InputFileError(f"{ours.name} and {wanted.name} have {sizes} pixels; compare pictures of the same frames")
     if ours.count is not None and wanted.count is not None and ours.count != wanted.count:
         counts = f"{ours.count} and {wanted.count} pictures"
-        raise InputFileError(f"{ours.name} and {wanted.name} hold {counts}; give pictures of the same frames")
+        raise InputFileError(f"{ours.name} and {wanted.name} contain {counts}; compare pictures of the same frames")
 
 
 def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tuple[Linear, Linear | None, Linear | None]]:
@@ -408,20 +418,26 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
     for number, picture in enumerate(ours.pictures()):
         ideal = next(ideals, None)
         if wanted is not None and ideal is None:
-            raise InputFileError(f"{wanted.name} ends after {number} pictures, {ours.name} goes on; give the same frames")
+            raise InputFileError(
+                f"{wanted.name} ends after {number} pictures, but {ours.name} continues; compare pictures of the same frames"
+            )
         motion = next(motions, None)
         yield picture, ideal, None if motion is None else read_motion(motion, ours.shape)
     if wanted is not None and next(ideals, None) is not None:
-        raise InputFileError(f"{ours.name} ends before {wanted.name}; give pictures of the same frames")
+        raise InputFileError(f"{ours.name} ends before {wanted.name}; compare pictures of the same frames")
 
 
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
-    """Read the motion of a frame since the previous one (3, row, col): pixels down, pixels right, and 1 where it is
-    known.
+    """Read the motion of a frame since the previous frame, as an array (3, row, col).
+
+    The planes are the motion down in pixels, the motion right in pixels, and 1 where the motion is known.
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():
-        raise InputFileError(f"{path} is not a motion of frames of {shape[0]}×{shape[1]}; give what l3 simulate wrote")
+        raise InputFileError(
+            f"{path} does not contain the motion of frames of {shape[0]}×{shape[1]} pixels; "
+            'use the file that "l3 simulate" wrote'
+        )
     return np.ascontiguousarray(np.moveaxis(planes, -1, 0), np.float32)
 
 
@@ -444,7 +460,8 @@ def _file_pictures(path: Path, files: list[Path]) -> PictureSequence:
     for each in files[1:]:
         if (size := picture_size(each)) != shape:
             raise InputFileError(
-                f"{each} is {size[0]}×{size[1]}, {files[0].name} {shape[0]}×{shape[1]}; give pictures of one size"
+                f"{each} has {size[0]}×{size[1]} pixels, but {files[0].name} has {shape[0]}×{shape[1]}; "
+                "use pictures of one size"
             )
     motion = tuple(each.with_name(each.name.removesuffix(IDEAL) + MOTION) for each in files if each.name.endswith(IDEAL))
     known = motion if len(motion) == len(files) and all(each.is_file() for each in motion) else ()
@@ -463,12 +480,12 @@ def _video_pictures(path: Path) -> Iterator[Linear]:
 
 
 def _video(path: Path) -> DecodedVideo:
-    return DecodedVideo(path, "what l3 render made", _require_colours, f"{CONTAINERS},yuv4mpegpipe")
+    return DecodedVideo(path, 'a video that "l3 render" wrote', _require_colours, f"{CONTAINERS},yuv4mpegpipe")
 
 
 def _require_colours(path: Path, context: Any) -> None:
     if not (context.pix_fmt or "").startswith(("yuv", "gbr", "bgr", "rgb")):
-        raise InputFileError(f"{path} holds {context.pix_fmt or 'unknown'} pixels; give a video of colours")
+        raise InputFileError(f"{path} has the pixel format {context.pix_fmt or 'unknown'}; use a colour video")
 
 
 _open: dict[Path, InTurn] = {}
@@ -482,9 +499,9 @@ def _video_shape(path: Path) -> tuple[int, int]:
 
 @isolated("av")
 def _video_picture(path: Path, number: int) -> NDArray | None:
-    """Return frame `number` as encoded sRGB (row, col, 3) of 8 or 16 bits, or None after the last.
+    """Return frame `number` as encoded sRGB (row, col, 3) with 8 or 16 bits, or None after the last frame.
 
-    Luma and chroma are those of BT.709, as `l3 render` writes them.
+    Luma and chroma are converted with the BT.709 matrix, which `l3 render` uses.
     """
     frame = _open.setdefault(path, InTurn(_video)).frame(path, number)
     if frame is None:

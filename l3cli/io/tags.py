@@ -1,6 +1,6 @@
-"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by tifffile's names.
+"""Read and write tags of TIFF 6, TIFF/EP, Exif and DNG 1.7, by the names that tifffile uses.
 
-Tags of the camera and of the settings of a shot are the same in all formats.
+The tags of the camera and of the settings of a shot are the same in all formats.
 """
 
 import re
@@ -18,25 +18,25 @@ from l3cli.frames.frame import Shot
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of value types
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
-REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image, a page of several
+REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image; one page of several
 RECTANGULAR = 1  # value of CFALayout
 UNSIGNED = 1  # value of SampleFormat
 UPRIGHT = 1  # value of Orientation
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # flip codes for the values 0…8 of Orientation
-# exceptions that reading damaged tags may raise
+# exceptions that damaged tags may cause
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
-LONGEST_NAME = 80  # characters; longer camera names are cut
-MAX_DENOMINATOR = 10**9  # largest denominator
-MAX_INTEGER = 2**31 - 1  # largest numerator or denominator
-Entry = tuple[int, int, int, object, bool]  # a tag in the form that tifffile takes
+LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
+MAX_DENOMINATOR = 10**9
+MAX_INTEGER = 2**31 - 1  # maximum numerator and denominator
+Entry = tuple[int, int, int, object, bool]  # a tag as tifffile expects it: code, type, count, value, write only once
 
 
 def flip_of(path: Path, orientation: object) -> int:
-    """Return LibRaw's flip code for a file's Orientation. Raises InputFileError for values that TIFF does not define."""
+    """Return LibRaw's flip code for the tag Orientation. Raises InputFileError for a value that TIFF does not define."""
     if not (isinstance(orientation, int | np.integer) and 0 <= orientation < len(LIBRAW_FLIP)):
         raise InputFileError(
-            f"{path}: its orientation is {orientation}, but TIFF defines 1…{len(LIBRAW_FLIP) - 1}; "
-            "correct the tag Orientation, 1 if it is upright"
+            f"{path}: the tag Orientation is {orientation}, but TIFF defines only 1…{len(LIBRAW_FLIP) - 1}; "
+            "set the tag to 1 if the picture is upright"
         )
     return LIBRAW_FLIP[orientation]
 
@@ -45,7 +45,7 @@ def flip_of(path: Path, orientation: object) -> int:
 
 
 def numbers(page: Any, name: str, default: Any) -> Any:
-    """Return the numbers in a tag, with fractions divided."""
+    """Return the numbers in a tag as a list, with fractions divided, or `default` if the tag is missing."""
     tag = page.tags.get(name)
     if tag is None:
         return default
@@ -56,28 +56,31 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Return a number from a directory's value: the first of several, the quotient of two, or None."""
+    """Convert the value of an Exif tag to a number: two numbers are a fraction, of more numbers the first is used.
+
+    Returns None if the value is not a number.
+    """
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]
     return float(value) if isinstance(value, int | float | np.number) else None
 
 
 def exif_of(page: Any) -> dict[str, Any]:
-    """Return the Exif directory of a page, empty if there is none."""
+    """Return the Exif directory of a page, or {} if there is none."""
     exif = page.tags.valueof("ExifTag")
     return exif if isinstance(exif, dict) else {}
 
 
 def exposure_time(page: Any) -> float | None:
-    """Return the exposure time (s) from the first page of a TIFF file or DNG, by its own tags (TIFF/EP) or its Exif tags."""
+    """Return the exposure time in s from the first page of a TIFF or DNG file, from a TIFF/EP tag or an Exif tag."""
     seconds = page.tags.valueof("ExposureTime") or exif_of(page).get("ExposureTime")
     if not (isinstance(seconds, tuple) and len(seconds) == 2 and seconds[1]):
-        return None  # not stated, or not a time
+        return None  # missing or invalid
     return float(seconds[0] / seconds[1])
 
 
 def camera_names(page: Any) -> list[str]:
-    """Return make, model and other names of the camera from the first page of a TIFF file or DNG. Empty without a model."""
+    """Return make, model and other names of the camera from the first page of a TIFF or DNG file, or [] without a model."""
     texts = [page.tags.valueof(tag) for tag in ("Model", "Make", "UniqueCameraModel", "LocalizedCameraModel")]
     written = [text.decode("utf-8", "replace") if isinstance(text, bytes) else text for text in texts]
     model, make, *others = [text.strip("\0 ")[:LONGEST_NAME] if isinstance(text, str) else "" for text in written]
@@ -88,7 +91,7 @@ def camera_names(page: Any) -> list[str]:
 
 
 def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
-    """Return a tag with numbers in the form that tifffile takes."""
+    """Return a tag with numbers as tifffile expects it."""
     if kind == DOUBLE:
         parts: list[float] = [float(value) for value in values]
     elif kind in FRACTIONS:
@@ -101,12 +104,12 @@ def entry(name: str, kind: int, values: Iterable[float]) -> Entry:
 
 
 def _fraction(value: float) -> Fraction:
-    """Return the nearest fraction with 32-bit numerator and denominator."""
+    """Return the nearest fraction whose numerator and denominator fit in 32 bits."""
     return Fraction(value).limit_denominator(min(MAX_DENOMINATOR, int(MAX_INTEGER / max(1.0, abs(value)))))
 
 
 def text_entry(name: str, text: str) -> Entry:
-    """Return a tag with ASCII text. Other characters become question marks."""
+    """Return a tag with ASCII text as tifffile expects it. Other characters become question marks."""
     return _code(name), ASCII, 0, text.encode("ascii", "replace").decode(), True
 
 
@@ -118,10 +121,10 @@ def _code(name: str) -> int:
 
 # ------------------------------------------------------------------------------------------- settings of a shot
 
-LONGEST_TEXT = 100  # characters
-MAX_BELIEVABLE = 1e7  # largest believable number; ISO speeds go up to 4 million
+LONGEST_TEXT = 100  # maximum number of characters
+MAX_BELIEVABLE = 1e7  # largest plausible number; ISO speeds go up to 4 million
 DATE = re.compile(r"\d{4}:\d\d:\d\d \d\d:\d\d:\d\d", re.ASCII)
-SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif directory, and in OpenImageIO
+SHOT = {  # field of Shot → (name in tifffile, as a tag or in the Exif directory; name in OpenImageIO)
     "f_number": ("FNumber", "FNumber"),
     "focal_length": ("FocalLength", "Exif:FocalLength"),
     "make": ("Make", "Make"),
@@ -133,8 +136,9 @@ SHOT = {  # field of Shot → its names in tifffile, as a tag or in the Exif dir
 
 
 def believable_shot(stated: Mapping[str, Any]) -> Shot:
-    """Return the settings of a shot with implausible values removed: texts are short and printable, dates valid, numbers
-    positive.
+    """Return the settings of a shot without implausible values.
+
+    Texts are shortened and must be printable, dates must be valid, and numbers must be positive.
     """
     usual, fields = Shot(), dict[str, Any]()
     for name in stated.keys() & SHOT.keys():
@@ -148,7 +152,7 @@ def believable_shot(stated: Mapping[str, Any]) -> Shot:
 
 
 def shot_of_page(page: Any) -> dict[str, str | float]:
-    """Return the settings in a tifffile page, from its tags or its Exif directory."""
+    """Return the settings of a shot from the tags of a tifffile page or from its Exif directory."""
     exif = exif_of(page)
     stated = {name: page.tags.valueof(tag, exif.get(tag)) for name, (tag, _) in SHOT.items()}
     plain = {name: value if isinstance(value, str) else number(value) for name, value in stated.items()}
@@ -156,13 +160,13 @@ def shot_of_page(page: Any) -> dict[str, str | float]:
 
 
 def shot_of_spec(spec: Any) -> dict[str, str | float]:
-    """Return the settings in OpenImageIO's description of a picture."""
+    """Return the settings of a shot from OpenImageIO's ImageSpec."""
     stated = {name: spec.getattribute(other) for name, (_, other) in SHOT.items()}
     return {name: value for name, value in stated.items() if isinstance(value, str | float | int)}
 
 
 def shot_entries(shot: Shot, exposure: float | None) -> list[Entry]:
-    """Return the tags (TIFF/EP) that state how a frame was taken, with its exposure time in s."""
+    """Return the tags (TIFF/EP) with the settings of a shot and its exposure time in s."""
     entries = [entry("ExposureTime", RATIONAL, [exposure])] if exposure else []
     for name, (tag, _) in SHOT.items():
         value = getattr(shot, name)

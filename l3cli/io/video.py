@@ -1,9 +1,10 @@
 """Write and read videos with PyAV (FFmpeg).
 
 The module writes videos and y4m streams, decodes videos frame by frame, and reads and assigns the times of frames. Functions
-that decode are only called in an isolated process. Raw videos are read by raw/video.py. Pictures are sRGB, and every video
-is labelled accordingly: BT.709 primaries, sRGB transfer (BT.709 for ProRes, which cannot label sRGB), and the BT.709 matrix
-in limited range where colours are stored as luma and chroma.
+that decode are only called in the isolated process. Raw videos are read by raw/video.py.
+
+Written pictures are sRGB, and every video is labelled accordingly: BT.709 primaries, sRGB transfer function (BT.709 for
+ProRes, which cannot label sRGB), and the BT.709 matrix in limited range if colours are stored as luma and chroma.
 """
 
 import contextlib
@@ -27,26 +28,26 @@ from l3cli.system.limits import require_picture
 
 INSTALL = 'videos need PyAV; install it with: pip install "l3cli[video]"'
 SLOWEST, FASTEST = Fraction(1, 1000), Fraction(1000)  # frames per second
-FINEST = 1_000_000  # largest denominator of rates and times, so that numerators fit into the 32 bits of containers
+FINEST = 1_000_000  # maximum denominator of rates and times, so that numerators fit in the 32 bits of containers
 
 
 def storable_rate(rate: Fraction) -> Fraction | None:
     """Return the nearest frame rate that every container can store, such as 30000/1001 for 29.97002997 per second.
 
-    Returns None if the rate is not that of a video.
+    Returns None if the rate is not plausible for a video.
     """
     return rate.limit_denominator(FINEST) if SLOWEST <= rate <= FASTEST else None
 
 
 def pyav() -> Any:
-    """Return PyAV, imported on first use."""
+    """Import PyAV on first use. Raises L3Error if it is not installed."""
     try:
         import av
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
-    av.logging.set_level(av.logging.ERROR)  # errors are reported as one line instead of FFmpeg's own lines
+    av.logging.set_level(av.logging.ERROR)  # l3 reports errors in one line, and the messages of FFmpeg are suppressed
     log = logging.getLogger("libav")
-    if not log.handlers:  # this is called for every frame
+    if not log.handlers:  # this function is called for every frame
         log.addHandler(logging.NullHandler())
     log.propagate = False
     return av
@@ -62,12 +63,12 @@ class Encoding:
     encoder: str
     formats: dict[int, str]
     suffixes: tuple[str, ...]
-    presets: bool = False  # whether --preset and --crf apply
+    presets: bool = False  # whether `preset` and `crf` apply
     options: tuple[tuple[str, str], ...] = ()
     tag: str | None = None
     transfer: str = "IEC61966_2_1"
-    frames_at_once: int | None = None  # frames that the encoder processes in parallel; None leaves it to the encoder
-    reorders: int = 0  # frames that x265 needs before it knows the decoding times of B-frames
+    frames_at_once: int | None = None  # number of frames that the encoder processes in parallel; None: encoder's choice
+    reorders: int = 0  # number of frames that x265 needs before it knows the decoding times of B-frames
 
 
 # The output of x264 depends on how it divides the work. By default, it splits every frame into one slice per core, which
@@ -91,46 +92,48 @@ ENCODINGS = {
 }
 USUAL = {".mp4": "h264", ".mov": "prores", ".mkv": "ffv1"}  # default codecs
 X265_UNIT = 64  # pixels, side of x265's coding tree units
-READ_BEHIND = 64  # bytes of padding, because conversions may read 16 bytes past a picture (libavutil, frame.h)
+READ_BEHIND = 64  # bytes of padding, because FFmpeg may read 16 bytes past the end of a picture (libavutil, frame.h)
 RGB_MATRIX = 0  # code of ITU-T H.273 for red, green and blue without a matrix
 Y4M = ".y4m"
 Y4M_FORMATS = {8: ("yuv420p", "C420jpeg"), 16: ("yuv420p10le", "C420p10 XYSCSS=420P10")}
 
 
-USUAL_RATE = Fraction(30)  # frames per second, if neither the caller nor the input states it
+USUAL_RATE = Fraction(30)  # frames per second, if neither the user nor the input states the rate
 
 
 @dataclass(frozen=True)
 class VideoChoice:
-    """Settings of a video. None selects the default."""
+    """Settings of a video. None selects the default of a setting."""
 
     rate: Fraction  # frames per second
     bits: int  # bits per value of the pictures
     codec: str | None = None  # key of ENCODINGS
     crf: float | None = None
     preset: str = "veryfast"
-    tick: Fraction | None = None  # s, unit of the frames' times; None for the duration of a frame
+    tick: Fraction | None = None  # s, unit of the times of frames; None for the duration of a frame
 
 
 def is_video(path: Path) -> bool:
-    """Return whether the name of a file is that of a video."""
+    """Whether a file name has the suffix of a video."""
     return path.suffix.lower() in (*USUAL, Y4M)
 
 
 def check_video(path: Path, choice: VideoChoice) -> None:
-    """Raise RecipeError if a video with these settings cannot be written, and L3Error without PyAV."""
+    """Raise RecipeError if a video with these settings cannot be written, and L3Error if PyAV is not installed."""
     suffix = path.suffix.lower()
     if suffix == Y4M:
         if choice.codec or choice.crf is not None:
-            raise RecipeError(f"{path}: y4m is not compressed; leave ‹codec› and ‹crf› out")
+            raise RecipeError(f"{path}: y4m files are not compressed; remove ‹codec› and ‹crf›")
     else:
         encoding = _encoding(path, choice)
         if suffix not in encoding.suffixes:
-            raise RecipeError(f"{path}: {choice.codec} needs a file that ends in {' or '.join(encoding.suffixes)}")
+            raise RecipeError(
+                f"{path} cannot contain {choice.codec} video; use a file name that ends in {' or '.join(encoding.suffixes)}"
+            )
         if choice.bits not in encoding.formats:
-            raise RecipeError(f"{path}: h264 has 8 bits per value; choose ‹codec› h265 or leave ‹bits› out")
+            raise RecipeError(f"{path}: h264 stores 8 bits per value; choose ‹codec› h265 or remove ‹bits›")
         if choice.crf is not None and not encoding.presets:
-            raise RecipeError(f"{path}: ‹crf› is for h264 and h265")
+            raise RecipeError(f"{path}: ‹crf› applies only to h264 and h265; remove it or choose another ‹codec›")
     pyav()
 
 
@@ -142,12 +145,12 @@ class _Converter:
     """Converts pictures (row, col, 3) to FFmpeg frames of a pixel format."""
 
     def __init__(self, pixel_format: str) -> None:
-        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept: making it is slower than using it
+        self._reformatter = pyav().video.reformatter.VideoReformatter()  # kept, because creating it is slower than using it
         self.pixel_format = pixel_format
         self._bytes = np.empty(0, np.uint8)
 
     def even(self, picture: NDArray) -> NDArray:
-        """Repeat the last row or column if the pixel format needs even sizes."""
+        """Repeat the last row or column if the pixel format requires even numbers of rows or columns."""
         if not self.pixel_format.startswith(("yuv420", "yuv422")):
             return picture
         rows, cols = picture.shape[:2]
@@ -155,59 +158,59 @@ class _Converter:
         return np.pad(picture, ((0, down), (0, cols % 2), (0, 0)), mode="edge") if down or cols % 2 else picture
 
     def frame(self, picture: NDArray) -> Any:
-        room, source = self._room_for(self.even(picture))
-        frame = pyav().VideoFrame.from_numpy_buffer(room, format=source)
-        # One thread, because rendering keeps the other cores busy. With several threads, the conversion takes 20 % longer.
+        buffer, source = self._buffer_for(self.even(picture))
+        frame = pyav().VideoFrame.from_numpy_buffer(buffer, format=source)
+        # A single thread, because rendering uses the other cores. With several threads, conversion takes 20 % longer.
         coded = {"dst_colorspace": "ITU709", "dst_color_range": "MPEG"} if self.pixel_format.startswith("yuv") else {}
         return self._reformatter.reformat(frame, format=self.pixel_format, threads=1, **coded)
 
-    def _room_for(self, picture: NDArray) -> tuple[NDArray, str]:
-        """Copy a picture into a padded buffer that is used again for each picture. Returns the buffer and its format.
+    def _buffer_for(self, picture: NDArray) -> tuple[NDArray, str]:
+        """Copy a picture into a padded buffer that is reused for each picture. Returns the buffer and its pixel format.
 
-        Allocating a new FFmpeg frame for each picture takes three times as long.
+        Allocating a new FFmpeg frame for each picture would take three times as long.
         """
         widened = picture.dtype == np.uint8 and self.pixel_format.startswith("yuv")
         rows, cols, count = *picture.shape[:2], 4 if widened else picture.shape[2]
         size = rows * cols * count * picture.itemsize
         if len(self._bytes) != size + READ_BEHIND:
             self._bytes = np.zeros(size + READ_BEHIND, np.uint8)
-        room = self._bytes[:size].view(picture.dtype).reshape(rows, cols, count)
+        buffer = self._bytes[:size].view(picture.dtype).reshape(rows, cols, count)
         if widened:
-            _widen(np.ascontiguousarray(picture), room)
+            _widen(np.ascontiguousarray(picture), buffer)
         else:
-            room[...] = picture
-        return room, "rgba" if widened else "rgb24" if picture.dtype == np.uint8 else "rgb48le"
+            buffer[...] = picture
+        return buffer, "rgba" if widened else "rgb24" if picture.dtype == np.uint8 else "rgb48le"
 
 
-def _widen(picture: NDArray[np.uint8], room: NDArray[np.uint8]) -> None:
-    """Copy pixels of three bytes into pixels of four.
+def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
+    """Copy pixels of three bytes into pixels of four bytes.
 
-    FFmpeg converts these to luma and chroma in four fifths of the time, copy included. The fourth byte is ignored; it is the
-    first byte of the next pixel, because pixels are copied as 32-bit integers.
+    FFmpeg converts pixels of four bytes faster to luma and chroma. Including this copy, it takes four fifths of the time.
+    FFmpeg ignores the fourth byte. It is the first byte of the next pixel, because pixels are copied as 32-bit integers.
     """
     pixels = picture.size // 3
-    room.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
-    room[-1, -1, :3] = picture[-1, -1]
+    buffer.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
+    buffer[-1, -1, :3] = picture[-1, -1]
 
 
 def _x265_parameters(rows: int, cols: int, is_short: bool) -> str:
-    """Return x265 parameters that avoid two of its faults.
+    """Return x265 parameters that avoid two of its bugs.
 
-    Videos of one or two frames get no B-frames, whose decoding times x265 would never set. Frames smaller than a coding tree
-    unit are encoded without assembly code, which would write beyond them.
+    Videos of one or two frames get no B-frames, because x265 would never set their decoding times. Frames smaller than a
+    coding tree unit are encoded without assembly code, because that code would write beyond the frame.
     """
     return "log-level=none" + ":bframes=0" * is_short + ":asm=0" * (min(rows, cols) < X265_UNIT)
 
 
 class VideoWriter:
-    """A video open for writing. `write` takes pictures (row, col, 3) of one size, uint8 or uint16."""
+    """A video that is open for writing. All pictures (row, col, 3) must have the same size and type, uint8 or uint16."""
 
     def __init__(self, path: Path, container: Any, choice: VideoChoice) -> None:
         self._container, self._choice = container, choice
         self._encoding = _encoding(path, choice)
         self._converter = _Converter(self._encoding.formats[choice.bits])
         self._stream: Any = None
-        self._waiting: list[Any] = []  # first frames, kept until their number determines the encoder's options
+        self._waiting: list[Any] = []  # first frames, kept until the encoder's options are known from their number
         self._tick, self._time = choice.tick or 1 / choice.rate, -1
 
     def write(self, picture: NDArray, time: int | None = None) -> None:
@@ -218,7 +221,7 @@ class VideoWriter:
         picture : ndarray, (row, col, 3)
             uint8 or uint16.
         time : int, optional
-            Time in ticks, later than the previous one. [default: one tick later]
+            Time in ticks, later than the time of the previous picture. [default: one tick later]
         """
         frame = self._converter.frame(picture)
         self._tag(frame)
@@ -229,7 +232,7 @@ class VideoWriter:
             self._encode_waiting()
 
     def finish(self) -> None:
-        """Write the pictures that are still waiting here or in the encoder."""
+        """Write the pictures that are still buffered here or in the encoder."""
         if self._waiting:
             self._encode_waiting()
         if self._stream is not None:
@@ -276,12 +279,16 @@ class VideoWriter:
 def new_video(
     path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[VideoWriter]:
-    """Yield a video open for writing. The file appears atomically, after `finished` was called with its temporary file."""
+    """Yield a new video for writing.
+
+    The file is written under a temporary name. When the caller has written all pictures, `finished` is called with the
+    temporary file, and then the file gets its name `path`.
+    """
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
     with atomic_output(path) as temporary:
         try:
-            # bitexact keeps versions, times and random numbers out of the file
+            # bitexact keeps versions, times and random numbers out of the file, so that equal inputs give equal bytes
             with av.open(str(temporary), "w", format=form, container_options={"fflags": "+bitexact"}) as container:
                 writer = VideoWriter(path, container, choice)
                 yield writer
@@ -292,7 +299,7 @@ def new_video(
 
 
 class Y4mWriter:
-    """Writes pictures as a y4m stream in 4:2:0, limited range."""
+    """Writes pictures as a y4m stream: 4:2:0, limited range."""
 
     def __init__(self, stream: BinaryIO, choice: VideoChoice) -> None:
         pixels, self._colours = Y4M_FORMATS[choice.bits]
@@ -314,7 +321,7 @@ class Y4mWriter:
 
 
 def _write_all(stream: BinaryIO, content: Any) -> None:
-    """Write all bytes, even to an unbuffered stream."""
+    """Write all bytes, even if an unbuffered stream accepts only some of them at a time."""
     rest = memoryview(content).cast("B")
     while len(rest):
         rest = rest[stream.write(rest) :]
@@ -324,11 +331,13 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Yield a y4m file that appears atomically, after `finished` was called with its temporary file, or stdout if `path` is
-    None.
+    """Yield a new y4m file for writing, or stdout if `path` is None.
+
+    The file is written under a temporary name. When the caller has written all pictures, `finished` is called with the
+    temporary file, and then the file gets its name `path`.
     """
     if path is None:
-        # Unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
+        # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
         with open(1, "wb", buffering=0, closefd=False) as stream:
             yield Y4mWriter(stream, choice)
         return
@@ -344,16 +353,16 @@ CONTAINERS = "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi"
 
 
 class DecodedVideo:
-    """The video stream of a file, decoded frame by frame.
+    """The video stream of a file, which is decoded frame by frame.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The video file.
     what : str
-        What to give instead, for messages.
+        Description of suitable files, for messages that end with "use `what`".
     require : callable
-        Checks path and FFmpeg's codec context, and raises InputFileError.
+        Checks the file, given its path and FFmpeg's codec context, and raises InputFileError if it is unsuitable.
     formats : str
         FFmpeg's names of the accepted container formats.
 
@@ -366,43 +375,43 @@ class DecodedVideo:
     def __init__(self, path: Path, what: str, require: Callable[[Path, Any], None], formats: str = CONTAINERS) -> None:
         av = pyav()
         self.path = path
-        # Without these options, a playlist with the name of a video would make FFmpeg read other files and URLs.
+        # Without these options, a playlist with the suffix of a video could make FFmpeg read other files and URLs.
         options = {"protocol_whitelist": "file", "format_whitelist": formats}
         try:
             self._container = av.open(str(path), options=options)
         except (av.error.FFmpegError, OSError) as error:
-            raise InputFileError(f"{path} is not a video that can be read ({error.strerror}); give {what}") from error
+            raise InputFileError(f"{path} is not a video that FFmpeg can read ({error.strerror}); use {what}") from error
         if not self._container.streams.video:
-            raise InputFileError(f"{path} has no video stream; give {what}")
+            raise InputFileError(f"{path} contains no video stream; use {what}")
         stream = self._container.streams.video[0]
         context = stream.codec_context
         if context is None:
-            raise InputFileError(f"{path} was encoded with a codec that FFmpeg does not know; give {what}")
+            raise InputFileError(f"{path} is encoded with a codec that FFmpeg does not support; use {what}")
         require(path, context)
         require_picture(str(path), context.height, context.width)
-        context.thread_count = 1  # see `following`
+        context.thread_count = 1  # because `following` captures messages of the decoding thread
         self.shape: tuple[int, int] = context.height, context.width
         self.rate: Fraction | None = stream.average_rate or None
         self.tick: Fraction = stream.time_base  # s
         self._packets = self._container.demux(stream)
         self._decoded: Iterator[Any] = iter(())
-        self._damaged = False  # whether a frame since the last key frame is damaged
+        self._damaged = False  # whether any frame since the last key frame is damaged
         self.position = 0  # number of the next frame
 
     def close(self) -> None:
         self._container.close()
 
     def following(self) -> Any | None:
-        """Return the next frame as FFmpeg's object, or None after the last.
+        """Return the next frame as a PyAV frame, or None after the last frame.
 
-        Raises InputFileError if the frame is damaged; later frames may be intact.
+        Raises InputFileError if the frame is damaged. Later frames may be intact.
         """
         av = pyav()
         self.position += 1
         try:
             while (frame := next(self._decoded, None)) is None:
                 packet = next(self._packets)
-                # FFmpeg conceals a slice with a wrong checksum and only logs it, in the decoding thread (this one).
+                # FFmpeg conceals slices with wrong checksums and only logs a message, in the decoding thread (this thread).
                 with av.logging.Capture() as complaints:
                     self._decoded = iter(packet.decode())
                 self._damaged = bool(complaints) or (self._damaged and not packet.is_keyframe)
@@ -416,9 +425,9 @@ class DecodedVideo:
         return frame
 
     def times(self, most: int) -> list[int | None]:
-        """Return the times of the next frames, at most `most`, in ticks and in file order.
+        """Return the times in ticks of at most `most` following frames, in file order.
 
-        The time is None for a frame without a stated time.
+        The time of a frame is None if the file does not state it.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
@@ -429,16 +438,16 @@ class DecodedVideo:
 
 
 class InTurn:
-    """Reads the frames of videos, one video after another, each from its first frame."""
+    """Reads the frames of several videos. The frames of each video must be read in order, beginning with the first."""
 
     def __init__(self, opened: Callable[[Path], DecodedVideo]) -> None:
         self._opened = opened
         self._video: DecodedVideo | None = None
 
     def frame(self, path: Path, number: int) -> Any | None:
-        """Return frame `number` of a video as FFmpeg's object, or None after the last frame. The first frame is 0.
+        """Return frame `number` of a video as a PyAV frame, or None after the last frame. Frames are counted from 0.
 
-        Raises InputFileError if the frame is damaged; later frames may be intact.
+        Raises InputFileError if the frame is damaged. Later frames may be intact.
         """
         return self.video(path, number).following()
 
@@ -450,39 +459,39 @@ class InTurn:
             self._video = None
             self._video = self._opened(path)
         if self._video is None or self._video.path != path or self._video.position != number:
-            raise InputFileError(f"{path} cannot be read past the frame that crashed its decoder; copy the video again")
+            raise InputFileError(f"{path} cannot be read beyond a frame that crashed the decoder; copy the video again")
         return self._video
 
 
 # --------------------------------------------------------------------------------------------------------- times of frames
 
-JITTER = Fraction(1, 1000)  # s, resolution to which Matroska rounds times
+JITTER = Fraction(1, 1000)  # s, resolution of times in Matroska files
 
 
 @dataclass(frozen=True)
 class StatedTimes:
-    """Times of all frames of a video, as its file states them."""
+    """The times of all frames of a video, as its file states them."""
 
     tick: Fraction  # s
     ticks: NDArray[np.int64]  # (frame) in display order
 
     @property
     def are_even(self) -> bool:
-        """Whether all frames have the same duration, except for rounding."""
+        """Whether all frames have the same duration, apart from rounding."""
         steps = np.diff(self.ticks)
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
     def range(self) -> str:
-        """Return the shortest and longest time between two frames, in s."""
+        """Return the shortest and the longest time between two frames in s, as text."""
         steps = np.diff(self.ticks) * float(self.tick)
         return f"{steps.min():.3g}–{steps.max():.3g} s"
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the step of the numbers of consecutive frames.
+    """Return the increment from one frame number to the next, or None if the numbers do not count frames.
 
-    It is the most common step, and every gap must be a multiple of it. None if there is no such step, so that the numbers do
-    not count frames.
+    The increment is the most common difference between consecutive numbers. It must account for at least half of the
+    differences, and every difference must be a multiple of it.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
@@ -496,16 +505,16 @@ class Pacing:
     Parameters
     ----------
     unit : int or None
-        Step of the frame numbers. None if they do not count frames; frames are then evenly spaced.
+        Increment of the frame numbers. None if the numbers do not count frames. Frames are then evenly spaced.
     stated : StatedTimes, optional
-        Times to use instead.
+        Times to use instead of the frame numbers.
     step : int
-        Every `step`-th frame is used, and shown for the duration of one frame.
+        Only every `step`-th frame is used. It is shown for the duration of one frame.
     """
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:
         self._unit, self.stated = unit, stated
-        # s; None for the duration of a frame
+        # s, or None for the duration of a frame
         self.tick = None if stated is None else max(stated.tick / step, Fraction(1, FINEST))
         self._scale = Fraction(0) if stated is None or self.tick is None else stated.tick / step / self.tick
         self._first, self._last = 0, -1
@@ -514,7 +523,7 @@ class Pacing:
         self._number = 0  # number of the previous frame
 
     def time(self, number: int) -> int:
-        """Return the time of the next frame, which has the given number."""
+        """Return the time of the next frame, whose number is `number`."""
         time = self._time(number)
         if self._last < 0:
             self._first = time
@@ -532,4 +541,4 @@ class Pacing:
         return self._last + 1 if self._unit is None else number // self._unit
 
 
-Stated = Callable[[], StatedTimes | None]  # reads the times, which may be slow; None if the file states none
+Stated = Callable[[], StatedTimes | None]  # reads the times, which may take long; returns None if the file states none

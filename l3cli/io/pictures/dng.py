@@ -1,10 +1,11 @@
-"""Writes DNG 1.4 files for raw converters.
+"""Write DNG 1.4 files for raw converters.
 
-Rendered frames are written as linear files that raw converters treat like files of a camera. They have three channels per
-pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are those of Rec. 2020. The white
-of the scene has equal values. The exposure is left to the raw converter. The file states the exposure that l3 would use.
+Rendered frames are written as linear files that raw converters treat like files from a camera. Such a file has either three
+channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are the primaries of
+Rec. 2020, and a white object has equal values in all channels. The values are not scaled for exposure. The tag
+BaselineExposure states the exposure that l3 would use.
 
-Raw mosaics may have any colour filter array and matrices with any number of channels.
+Raw mosaics may have any colour filter array and any number of channels.
 """
 
 import io
@@ -44,7 +45,10 @@ from l3cli.system.files import write_whole
 
 
 def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: str) -> bytes:
-    """Return a file with a mosaic (row, col) or three channels (row, col, 3). `tags` are added to the common tags."""
+    """Return the bytes of a DNG file that contains a mosaic (row, col) or a picture (row, col, 3).
+
+    `tags` are added to the tags that every file needs.
+    """
     import tifffile
 
     rows, cols, *channels = values.shape
@@ -78,7 +82,7 @@ def _file(values: NDArray[np.uint16], software: str, tags: list[Entry], camera: 
 
 
 def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[Entry]:
-    """Return the tags of a CFA, given its colour codes (row, col) and the colour codes of the planes."""
+    """Return the tags that describe a CFA, from the colour code of each site (row, col) and of each colour plane."""
     return [
         entry("CFARepeatPatternDim", SHORT, pattern.shape),
         entry("CFAPattern", BYTE, pattern.ravel()),
@@ -91,8 +95,9 @@ def _mosaic_tags(pattern: NDArray[np.integer], planes: Sequence[int]) -> list[En
 
 MOSAICS = ("bayer",)
 RGGB = np.array([[0, 1], [1, 2]])
-BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN; with three channels, LibRaw would not subtract another black level from white
-HEADROOM = 2.0  # linear value at the white level; estimated values in clipped areas exceed 1, the sensor's full scale
+# The black level is 0 because LibRaw, for three channels, would not subtract any other black level from the white level.
+BLACK_LEVEL, WHITE_LEVEL = 0, 65535  # DN
+HEADROOM = 2.0  # linear value at the white level; values that l3 estimates in clipped areas exceed 1, the full scale
 D65_CODE = 21  # value of CalibrationIlluminant
 CAMERA = "linear Rec. 2020"
 
@@ -105,7 +110,7 @@ def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.u
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of a picture with the result of `raw_values`."""
+    """Return the bytes of a DNG file. `picture` contains the result of `raw_values`."""
     values = picture.pixels
     channels = 1 if values.ndim == 2 else values.shape[2]
     to_connection_space = adaptation_matrix(REC2020.neutral_xyz, D50) @ REC2020.to_xyz
@@ -126,7 +131,7 @@ def encode(path: Path, picture: Picture) -> bytes:
 def _label_tags(label: Label) -> list[Entry]:
     """Return the tags with the settings of the shot.
 
-    The camera gets another name, because raw converters would otherwise apply the matrices of the original camera.
+    The tags do not name the original camera, because raw converters would then apply the colour matrices of that camera.
     """
     shot = label.shot
     description = ", ".join(filter(None, (" ".join(filter(None, (shot.make, shot.model))), label.description)))
@@ -158,19 +163,17 @@ def write_dng(
     camera : CameraModel
         The camera.
     matrices : mapping of str to ndarray, (channel, 3)
-        Colour matrix from XYZ to channels under each of LIGHT_CODES.
+        Colour matrix from XYZ to the channels, for each illuminant in LIGHT_CODES.
     neutral : ndarray, (channel), or None
-        Signals of a grey surface, if known.
+        Signal of a grey surface in each channel, if known.
     exposure : float
         Exposure time in s.
     """
     name, planes, codes = camera.name, _planes(camera), channel_codes(camera.channels)
     full_scale = camera.white_level - camera.black_level
     constant, linear, _ = camera.noise_terms()
-    noise = (
-        linear / full_scale,
-        constant / full_scale**2,
-    )  # slope and intercept of variance; 0 is black, 1 white
+    # slope and intercept of the variance, on a scale from 0 (black) to 1 (white)
+    noise = (linear / full_scale, constant / full_scale**2)
     iso = camera.gains.iso if camera.gains else 0.0
     shot = Shot(model=name, f_number=camera.optics.f_number, focal_length=camera.optics.focal_length * 1e3, iso=iso)
     tags = [
@@ -191,8 +194,8 @@ def write_dng(
 def _planes(camera: CameraModel) -> list[int]:
     """Return the channels in the order of the colour planes.
 
-    If there are three channels, the channel with most pixels is the second. Most raw converters expect the second plane on a
-    quincunx grid, like green in a Bayer CFA.
+    If there are three channels, the channel with the most pixels becomes the second plane. Most raw converters expect the
+    pixels of the second plane on a quincunx grid, like the green pixels of a Bayer CFA.
     """
     planes = list(range(len(camera.channels)))
     if len(planes) == 3:

@@ -1,4 +1,4 @@
-"""Computes ICC profiles of colour spaces: version 4, with matrix and curve (ICC.1:2022).
+"""Compute display profiles for colour spaces: ICC version 4, with a matrix and tone curves (ICC.1:2022).
 
 The profile of a colour space always has the same bytes.
 """
@@ -14,15 +14,15 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # profiles need a date; with a constant date, their bytes are always the same
-POWER, SRGB_LIKE = 0, 3  # types of parametric curves
-ID = slice(84, 100)  # position of the digest in the header
+DATE = (2000, 1, 1, 0, 0, 0)  # a profile must have a date; a constant date keeps its bytes the same
+POWER, SRGB_LIKE = 0, 3  # function types of parametricCurveType
+ID = slice(84, 100)  # position of the profile ID, an MD5 digest, in the header
 NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent and the digest itself
 
 
 @functools.cache
 def icc_profile(space: Space) -> bytes:
-    """Return the profile of a colour space. With relative colorimetry, equal values are white."""
+    """Return the ICC profile of a colour space. With the relative colorimetric intent, equal RGB values are white."""
     adapted = adaptation_matrix(space.neutral_xyz, D50)
     colorants = (adapted @ space.to_xyz).T
     tags = {
@@ -33,7 +33,7 @@ def icc_profile(space: Space) -> bytes:
         **{name: _xyz(colorant) for name, colorant in zip((b"rXYZ", b"gXYZ", b"bXYZ"), colorants, strict=True)},
         **dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), _curve(space.curve)),
     }
-    places: dict[bytes, int] = {}  # content → offset, so that tags with equal content share it
+    places: dict[bytes, int] = {}  # offset of each content, so that tags with equal content share one copy
     table, body, start = struct.pack(">I", len(tags)), b"", 128 + 4 + 12 * len(tags)
     for name, content in tags.items():
         if content not in places:
@@ -50,7 +50,7 @@ def icc_profile(space: Space) -> bytes:
 
 def _header(size: int) -> bytes:
     fields = struct.pack(">I4sI4s4s4s6H4s", size, bytes(4), VERSION, b"mntr", b"RGB ", b"XYZ ", *DATE, b"acsp")
-    intent = bytes(28) + _fixed(D50)  # zeros for platform, flags, device, attributes and (perceptual) intent
+    intent = bytes(28) + _fixed(D50)  # zeros for platform, flags, device, attributes and rendering intent (perceptual)
     return (fields + intent).ljust(128, b"\0")
 
 
@@ -73,7 +73,7 @@ def _text(text: str) -> bytes:
 
 
 def _curve(curve: Curve | None) -> bytes:
-    """Return the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee."""
+    """Return the decoding curve: ((value + offset) / gain)^(1 / exponent) above the knee, linear below."""
     if curve is None:
         return _tag(b"para", struct.pack(">HH", POWER, 0) + _fixed(np.ones(1)))
     parts = [1 / curve.exponent, 1 / curve.gain, curve.offset / curve.gain, 1 / curve.slope, curve.slope * curve.knee]

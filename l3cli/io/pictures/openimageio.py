@@ -1,4 +1,4 @@
-"""Writes pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) with OpenImageIO."""
+"""Write pictures (PNG, TIFF, JPEG, JPEG XL) and linear values (EXR, TIFF) with OpenImageIO."""
 
 import contextlib
 import errno
@@ -24,10 +24,10 @@ from l3cli.system.files import atomic_output, write_whole
 from l3cli.system.signals import held_back_in
 
 EXR, PNG, JPEG_XL = ".exr", ".png", ".jxl"
-# Noise is hardly compressible. The strongest compression takes seven times as long and saves only a tenth of the size.
+# Noise can hardly be compressed. The strongest compression takes seven times as long and saves only a tenth of the size.
 COMPRESSION: dict[str, dict[str, str | int]] = {
-    # The filter predicts values from the mean of two neighbours. Run-length encoding is sufficient, because longer strings
-    # rarely repeat and searching for them is slow.
+    # The PNG filter predicts a value from the mean of two neighbours. Run-length encoding is sufficient, because longer
+    # sequences rarely repeat and searching for them is slow.
     PNG: {"compression": "rle", "png:compressionLevel": 1, "png:filter": 64},
     ".jpg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
     ".jpeg": {"Compression": "jpeg:95", "jpeg:subsampling": "4:4:4"},
@@ -43,7 +43,7 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the file of a picture, including the profile of its colour space and its label."""
+    """Return the bytes of a picture file, with the ICC profile of the colour space and with the label of the picture."""
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
     if pixels.dtype.kind == "f":
@@ -56,8 +56,8 @@ def encode(path: Path, picture: Picture) -> bytes:
         if space.neutral:
             spec.attribute("adoptedNeutral", oiio.TypeDesc("float[2]"), space.neutral)
     elif space is not None:
-        is_named = space == SRGB and suffix != PNG  # a PNG file cannot have both a profile and a name
-        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # without a value, sRGB would be assumed
+        is_named = space == SRGB and suffix != PNG  # a PNG file cannot have both a profile and the name of a colour space
+        spec.attribute("oiio:ColorSpace", "sRGB" if is_named else "data")  # otherwise OpenImageIO would assume sRGB
         spec.attribute("Exif:ColorSpace", EXIF_SRGB if space == SRGB else EXIF_OTHER)
         profile = np.frombuffer(icc_profile(space), np.uint8)
         spec.attribute("ICCProfile", oiio.TypeDesc(f"uint8[{profile.size}]"), profile)
@@ -67,7 +67,7 @@ def encode(path: Path, picture: Picture) -> bytes:
     content = encoded(path.name, spec, pixels)
     if suffix != JPEG_XL or picture.label == NOTHING:
         return content
-    packet = _xmp(picture.label).encode()  # OpenImageIO does not write Exif to JPEG XL, so the label is an XMP box
+    packet = _xmp(picture.label).encode()  # OpenImageIO writes no Exif to JPEG XL, so the label is stored as an XMP box
     return content + struct.pack(">I4s", 8 + len(packet), b"xml ") + packet
 
 
@@ -84,8 +84,8 @@ def _add_label(spec: Any, label: Label) -> None:
         if value:
             spec.attribute(name, value)
     if iso := round(label.shot.iso):
-        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # Exif stores it in 16 bits
-        spec.attribute("Exif:ISOSpeed", iso)  # OpenImageIO does not write the other attribute to TIFF
+        spec.attribute("Exif:PhotographicSensitivity", min(iso, 65535))  # Exif stores this tag in 16 bits
+        spec.attribute("Exif:ISOSpeed", iso)  # for TIFF, to which OpenImageIO does not write PhotographicSensitivity
 
 
 def _xmp(label: Label) -> str:
@@ -109,7 +109,7 @@ def _xmp(label: Label) -> str:
 
 
 def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None = None) -> None:
-    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit mono TIFF, with the exposure time (s) if it is known."""
+    """Write a raw mosaic (row, col) in DN as an uncompressed 16-bit TIFF. `exposure` is in s, or None if unknown."""
     spec = _spec(values[..., None])
     spec.attribute("compression", "none")
     if exposure:
@@ -118,7 +118,7 @@ def write_mosaic(path: Path, values: NDArray[np.uint16], exposure: float | None 
 
 
 def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Return a JPEG file of sRGB codes (row, col, 3) without chroma subsampling. `quality` is 1…100."""
+    """Encode sRGB codes (row, col, 3) as a JPEG file without chroma subsampling. `quality` is 1…100."""
     spec = _spec(picture)
     spec.attribute("oiio:ColorSpace", "sRGB")
     spec.attribute("Compression", f"jpeg:{quality}")
@@ -126,16 +126,16 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
     return encoded("picture.jpg", spec, picture)
 
 
-@held_back_in  # interrupted, the libraries print messages of their own
+@held_back_in  # if a signal interrupted the libraries, they would print their own messages
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Return the bytes of a file. Raises L3Error if it cannot be encoded.
+    """Encode pixels in the format of the suffix of `name`, and return the bytes. Raises L3Error if that fails.
 
     The file is encoded in memory. On a full disk, the JPEG library would abort the whole program, and the PNG library would
     not report an error.
     """
     spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must give equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
-        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # not the real name, which may be invalid text
+        sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid UTF-8
         if sink is None:
             raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
@@ -149,14 +149,14 @@ MAX_PIXEL_BYTES = 4_000_000_000  # largest number of pixel bytes in a file with 
 
 
 class Pages:
-    """Writes the pages of a TIFF file.
+    """A TIFF file that is written page by page.
 
     Parameters
     ----------
     path : Path
         The file.
     count : int or None
-        Number of pages, if known.
+        Number of pages, or None if it is unknown.
     """
 
     def __init__(self, path: Path, count: int | None) -> None:
@@ -186,7 +186,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # If the disk is full, numpy only reports how much of the array was written.
+            # If the disk is full, numpy only reports how much of the array it has written.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -196,7 +196,11 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
-    """Yield the pages of a new file, which appears atomically, after `finished` was called with its temporary file."""
+    """Yield a new TIFF file to which pages can be written.
+
+    The file is written under a temporary name. When the caller has written all pages, `finished` is called with the
+    temporary file, and then the file gets its name `path`.
+    """
     with atomic_output(path) as temporary:
         with contextlib.closing(Pages(temporary, count)) as pages:
             yield pages

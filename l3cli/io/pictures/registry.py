@@ -1,7 +1,7 @@
 """The picture formats that l3 writes: their suffixes, contents and modules.
 
-To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. The module is imported
-when the first picture is written. The bytes of a file must not depend on time or place.
+To add a format, write a module with a function `encode` in this folder, and add a line to FORMATS. l3 imports the module
+when it writes the first picture. The bytes of a file must not depend on the time or the folder in which it is written.
 """
 
 import importlib
@@ -18,7 +18,7 @@ from l3cli.physics.display import FLOAT_BITS
 from l3cli.physics.spaces import SRGB, XYZ, Space
 from l3cli.system.files import write_whole
 
-XYZ_AS_IT_IS = replace(XYZ, title="CIE XYZ", neutral=None)
+UNADAPTED_XYZ = replace(XYZ, title="CIE XYZ", neutral=None)
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Label:
 
     shot: Shot = Shot()
     exposure: float | None = None  # s
-    table: str = ""  # SHA-256 of the transform table's file
-    frame: str = ""  # identity of the frame: `file_identity` or `values_identity`
+    table: str = ""  # SHA-256 of the file of the transform table
+    frame: str = ""  # text from `file_identity` or `values_identity` that identifies the raw frame
 
     @property
     def software(self) -> str:
@@ -43,24 +43,28 @@ NOTHING = Label()
 
 
 def file_identity(digest: str) -> str:
-    """Describe the only frame of a raw file by the SHA-256 of the file."""
+    """Return the text that identifies the frame of a single-frame raw file, given the SHA-256 of the file."""
     return f"raw file SHA-256 {digest}"
 
 
 def values_identity(digest: str) -> str:
-    """Describe a frame of a stack or stream by the SHA-256 of its values (16 bits, little-endian, row by row)."""
+    """Return the text that identifies a frame of a stack or stream, given the SHA-256 of its values.
+
+    The digest is computed from 16-bit little-endian values, row by row.
+    """
     return f"raw values SHA-256 {digest}"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Contents of a picture file, in upright orientation."""
+    """The contents of a picture file, in upright orientation."""
 
-    pixels: NDArray[Any]  # (row, col, value): codes (uint8, uint16) or linear values (float32); or a mosaic (row, col) in DN
-    space: Space | None = SRGB  # colour space of the values; None if they are not colours
+    # (row, col, value): integer codes (uint8, uint16) or linear values (float32); or (row, col): a mosaic in DN
+    pixels: NDArray[Any]
+    space: Space | None = SRGB  # colour space of the values; None if the values are not colours
     label: Label = NOTHING
-    names: tuple[str, ...] = ()  # names of linear values
-    exposure_scale: float = 1.0  # factor that scales a raw picture for display, with white at 1
+    names: tuple[str, ...] = ()  # name of each linear value of a pixel, such as X, Y and Z
+    exposure_scale: float = 1.0  # factor by which a raw picture is multiplied for display, where 1 is white
 
 
 @dataclass(frozen=True)
@@ -69,16 +73,16 @@ class PictureFormat:
 
     suffixes: tuple[str, ...]  # in lower case
     module: str  # module in this folder
-    bits: tuple[int, ...] = ()  # possible bits per code; includes FLOAT_BITS if linear values are also possible
-    holds: str = "codes"  # or "linear" for linear values only, or "raw" for DN for raw converters
+    bits: tuple[int, ...] = ()  # supported bits per code; includes FLOAT_BITS if the format also stores linear values
+    holds: str = "codes"  # "codes"; "linear" for linear values only; "raw" for DN that raw converters process
 
     def encode(self, path: Path, picture: Picture) -> bytes:
-        """Return the bytes of a file. Raises L3Error if the picture cannot be encoded."""
+        """Return the bytes of the picture file. Raises L3Error if the picture cannot be encoded."""
         content: bytes = self._writer.encode(path, picture)
         return content
 
     def make_ready(self) -> None:
-        """Import the module that writes files."""
+        """Import the module that writes files of this format."""
         self._writer  # noqa: B018
 
     @property
@@ -98,21 +102,24 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def suffixes(holds: str) -> tuple[str, ...]:
-    """Return the suffixes of files with the given contents: "codes", "linear" or "raw"."""
+    """Return the suffixes of the formats with the given contents: "codes", "linear" or "raw"."""
     return tuple(suffix for suffix, each in BY_SUFFIX.items() if each.holds == holds)
 
 
 def format_of(path: Path, bits: int) -> PictureFormat:
-    """Return the format for a file name. Raises RecipeError if it does not exist or does not support `bits`."""
+    """Return the format for a file name. Raises RecipeError if the suffix is unknown or `bits` are not supported."""
     kind = BY_SUFFIX.get(path.suffix.lower())
     if kind is None:
         codes, linear, raw = (", ".join(suffixes(holds)) for holds in ("codes", "linear", "raw"))
-        raise RecipeError(f"{path}: pictures are written as {codes}, linear outputs as {linear}, raw ones as {raw}")
+        raise RecipeError(
+            f'{path} has the unsupported suffix "{path.suffix}"; use {codes} for pictures, {linear} for linear outputs, '
+            f"or {raw} for raw converters"
+        )
     if kind.holds == "raw" and bits == FLOAT_BITS:
-        raise RecipeError(f"{path}: a {path.suffix[1:].upper()} file has 16 bits per value; leave ‹bits› out")
+        raise RecipeError(f"{path}: a {path.suffix[1:].upper()} file always has 16 bits per value; remove ‹bits›")
     if kind.holds == "codes" and bits not in kind.bits:
-        held, cure = " or ".join(map(str, kind.bits)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
-        raise RecipeError(f"{path}: {path.suffix} has {held} bits per value, not {bits}; use {cure}")
+        depths, cure = " or ".join(map(str, kind.bits)), ".tif or .exr" if bits == FLOAT_BITS else ".png or .tif"
+        raise RecipeError(f"{path}: {path.suffix} files store {depths} bits per value, not {bits}; use {cure}")
     return kind
 
 
@@ -122,18 +129,18 @@ def holds_linear(path: Path, bits: int = 8) -> bool:
 
 
 def holds_raw(path: Path) -> bool:
-    """Whether a file with this name is for raw converters."""
+    """Whether a file with this name is written for raw converters."""
     return path.suffix.lower() in suffixes("raw")
 
 
 def picture_file(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of the file of a picture, in the format that belongs to the suffix."""
+    """Return the bytes of the picture file, in the format of the suffix of `path`."""
     dtype = picture.pixels.dtype
     return format_of(path, FLOAT_BITS if dtype.kind == "f" else 8 * dtype.itemsize).encode(path, picture)
 
 
 def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ()) -> None:
-    """Write a picture to a file, in the format that belongs to the suffix.
+    """Write a picture to a file, in the format of the suffix of `path`.
 
     Parameters
     ----------
@@ -142,7 +149,7 @@ def write_picture(path: Path, pixels: NDArray[Any], names: tuple[str, ...] = ())
     pixels : ndarray
         sRGB codes (row, col, 3), uint8 or uint16, or linear values (row, col, value), float32.
     names : tuple of str
-        Names of linear values.
+        Name of each linear value of a pixel.
     """
-    space = None if pixels.dtype.kind == "f" else SRGB
-    write_whole(path, picture_file(path, Picture(pixels, XYZ_AS_IT_IS if names == ("X", "Y", "Z") else space, names=names)))
+    space = UNADAPTED_XYZ if names == ("X", "Y", "Z") else None if pixels.dtype.kind == "f" else SRGB
+    write_whole(path, picture_file(path, Picture(pixels, space, names=names)))

@@ -1,7 +1,7 @@
-"""Determine which axes of an array of pixels are frames, rows and columns. Pictures with several channels are rejected.
+"""Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
-Names of axes in the file decide. Without names, the order is (frame, row, col), unless the lengths contradict it: a last
-axis of 4 or less contains channels, and a last axis far shorter than both others probably counts frames.
+If the file names the axes, the names decide. Otherwise the order is (frame, row, col), unless the lengths contradict it: a
+last axis of 4 or less contains channels, and a last axis that is far shorter than both others probably counts frames.
 """
 
 import re
@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from l3cli.errors import InputFileError
 
-MOST_CHANNELS = 4  # largest number of channels of a picture; no frame is this narrow
-FRAMES_LAST = 16  # the last axis counts frames if both others are at least this many times longer
+MOST_CHANNELS = 4  # maximum number of channels of a picture; no frame has so few columns
+FRAMES_LAST = 16  # if both other axes are at least this many times longer, the last axis counts frames
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),
@@ -20,7 +20,7 @@ MEANINGS = {
                 "wavelength", "wavelengths", "spectral", "lambda"),
 }  # fmt: skip
 MEANING = {name: meaning for meaning, names in MEANINGS.items() for name in names}
-GIVE = "give a mosaic, rows × columns, or frames × rows × columns"
+GIVE = "use a raw mosaic (rows × columns) or a stack (frames × rows × columns)"
 COUNTED = "frames × rows × columns"
 
 
@@ -36,29 +36,29 @@ STACK, FRAME = Axes(0, 1, 2), Axes(None, 0, 1)
 
 
 def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual: Axes | None = None) -> Axes:
-    """Return the axes of a frame or of a stack of frames.
+    """Return the axes of an array that contains a frame or a stack of frames.
 
     Parameters
     ----------
     name : str
         Name of the array in messages.
     shape : sequence of int
-        Lengths of its two or three axes.
+        Lengths of the two or three axes of the array.
     names : sequence of str
-        Names of the axes in the file, in the order of `shape`; empty if there are none.
+        Names of the axes in the file, in the order of `shape`. Empty if the file names none.
     usual : Axes, optional
-        Axes of arrays without names in this kind of file. [default: (frame, row, col) or (row, col)]
+        Axes to use if there are no names. [default: (frame, row, col) or (row, col)]
 
     Raises
     ------
     InputFileError
-        If an axis contains the channels of a picture, or if the last axis probably counts frames and has no name.
+        If an axis contains the channels of a picture, or if the last axis probably counts frames and is not named.
     """
-    held = f"{name} holds {'×'.join(map(str, shape))} values"
+    array = f"{name} is an array of {'×'.join(map(str, shape))} values"
     meanings = [MEANING.get(re.sub("[^a-z]", "", each.lower()), "") for each in names]
     if "channel" in meanings:
         channel = names[meanings.index("channel")]
-        raise InputFileError(f'{held}, a picture whose axis "{channel}" holds its channels; {GIVE}')
+        raise InputFileError(f'{array} with the channels of a picture along the axis "{channel}"; {GIVE}')
     wanted = ("frame", "row", "col")[3 - len(shape) :]
     if sorted(meanings) == sorted(wanted):
         return Axes(meanings.index("frame") if len(shape) == 3 else None, meanings.index("row"), meanings.index("col"))
@@ -67,7 +67,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     if meanings[:1] == ["frame"]:
         return STACK
     if shape[2] <= MOST_CHANNELS and usual is None:
-        raise InputFileError(f"{held}, as a picture of {shape[2]} channels; {GIVE}")
+        raise InputFileError(f"{array}, like a picture with {shape[2]} channels; {GIVE}")
     if usual is None and FRAMES_LAST * shape[2] <= min(shape[:2]):
-        raise InputFileError(f"{held}, whose last axis seems to count frames; save it as {COUNTED}")
+        raise InputFileError(f"{array} whose last axis seems to count frames; save it as {COUNTED}")
     return usual or STACK

@@ -1,8 +1,8 @@
 """Read DNG files, including CinemaDNG (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw unpacks the pixels in any packing and compression that it supports, and applies the linearisation table. But it takes
-any CFA for 2 × 2 or 6 × 6, and black levels for four numbers. The meaning of the pixels is therefore read from the tags.
-Unsupported tags that change pixels are rejected, or noted for a warning (docs/raw-files.md#tags-of-a-dng).
+LibRaw unpacks the pixels, whatever their packing and compression, and applies the linearisation table. But LibRaw treats
+every CFA as 2 × 2 or 6 × 6, and the black level as four numbers. l3 therefore reads the meaning of the pixels from the tags.
+It rejects unsupported tags that change pixels, or warns about them (docs/raw-files.md#tags-of-a-dng).
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,63 +31,80 @@ from l3cli.system.limits import require_picture
 WHITE_CODE = LETTERS.index("W")
 LATEST = (1, 7)  # latest supported DNG version
 UNREAD = {8: "Deflate", 34892: "lossy JPEG", 52546: "JPEG XL"}  # compressions of mosaics that LibRaw does not support
-DUAL = 2  # samples per pixel of dual-pixel files, and of files with a second, less sensitive photodiode
-WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop without a crop
+DUAL = 2  # samples per pixel of dual-pixel sensors, and of sensors with a second, less sensitive photodiode
+WHOLE = (0, 0, 1, 1)  # value of DefaultUserCrop if there is no crop
 ONLY = {  # tags with a single supported value, and the message for any other value
-    "CFALayout": (tags.RECTANGULAR, "is of a sensor with staggered pixels, which no table is made for"),
-    "SampleFormat": (tags.UNSIGNED, "holds floating-point values; give the raw file the camera wrote"),
-    "FillOrder": (1, "stores bits in reverse (FillOrder), which is not read; convert the camera's own file to DNG"),
-    "Predictor": (1, "stores differences (Predictor), which are not read; convert the camera's own file to DNG"),
+    "CFALayout": (
+        tags.RECTANGULAR,
+        "comes from a sensor with staggered pixels (CFALayout); use frames from a sensor with a rectangular pixel grid",
+    ),
+    "SampleFormat": (tags.UNSIGNED, "contains floating-point values; use the camera's original raw file"),
+    "FillOrder": (
+        1,
+        "stores bits in reverse (FillOrder), which l3 does not support; convert the camera's original file to DNG again",
+    ),
+    "Predictor": (
+        1,
+        "stores differences (Predictor), which l3 does not support; convert the camera's original file to DNG again",
+    ),
     "SubTileBlockSize": (
         1,
-        "stores pixels in blocks (SubTileBlockSize), which are not read; convert the camera's own file to DNG",
+        "stores pixels in blocks (SubTileBlockSize), which l3 does not support; "
+        "convert the camera's original file to DNG again",
     ),
-    "ColorimetricReference": (0, "holds a picture's values, not a scene's (ColorimetricReference); give the raw file"),
+    "ColorimetricReference": (
+        0,
+        "contains the values of a developed picture (ColorimetricReference); use the camera's original raw file",
+    ),
 }
 MOST_STOPS = 20.0  # EV, largest plausible BaselineExposure
-FRAME_RATE = 51044  # the tag of CinemaDNG
+FRAME_RATE = 51044  # tag of CinemaDNG
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """The raw image as described by tags."""
+    """The raw image as its tags describe it."""
 
     orientation: int  # LibRaw's flip code
     pattern: NDArray[np.int64]  # (row, col) colour codes, from the upper left corner of the active area
     active: tuple[int, int, int, int]  # top, left, bottom, right of the light-sensitive pixels
-    crop: tuple[int, int, int, int]  # row and column within the active area, rows and columns of the default crop
+    crop: tuple[int, int, int, int]  # default crop: first row and column within the active area, numbers of rows and columns
     black_level: NDArray[np.float64]  # (row, col) DN, repeating from the corner of the active area
     black_of_row: NDArray[np.float64]  # (active row) DN, added to black_level
     black_of_col: NDArray[np.float64]  # (active col) DN, added to black_level
-    black_fault: str  # why the black level is unknown; "" if it is known
+    black_fault: str  # why the black level is unknown, or "" if it is known
     white_level: float  # DN
     exposure: float | None  # s
     baseline_exposure: float  # EV
-    neutral: NDArray[np.float64] | None  # (colour, 2) code and signal of a grey
-    camera: list[str]  # make, model and other names
+    neutral: NDArray[np.float64] | None  # (colour, 2) CFA code and signal of a grey object
+    camera: list[str]  # make, model and other names of the camera
     shot: dict[str, str | float]
     opcodes: Opcodes
     planes: tuple[int, ...]  # colour code of each plane
-    shape: tuple[int, int]  # rows, columns with masked borders
-    fields: tuple[int, int]  # number of fields in which rows and columns are stored
-    notes: tuple[str, ...]  # notes on unsupported tags
+    shape: tuple[int, int]  # rows and columns, including masked borders
+    fields: tuple[int, int]  # numbers of interleaved fields of rows and of columns
+    notes: tuple[str, ...]  # warnings about unsupported tags
 
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Read the frame of a DNG within its default crop."""
-    mosaic = _read_tags(path)  # first, because LibRaw's messages about wrong tags say less
+    """Read the frame of a DNG file within its default crop."""
+    mosaic = _read_tags(path)  # before LibRaw, whose messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
             rows, cols = mosaic.shape
-            raise InputFileError(f"{path}: its tags say {rows}×{cols} pixels, it holds {raw.raw_image.shape}; it is damaged")
+            raise InputFileError(
+                f"{path}: the tags state {rows}×{cols} pixels, but the image has "
+                f"{'×'.join(map(str, raw.raw_image.shape))}; copy the file again"
+            )
         return _described(path, mosaic, _in_order(raw.raw_image, mosaic.fields))
 
 
 def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np.uint16]:
-    """Return the pixels (row, col) of an image that is stored in fields.
+    """Return the pixels (row, col) in the order of the sensor, from an image that is stored in interleaved fields.
 
-    n fields of rows are rows 0, n, 2n…, then 1, n + 1…, and so on (RowInterleaveFactor, ColumnInterleaveFactor).
+    With n fields, an image contains rows 0, n, 2n… first, then rows 1, n + 1…, and so on (RowInterleaveFactor,
+    ColumnInterleaveFactor).
     """
     if fields == (1, 1):
         return stored
@@ -99,7 +116,7 @@ def _in_order(stored: NDArray[np.uint16], fields: tuple[int, int]) -> NDArray[np
 
 
 def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawContent:
-    """Return the default crop of the active area, at one black level, from linear pixels (row, col).
+    """Return the default crop of the active area, with a single black level. `stored` are linear pixels (row, col).
 
     Raises InputFileError if the tags contradict the pixels.
     """
@@ -111,10 +128,12 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
     fault = mosaic.black_fault
     if not (black_level.min() >= 0 and (black_level < mosaic.white_level).all()):
         levels = f"{black_level.min():g}" if black_level.size == 1 else f"{black_level.min():g}…{black_level.max():g}"
-        fault = f"states a black level of {levels} DN, not between 0 and its white level of {mosaic.white_level:g}"
+        fault = (
+            f"states a black level of {levels} DN, which is not between 0 and the white level of {mosaic.white_level:g} DN"
+        )
     if fault:
         black_level = np.zeros((1, 1))
-    pixels = stored[top:bottom, left:right].copy()  # LibRaw frees its memory
+    pixels = stored[top:bottom, left:right].copy()  # LibRaw frees the memory of `stored`
     gain = None
     if mosaic.opcodes:
         pixels, gain = _changed(path, mosaic, pixels, bad_pixels(mosaic.opcodes, stored, mosaic.active))
@@ -133,13 +152,13 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         shot=mosaic.shot,
         notes=mosaic.notes + mosaic.opcodes.notes,
     )
-    faults = {"black_level": f"{fault}; give ‹black_level›"} if fault else {}
+    faults = {"black_level": f"{fault}; set ‹black_level›"} if fault else {}
     if mosaic.opcodes.demanded:
         faults["opcodes"] = (
-            f"is to be changed by {mosaic.opcodes.demanded[0]}, which is not carried out; convert the camera's own file "
-            "without lens corrections, or have it rendered without: ‹opcodes› leave"
+            f"requires the correction {mosaic.opcodes.demanded[0]}, which l3 does not support; convert the original "
+            "file without lens corrections, or ignore the correction with ‹opcodes› leave"
         )
-        content["notes"] += tuple(f"{each} is left out" for each in mosaic.opcodes.demanded)
+        content["notes"] += tuple(f"the required correction {each} is ignored" for each in mosaic.opcodes.demanded)
     if faults:
         content["faults"] = faults
     if not fault:
@@ -152,7 +171,7 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Correct bad pixels of the active area as opcodes request. Returns the pixels, and the gain that opcodes request."""
+    """Correct the bad pixels that opcodes list. Returns the pixels, and the gain per pixel that opcodes request."""
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)
     if not mosaic.opcodes.gains:
@@ -161,18 +180,18 @@ def _changed(
         rows, cols = pixels.shape
         return pixels, gain_of_pixels(mosaic.opcodes, mosaic.pattern, mosaic.planes, (rows, cols))
     except ValueError as error:
-        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
+        raise InputFileError(f"{path} has damaged tags ({error}); copy it again") from error
 
 
 def _black_levels(mosaic: Mosaic, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the black levels (row, col) of the active area, or (1, 1) if they are the same for all pixels."""
+    """Return the black levels (row, col) of the active area, or a single level (1, 1) if all pixels have the same."""
     if np.ptp(mosaic.black_level) == 0 and not mosaic.black_of_row.any() and not mosaic.black_of_col.any():
         return mosaic.black_level[:1, :1]
     return tiled(mosaic.black_level, shape) + mosaic.black_of_row[:, None] + mosaic.black_of_col
 
 
 def rate(path: Path) -> Fraction | None:
-    """Return the frame rate of a CinemaDNG file."""
+    """Return the frame rate that a CinemaDNG file states."""
     fraction = _rate(path)
     return storable_rate(Fraction(*fraction)) if fraction else None
 
@@ -186,7 +205,7 @@ def _rate(path: Path) -> tuple[int, int] | None:
             tag = file.pages[0].tags.get(FRAME_RATE)
             rate = Fraction(*tag.value) if tag else Fraction(0)
     except (tifffile.TiffFileError, TypeError, ValueError, IndexError, ZeroDivisionError, OSError):
-        return None  # reading the frame reports the error
+        return None  # the error is reported when the frame is read
     return (rate.numerator, rate.denominator) if rate > 0 else None
 
 
@@ -194,61 +213,67 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 
 def _read_tags(path: Path) -> Mosaic:
-    """Return the mosaic that a file's tags describe.
+    """Return the mosaic that the tags of a file describe.
 
-    Raises InputFileError if tags are damaged, describe no mosaic, or describe one in an unsupported form.
+    Raises InputFileError if the tags are damaged, describe no mosaic, or describe a mosaic in an unsupported form.
     """
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
             first, raw = file.pages[0], _raw_page(path, file)
-            _refuse_others(path, first, raw)
+            _refuse_unsupported(path, first, raw)
             return _mosaic(path, first, raw)
     except tifffile.TiffFileError as error:
-        raise InputFileError(f"{path} is damaged or no DNG file; give the raw file the camera wrote") from error
+        raise InputFileError(f"{path} is damaged or not a DNG file; use the camera's original raw file") from error
     except tags.BROKEN as error:
-        raise InputFileError(f"{path}: its tags are damaged ({error}); copy it again") from error
+        raise InputFileError(f"{path} has damaged tags ({error}); copy it again") from error
 
 
 def _raw_page(path: Path, file: Any) -> Any:
-    """Return the full-size raw image, which is not a preview, mask or enhanced image, from the file's pages and subpages."""
+    """Return the largest raw image among the pages and subpages, without previews, masks and enhanced images."""
     pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
     kinds = (tags.COLOUR_FILTER_ARRAY, tags.LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") in kinds]
     full = [page for page in raw if not page.tags.valueof("NewSubfileType", 0) & ~tags.ONE_OF_MANY]
     if not full:
-        raise InputFileError(f"{path} holds no raw image; give a DNG with the mosaic of a camera")
+        raise InputFileError(f"{path} contains no raw image; use a DNG file with a raw mosaic")
     return max(full, key=lambda page: page.imagelength * page.imagewidth)
 
 
-def _refuse_others(path: Path, first: Any, raw: Any) -> None:
-    """Raise InputFileError if the file needs a newer reader, or if an unsupported tag changes pixels."""
+def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
+    """Raise InputFileError if the file requires a newer DNG version, or if an unsupported tag changes pixels."""
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
         raise InputFileError(
-            f"{path} is for readers of DNG {version[0]}.{version[1]}, this is one of {LATEST[0]}.{LATEST[1]}; "
-            "convert the camera's own file to DNG for earlier ones"
+            f"{path} requires DNG version {version[0]}.{version[1]}, but l3 supports only up to {LATEST[0]}.{LATEST[1]}; "
+            "convert the camera's original file to an earlier version"
         )
     if raw.samplesperpixel != 1 and raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:
-        raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+        raise InputFileError(f"{path} is already demosaicked (linear DNG); use the camera's original raw file")
     if raw.samplesperpixel > DUAL:
         raise InputFileError(
-            f"{path} holds {raw.samplesperpixel} samples a pixel; give a mosaic of one, or of two (dual pixels)"
+            f"{path} has {raw.samplesperpixel} samples per pixel, but l3 supports only 1, or 2 from dual pixels; "
+            "use a raw mosaic"
         )
     if raw.compression in UNREAD:
         raise InputFileError(
-            f"{path} is compressed by {UNREAD[raw.compression]}, which is not read; convert it to lossless JPEG or none"
+            f"{path} has {UNREAD[raw.compression]} compression, which l3 does not support; "
+            "convert it to lossless JPEG compression or to none"
         )
     for tag, (only, what) in ONLY.items():
         page = first if tag == "ColorimetricReference" else raw
         if set(np.ravel(page.tags.valueof(tag, only)).tolist()) != {only}:
             raise InputFileError(f"{path} {what}")
     if raw.compression == 1 and not raw.is_tiled and not _contiguous(raw.dataoffsets, raw.databytecounts):
-        raise InputFileError(f"{path}: its strips do not follow one another, as LibRaw takes them; save it in one strip")
+        raise InputFileError(
+            f"{path}: the strips of the image are not contiguous, which LibRaw requires; save the image in one strip"
+        )
     one_tile = raw.compression != 1 or raw.tilelength >= raw.imagelength
     if raw.is_tiled and raw.tilewidth > raw.imagewidth and one_tile:
-        raise InputFileError(f"{path}: its tiles are wider than the image, as LibRaw does not take them; save it in strips")
+        raise InputFileError(
+            f"{path}: the tiles are wider than the image, which LibRaw does not support; save the image in strips"
+        )
 
 
 def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
@@ -257,13 +282,16 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
     top, left, bottom, right = (int(edge) for edge in tags.numbers(raw, "ActiveArea", (0, 0, *shape)))
     if not (0 <= top < bottom <= shape[0] and 0 <= left < right <= shape[1]):
         raise InputFileError(
-            f"{path}: its active area {top, left, bottom, right} is not within its {shape[0]}×{shape[1]} pixels"
+            f"{path}: the active area {top, left, bottom, right} exceeds the {shape[0]}×{shape[1]} pixels of the image; "
+            "copy the file again"
         )
     rows, cols = bottom - top, right - left
     origin, size = tags.numbers(raw, "DefaultCropOrigin", (0, 0)), tags.numbers(raw, "DefaultCropSize", (cols, rows))
     crop = tuple(round(value) for value in (origin[1], origin[0], size[1], size[0]))
     if not (min(crop[:2]) >= 0 and min(crop[2:]) >= 1 and crop[0] + crop[2] <= rows and crop[1] + crop[3] <= cols):
-        raise InputFileError(f"{path}: its crop {crop} is not within its active area of {rows}×{cols} pixels")
+        raise InputFileError(
+            f"{path}: the default crop {crop} exceeds the active area of {rows}×{cols} pixels; copy the file again"
+        )
     pattern = _pattern(path, raw)
     black, fault = _stated_black(raw, pattern.shape, (rows, cols))
     return Mosaic(
@@ -292,9 +320,9 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
 def _stated_black(
     raw: Any, cfa_shape: tuple[int, ...], shape: tuple[int, int]
 ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], str]:
-    """Return the repeating black levels (row, col), the levels added to each row and column, and "".
+    """Return the repeating black levels (row, col), the level added to each row and to each column, and "".
 
-    If the tags cannot be read, all levels are 0 and the text says why.
+    If the tags cannot be read, all levels are 0, and the text says why.
     """
     rows, cols = shape
     try:
@@ -307,8 +335,8 @@ def _stated_black(
 def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the repeating black levels (row, col) of the first sample of each pixel.
 
-    Many programs omit BlackLevelRepeatDim, or write one that does not fit the number of levels. In that case there is one
-    level per site of the array, or all levels are equal. Otherwise ValueError is raised.
+    Many programs omit BlackLevelRepeatDim or write a value that contradicts the number of levels. l3 then accepts one level
+    per CFA site, or levels that are all equal. Raises ValueError otherwise.
     """
     levels = np.asarray(tags.numbers(raw, "BlackLevel", (0,)), np.float64)
     stated = tuple(np.ravel(raw.tags.valueof("BlackLevelRepeatDim", (1, 1))).tolist())
@@ -318,43 +346,44 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
                 return levels.reshape(*shape, samples)[..., 0]
     if levels.size and np.ptp(levels) == 0:
         return levels[:1, None]
-    raise ValueError(f"BlackLevel holds {levels.size} values, BlackLevelRepeatDim is {'×'.join(map(str, stated))}")
+    repeat = "×".join(map(str, stated))
+    raise ValueError(f"BlackLevel has {levels.size} values, but BlackLevelRepeatDim is {repeat}")
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the number of fields in which rows and columns are stored."""
+    """Return the numbers of interleaved fields of rows and of columns."""
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
-        raise ValueError(f"{rows}×{cols} fields")
+        raise ValueError(f"invalid numbers of fields {rows}×{cols}")
     return rows, cols
 
 
 def _notes(raw: Any) -> Iterator[str]:
-    """Yield a note for each unsupported tag that affects the picture."""
+    """Yield a warning for each unsupported tag that affects the picture."""
     across, down = tags.numbers(raw, "DefaultScale", (1, 1))
     if across != down:
-        yield f"its pixels are not square (DefaultScale {across:g}, {down:g}); the picture is not stretched"
+        yield f"its pixels are not square (DefaultScale {across:g}, {down:g}), but the picture is not stretched"
     if raw.samplesperpixel == DUAL:
-        yield "it holds two samples a pixel (dual pixels); the first is taken"
+        yield "it has two samples per pixel (dual pixels), and l3 uses only the first"
     if tuple(tags.numbers(raw, "DefaultUserCrop", WHOLE)) != WHOLE:
         yield "the crop that was chosen in the camera (DefaultUserCrop) is not applied"
 
 
 def _neutral(first: Any, raw: Any) -> NDArray[np.float64] | None:
-    """Return the codes of the colour planes and the signals of a grey (plane, 2), or None if they are not stated."""
+    """Return the CFA code of each colour plane and the signal of a grey object (plane, 2), or None if not stated."""
     try:
         codes = np.asarray(tags.numbers(raw, "CFAPlaneColor", (0, 1, 2)), np.float64)
-    except tags.BROKEN:  # not needed for the pixels
+    except tags.BROKEN:  # the pixels can be used without this tag
         return None
     signals = as_shot_neutral(first, len(codes))
     return None if signals is None else np.stack([codes, signals], axis=1)
 
 
 def _baseline_exposure(first: Any) -> float:
-    """Return the EV by which pictures should be brightened, or 0 if it is missing or implausible."""
+    """Return the EV by which pictures should be brightened, or 0 if the tag is missing or its value is implausible."""
     try:
         (stops,) = tags.numbers(first, "BaselineExposure", (0.0,))
-    except tags.BROKEN:  # not needed for the pixels
+    except tags.BROKEN:  # the pixels can be used without this tag
         return 0.0
     return float(stops) if abs(stops) <= MOST_STOPS else 0.0
 
@@ -364,18 +393,20 @@ def _contiguous(offsets: Sequence[int], lengths: Sequence[int]) -> bool:
 
 
 def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
-    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # one sample per pixel, so no filters
+    if raw.tags.valueof("PhotometricInterpretation") == tags.LINEAR_RAW:  # one sample per pixel, from a monochrome sensor
         return np.array([[WHITE_CODE]])
     codes, shape = raw.tags.valueof("CFAPattern"), raw.tags.valueof("CFARepeatPatternDim")
     if codes is None or shape is None:
-        raise InputFileError(f"{path} does not state its colour filter array; convert the camera's own file to DNG again")
+        raise InputFileError(
+            f"{path} does not state its colour filter array; convert the camera's original file to DNG again"
+        )
     return _repeating(list(codes), shape).astype(np.int64)
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
     """Reshape the values of a repeating pattern to (row, col)."""
     if min(shape) < 1:
-        raise ValueError(f"a pattern of {shape}")
+        raise ValueError(f"invalid pattern size {shape}")
     return np.reshape(values, tuple(shape))
 
 

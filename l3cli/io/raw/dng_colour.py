@@ -1,6 +1,6 @@
-"""Colour tags of a DNG: colour matrices, and the signals of a grey under the white that the file states.
+"""Colour tags of a DNG file: colour matrices, and the signals of a grey object under the white that the file states.
 
-According to DNG 1.7.1, chapter 6, a white with chromaticity x, y causes the signals AB · CC · CM · (x/y, 1, (1 - x - y)/y).
+According to DNG 1.7.1, chapter 6, a white with chromaticity x, y produces signals AB · CC · CM · (x/y, 1, (1 - x - y)/y).
 AB is AnalogBalance. CM and CC are interpolated between ColorMatrix1, 2, 3 and between CameraCalibration1, 2, 3, linearly in
 the reciprocal of the correlated colour temperature.
 """
@@ -19,29 +19,29 @@ from l3cli.physics import spectra
 
 Array = NDArray[np.float64]
 
-OTHER_LIGHT = 255  # value of CalibrationIlluminant if IlluminantData describes the light
+OTHER_LIGHT = 255  # value of CalibrationIlluminant if IlluminantData describes the illuminant
 KELVIN = {  # value of CalibrationIlluminant (Exif's LightSource) → correlated colour temperature
     1: 5500.0, 2: 4150.0, 3: 2856.0, 4: 5500.0, 9: 5500.0, 10: 6504.0, 11: 7504.0, 12: 6400.0, 13: 5050.0, 14: 4150.0,
     15: 3525.0, 16: 2925.0, 17: 2856.0, 18: 4874.0, 19: 6774.0, 20: 5503.0, 21: 6504.0, 22: 7504.0, 23: 5003.0, 24: 3200.0,
 }  # fmt: skip
-MIREDS = np.arange(40.0, 1000.0, 0.25)  # reciprocal temperatures, 10^6 / K, among which the nearest is searched
-DECIMALS = 4  # decimals of AsShotNeutral, so that a file gives the same picture whichever tag states its white
-ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}  # tag numbers; tifffile gives the third name to another number
-CHROMATICITY, SPECTRUM = 0, 1  # kinds of IlluminantData: x and y; or first wavelength and step in nm, then power
+MIREDS = np.arange(40.0, 1000.0, 0.25)  # search grid of reciprocal temperatures, in 10^6 / K
+DECIMALS = 4  # signals are rounded like AsShotNeutral, so that AsShotNeutral and AsShotWhiteXY lead to the same picture
+ILLUMINANT_DATA = {1: 52533, 2: 52534, 3: 52535}  # tag numbers; tifffile assigns the third name to another number
+CHROMATICITY, SPECTRUM = 0, 1  # types of IlluminantData: x and y; or first wavelength and step in nm, then powers
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The matrices of a DNG for one light."""
+    """The matrices of a DNG file for one illuminant."""
 
     light: int  # value of CalibrationIlluminant; 0 if not stated
-    kelvin: float | None  # correlated colour temperature of the light; None if unknown
+    kelvin: float | None  # correlated colour temperature of the illuminant; None if unknown
     colour: Array  # (plane, 3) from XYZ to the reference camera
     camera: Array  # (plane, plane) from the reference camera to this one: AnalogBalance · CameraCalibration
 
 
 def calibrations(first: Any, planes: int) -> list[Calibration]:
-    """Return the calibrations on the first page of a DNG. Damaged ones count as missing."""
+    """Return the calibrations on the first page of a DNG file. Damaged calibrations are skipped."""
     tags, found = first.tags, []
     ours = tags.valueof("CameraCalibrationSignature", "") == tags.valueof("ProfileCalibrationSignature", "")
     for number in (1, 2, 3):
@@ -57,9 +57,9 @@ def calibrations(first: Any, planes: int) -> list[Calibration]:
 
 
 def as_shot_neutral(first: Any, planes: int) -> Array | None:
-    """Return the signals (plane) of a grey, from AsShotNeutral or AsShotWhiteXY.
+    """Return the signal of a grey object in each colour plane, from AsShotNeutral or AsShotWhiteXY.
 
-    Returns None if the file states neither, if they are damaged, or if there is no matrix for the chromaticity.
+    Returns None if the file states neither, if the tags are damaged, or if there is no matrix to convert the chromaticity.
     """
     with contextlib.suppress(*BROKEN):
         stated = np.asarray(numbers(first, "AsShotNeutral", ()), np.float64)
@@ -77,12 +77,12 @@ def as_shot_neutral(first: Any, planes: int) -> Array | None:
 
 
 def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Array]:
-    """Return the colour matrix and camera matrix for a correlated colour temperature.
+    """Return the colour matrix and the camera matrix for a correlated colour temperature.
 
-    They are linear in its reciprocal between the neighbouring calibrations, and constant beyond them. If fewer than two
-    lights are known, they are those of the first calibration.
+    Both are linear in the reciprocal temperature between two calibrations, and constant beyond the outermost calibrations.
+    If the temperatures of fewer than two calibrations are known, the matrices of the first calibration are returned.
     """
-    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # the later of two with the same light
+    placed = {1e6 / each.kelvin: each for each in known if each.kelvin is not None}  # of equal temperatures, the last counts
     mireds = np.array(sorted(placed))
     if len(mireds) < 2:
         return known[0].colour, known[0].camera
@@ -94,8 +94,9 @@ def interpolated(known: Sequence[Calibration], kelvin: float) -> tuple[Array, Ar
 
 
 def temperature(x: float, y: float) -> float:
-    """Return the correlated colour temperature (K) of a chromaticity: that of the nearest black body in CIE 1960 u, v.
+    """Return the correlated colour temperature (K) of a chromaticity.
 
+    This is the temperature of the black body that is nearest in CIE 1960 u, v.
     References
     ----------
     M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:
@@ -113,7 +114,7 @@ def temperature(x: float, y: float) -> float:
 
 
 def _white_of(content: Any) -> tuple[float, float] | None:
-    """Return the chromaticity in IlluminantData, or that of the spectrum in it, in either byte order."""
+    """Return the chromaticity that IlluminantData states directly or as a spectrum. Both byte orders are tried."""
     for order in "<>":
         with contextlib.suppress(*BROKEN):
             (kind,) = struct.unpack_from(f"{order}H", bytes(content))
@@ -131,13 +132,13 @@ def _white_of(content: Any) -> tuple[float, float] | None:
 
 
 def _fractions(content: bytes, order: str, start: int, count: int) -> list[float]:
-    """Return `count` fractions from the byte `start` on."""
+    """Return `count` fractions, beginning at the byte `start`."""
     parts = struct.unpack_from(f"{order}{2 * count}I", content, start)
     return [above / below for above, below in zip(parts[::2], parts[1::2], strict=True)]
 
 
 def _chromaticity(wavelength: Array, power: Array) -> tuple[float, float]:
-    """Return x and y of a light from its power at wavelengths in nm. Beyond them it is dark."""
+    """Return the chromaticity x, y of a spectrum of power at wavelengths in nm. Outside of these, the power is zero."""
     grid = np.arange(360.0, 831.0)
     x, y, z = map(float, spectra.colour_matching_functions(grid) @ np.interp(grid, wavelength, power, 0.0, 0.0))
     return x / (x + y + z), y / (x + y + z)

@@ -1,9 +1,10 @@
 """Read raw files of all formats as RawFrame.
 
-A new format is a module in this folder and a line in FORMATS. The module has `read`, and, as its line states, `stack`,
-`rate` and `is_plain`. It is imported when the first file is read. The colour filter array comes from the table. Pixels,
-levels, crop and orientation come from the file, and so does the phase if the file states its array. An array other than
-the table's is rejected.
+To add a format, write a module in this folder and add a line to FORMATS. The module defines `read` and, as its line states,
+`stack`, `rate` and `is_plain`. l3 imports the module when it reads the first file in this format.
+
+The colour filter array comes from the table. Pixels, levels, crop and orientation come from the file. If the file states its
+array, the phase also comes from the file, and l3 rejects the file if its array is not the array of the table.
 """
 
 import importlib
@@ -30,9 +31,9 @@ from l3cli.physics.mosaic import shifted_cfa
 from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 
-RAW_FILE = "give a raw file, or - for headerless frames on stdin"
-TOP = 65535  # DN, largest value of 16 bits
-LONGEST = 1e5  # s, longest plausible exposure
+RAW_FILE = "use a raw file, or - for headerless frames on stdin"
+TOP = 65535  # DN, largest 16-bit value
+LONGEST = 1e5  # s, longest plausible exposure time
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,18 @@ class RawFormat:
 
     suffixes: tuple[str, ...]  # in lower case
     module: str  # module in this folder
-    what: str = ""  # kind of file, for the table in docs/raw-files.md
+    what: str = ""  # type of file, for the table in docs/raw-files.md
     read_as: str = ""  # contents that l3 reads, for the same table
-    holds_frame: bool = True  # False if such a file is always a sequence
+    holds_frame: bool = True  # False if files of this format are always sequences
     stackable: bool = False  # whether a file may contain several frames
     isolated: bool = True  # whether files are decoded in the isolated process
-    has_plain: bool = False  # whether the module's `is_plain` exempts simple files, which are read in this process
-    wants_geometry: bool = False  # whether `read` and `stack` take a layout
-    wants_dataset: bool = False  # whether `stack` takes the name of an array
-    has_rate: bool = False  # whether a file with one frame may state the frame rate of its sequence
+    has_plain: bool = False  # whether the module defines `is_plain`, which says that this process may read a file
+    wants_geometry: bool = False  # whether `read` and `stack` need a layout
+    wants_dataset: bool = False  # whether `stack` needs the name of an array
+    has_rate: bool = False  # whether a file with one frame may state the frame rate of a sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
-        """Read the frame of a file that contains one. Raises InputFileError if it does not, or if the format is
-        unsupported.
-        """
+        """Read the frame of a file. Raises InputFileError if the file has no or several frames, or an unsupported format."""
         if path.suffix.lower() not in self.suffixes:
             refuse_unread(path)
         with naming(path):
@@ -62,20 +61,20 @@ class RawFormat:
             return content
 
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
-        """Return the frames of a file that contains several, or None if it contains one frame, which may be damaged.
+        """Return the frames of a file, or None if the file contains only one frame, which may be damaged.
 
-        `dataset` is the name of an array in the file, or None for the only one.
+        `dataset` is the name of an array in the file, or None for the only array.
         """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frame rate that a file with one frame states."""
+        """Return the frame rate that a file with one frame states, or None."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Whether a file is simple enough to be read in this process."""
+        """Whether a file has such a simple layout that this process reads it, without the isolated process."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -110,11 +109,11 @@ FORMATS = (
     ),
     RawFormat(
         (".h5", ".hdf5", ".hdf"), "hdf5", "HDF5",
-        "a dataset and the names of its axes; if there are several datasets, give `‹dataset› NAME`",
+        "a dataset and the names of its axes; if there are several datasets, set `‹dataset› NAME`",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
     RawFormat(
-        (".mat",), "mat", "MATLAB", "a variable (row, col, frame); if there are several, give `‹dataset› NAME`",
+        (".mat",), "mat", "MATLAB", "a variable (row, col, frame); if there are several, set `‹dataset› NAME`",
         holds_frame=False, stackable=True, wants_dataset=True,
     ),
     RawFormat((".ser",), "ser", "SER", "all frames and the array", holds_frame=False, stackable=True, isolated=False),
@@ -134,61 +133,62 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format for a file's suffix. Other suffixes count as camera raws, which LibRaw recognises by content."""
+    """Return the format for the suffix of a file. For unknown suffixes, LibRaw recognises camera raws by their content."""
     return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
 
 
 def is_frame(path: Path) -> bool:
-    """Whether a file with this name in a folder counts as a raw frame."""
+    """Whether a file with this name is a raw frame when it is found in a folder."""
     return path.suffix.lower() in BY_SUFFIX and format_of(path).holds_frame
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a name is that of a DNG or of a camera's own raw file, which state their camera."""
+    """Whether a file name is the name of a DNG or a camera raw, which state the model of their camera."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Whether a file, a pattern, or files in a folder state their camera."""
+    """Whether a file, a pattern, or a folder refers to files that state the model of their camera."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
 def needs_isolation(path: Path) -> bool:
-    """Whether a file is decoded in the isolated process. False for folders and stdin, whose contents are unknown."""
+    """Whether a file is decoded in the isolated process. False for folders and stdin, whose content is not known yet."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Facts about a raw file that the caller states. None means that the file or otherwise the table decides."""
+    """Facts about a raw file that the user states. If a fact is None, it comes from the file or otherwise from the table."""
 
     black_level: float | None = None  # DN
     white_level: float | None = None  # DN
-    phase: tuple[int, int] | None = None  # CFA row and column of pixel (0, 0)
+    phase: tuple[int, int] | None = None  # CFA row and column of the first pixel
     size: tuple[int, int] | None = None  # rows, columns of a headerless file
     packing: str | None = None  # key of frames.packings.PACKINGS, for a headerless file
-    stride: int | None = None  # bytes from row to row of a headerless file
+    stride: int | None = None  # bytes from the start of a row to the start of the next, for a headerless file
     exposure: float | None = None  # s
-    gain: float | None = None  # analog gain relative to the camera's; None: from the ISO speed of the file
-    gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if all have `gain`
-    unlabelled_gain: float = 1.0  # gain of frames for which nothing else states it
+    gain: float | None = None  # analog gain relative to the gain of the camera model; None: from the ISO speed of the file
+    gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if `gain` applies to all frames
+    unlabelled_gain: float = 1.0  # gain of frames whose ISO speed does not determine the gain
     dark: DarkFrame | None = None  # dark frame to subtract
     correction: Correction | None = None  # correction of defects and shading
-    hot: HotTest | None = None  # test for hot pixels; None to leave them
+    hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
     skip: int = 0  # bytes before the first frame of a headerless file
-    byte_order: str | None = None  # "little" or "big", for 16-bit values of a headerless file; None: little
-    opcodes: str | None = None  # "leave" ignores unsupported opcodes of a DNG; None rejects the file
+    byte_order: str | None = None  # "little" or "big", for 16-bit values of a headerless file; None means "little"
+    opcodes: str | None = None  # "leave" to ignore unsupported opcodes of a DNG; None to reject the file
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the facts about the frame at a position, from 0, of a sequence. Raises InputFileError if no gain is
-        listed for it.
+        """Return the facts about the frame at a position, counted from 0, of a sequence.
+
+        Raises InputFileError if `gains` contains no gain for the frame.
         """
         if not self.gains:
             return self
         if place >= len(self.gains):
             raise InputFileError(
-                f"‹gains› lists {len(self.gains)} gains, none for frame {place + 1}; list one for each frame"
+                f"‹gains› lists {len(self.gains)} gains, but there is a frame {place + 1}; list one gain per frame"
             )
         return replace(self, gain=self.gains[place], gains=())
 
@@ -199,11 +199,11 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     Parameters
     ----------
     path : Path
-        The file. Its suffix selects the reader.
+        The raw file. Its suffix selects the reader.
     table : TransformTable or CameraModel
-        States the array, and what the file does not state.
+        States the array, and facts that the file does not state.
     known : RawOverrides, optional
-        Facts that the caller states.
+        Facts that the user states.
 
     Returns
     -------
@@ -219,12 +219,12 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     require_regular(path, RAW_FILE)
     kind = format_of(path)
     if not kind.holds_frame:
-        raise InputFileError(f"{path} holds frames, and one is wanted; give a file of one frame")
+        raise InputFileError(f"{path} is a sequence of frames; use a file with one frame")
     return frame_of(str(path), kind.read(path, _layout(kind, path, table, known)), table, known)
 
 
 def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
-    """Return the frames of a file, or None if it contains one frame or if its format cannot contain more.
+    """Return the frames of a file, or None if the file contains only one frame.
 
     `dataset` is the name of the array in an HDF5 or MATLAB file.
     """
@@ -233,9 +233,9 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
 
 
 def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
-    """Whether a file contains several frames. Raises InputFileError if it cannot be read.
+    """Whether a file contains several frames. Raises InputFileError if the file cannot be read.
 
-    `sensor` returns the table or camera; it is called only for the size of headerless frames.
+    `sensor` returns the table or camera. It is called only if the size of headerless frames is needed.
     """
     kind = format_of(path)
     if not kind.stackable:
@@ -259,12 +259,12 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the content of a file to a frame. Missing facts come from `known` or otherwise from the table."""
+    """Convert the content of a file to a frame. Facts in `known` precede facts in the file, which precede the table."""
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
-        raise InputFileError(f"{name} holds no pixels; give a raw file")
+        raise InputFileError(f"{name} contains no pixels; use a raw file")
     if values.ndim != 2:
-        raise InputFileError(f"{name} holds {values.dtype} of {values.ndim} axes {values.shape}; give rows × columns")
+        raise InputFileError(f"{name} contains an array of shape {values.shape}; use an array of rows × columns")
     require_picture(name, *values.shape)
     refuse_faults(name, content, [each.name for each in fields(known) if getattr(known, each.name) is not None])
     dn = as_dn(values)
@@ -275,8 +275,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     white_level = content.get("white_level", table.white_level) if known.white_level is None else known.white_level
     if not 0 <= black_level < white_level <= TOP:
         raise InputFileError(
-            f"{name}: black level {black_level:g} and white level {white_level:g} do not fit; "
-            "give ‹black_level› and ‹white_level›"
+            f"{name}: the black level {black_level:g} must be at least 0 and below the white level {white_level:g}, which "
+            f"must not exceed {TOP}; set ‹black_level› and ‹white_level›"
         )
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
     gain = content.get("gain")
@@ -301,20 +301,20 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option that selects another reading of a frame's bytes, if that reading is far smoother. Otherwise ""."""
+    """Return the option with which a frame's bytes give a far smoother frame, or "" if there is no such option."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note if the packing of a whole frame names an array in another phase than the table's."""
+    """Return a note if a frame has the size of the sensor, but the array of its packing has another phase than the table."""
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
-    begins = f"its packing says that it begins at row {phase[0]}, column {phase[1]} of the table's array"
-    return (f"{begins}, though it has the size of the whole sensor; check ‹packing›, or give ‹phase›",)
+    begins = f"according to its packing, it begins at row {phase[0]}, column {phase[1]} of the table's array"
+    return (f"{begins}, but it has the size of the whole sensor; check ‹packing›, or set ‹phase›",)
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return the frame with the facts that the caller states, its dark signal, and corrections."""
+    """Return the frame with the facts that the user states, with its dark signal, and after corrections."""
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
     span = frame.white_level - frame.black_level
@@ -329,8 +329,8 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     )
     if not dark < span:
         raise InputFileError(
-            f"{frame.name}: dark current alone fills a pixel with {dark:.4g} of {span:.4g} DN; "
-            "is its exposure time in seconds?"
+            f"{frame.name}: the dark current alone is {dark:.4g} DN, but full scale is {span:.4g} DN; "
+            "check that the exposure time is in seconds"
         )
     corrected = replace(
         frame,

@@ -1,7 +1,7 @@
-"""Read FITS files with astropy: the first image, a frame (row, col) or frames (frame, row, col) of unsigned integers.
+"""Read FITS files with astropy. The first image contains a frame (row, col) or a stack (frame, row, col).
 
-astropy is used because unsigned values are coded with BZERO, images may be compressed (fpack), and headers may span blocks.
-The first row is the top, unless ROWORDER is BOTTOM-UP. BAYERPAT states the colours of the top left pixels for Bayer (4
+astropy is used because unsigned values are stored with BZERO, images may be compressed (fpack), and headers may span blocks.
+The first row is the top row, unless ROWORDER is BOTTOM-UP. BAYERPAT states the colours of the top left pixels for Bayer (4
 letters) or X-Trans (36 letters), shifted by XBAYROFF and YBAYROFF.
 """
 
@@ -22,33 +22,35 @@ from l3cli.system.limits import require_picture
 
 INSTALL = 'FITS files need astropy; install it with: pip install "l3cli[fits]"'
 SIDES = {4: 2, 36: 6}  # number of letters in BAYERPAT → rows and columns of the array (Bayer, X-Trans)
-PLANES = 3  # planes of a picture in red, green and blue
+PLANES = 3  # number of planes of a picture in red, green and blue
 BOTTOM_UP = "BOTTOM-UP"
 ROW_ORDERS = "TOP-DOWN", BOTTOM_UP
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of an image with three axes.
+    """Return the frames of an image with three axes, or None for any other image.
 
-    Raises InputFileError for a picture in three planes, as raw converters write it.
+    Raises InputFileError if the three planes are the colours of a picture, as raw converters write it.
     """
     shape, names, has_pattern = _shape(path)
     if len(shape) != 3:
         return None
     axes = frame_axes(str(path), shape, names)
     if axes != STACK:
-        raise InputFileError(f"{path}: its CTYPE name other axes than frames of rows of columns; save NAXIS3 frames")
+        raise InputFileError(
+            f"{path}: the CTYPE keywords must name the axes frame, row, column in this order; save the frames along NAXIS3"
+        )
     if shape[0] == PLANES and not has_pattern and MEANING.get(names[0].lower()) != "frame":
         raise InputFileError(
-            f"{path} holds {PLANES} planes of {shape[1]}×{shape[2]}, as a picture of {PLANES} channels; give the mosaic, or "
-            f"say with CTYPE3 = 'FRAME' that they are {PLANES} frames"
+            f"{path} contains {PLANES} planes of {shape[1]}×{shape[2]} pixels, like a picture with {PLANES} channels; use "
+            f"the raw mosaic, or set CTYPE3 = 'FRAME' if they are {PLANES} frames"
         )
     return MultiFrameFile(shape[0], lambda number: read(path, number))
 
 
 @isolated("astropy.io.fits")
 def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
-    """Return the lengths and names (CTYPEn) of the axes of the first image, and whether it states a BAYERPAT."""
+    """Return the lengths and names (CTYPEn) of the axes of the first image, and whether the header states BAYERPAT."""
     with _first_image(path) as image:
         count = len(image.shape)
         names = [str(image.header.get(f"CTYPE{number}", "")).strip() for number in range(count, 0, -1)]
@@ -57,9 +59,9 @@ def _shape(path: Path) -> tuple[tuple[int, ...], list[str], bool]:
 
 @isolated("astropy.io.fits")
 def read(path: Path, number: int | None = None) -> RawContent:
-    """Read the pixels (row, col) in DN, the colours in BAYERPAT, and the exposure time (s) in EXPTIME or EXPOSURE.
+    """Read the pixels (row, col) in DN, the colours in BAYERPAT, and the exposure time in s in EXPTIME or EXPOSURE.
 
-    `number` selects a frame if there are several. Raises InputFileError if the file contains no frame.
+    `number` selects a frame of a stack. Raises InputFileError if the file contains no frame.
     """
     with _first_image(path) as image:
         values = np.asarray(image.data if number is None else image.section[number])
@@ -68,9 +70,9 @@ def read(path: Path, number: int | None = None) -> RawContent:
         offset = (int(header.get("YBAYROFF", 0)), int(header.get("XBAYROFF", 0)))
         seconds = header.get("EXPTIME", header.get("EXPOSURE"))
     if values.ndim != 2 or values.size == 0:
-        raise InputFileError(f"{path} holds {values.dtype.name} {values.shape}; give one of (rows, columns)")
+        raise InputFileError(f"{path} contains a {values.dtype.name} array of shape {values.shape}; save a frame (row, col)")
     if order not in ("", *ROW_ORDERS):
-        raise InputFileError(f'{path}: its ROWORDER is "{order}"; correct the header to {" or ".join(ROW_ORDERS)}')
+        raise InputFileError(f'{path}: the keyword ROWORDER is "{order}"; set it to {" or ".join(ROW_ORDERS)}')
     if order == BOTTOM_UP:
         values = values[::-1]
     exposure = float(seconds) if isinstance(seconds, int | float) else None
@@ -79,7 +81,7 @@ def read(path: Path, number: int | None = None) -> RawContent:
     if side and set(pattern) <= set(LETTERS):
         content["pattern"] = np.roll(codes_of(pattern).reshape(side, side), (-offset[0], -offset[1]), axis=(0, 1))
     elif pattern:
-        content["notes"] = (f'its BAYERPAT "{pattern}" is not an array of 2×2 or 6×6 colours; it is taken for the table\'s',)
+        content["notes"] = (f'BAYERPAT "{pattern}" is not a 2×2 or 6×6 pattern of known colours; using the table\'s array',)
     return content
 
 
@@ -90,10 +92,10 @@ def _first_image(path: Path) -> Iterator[Any]:
     except ModuleNotFoundError as error:
         raise L3Error(INSTALL) from error
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings about sloppy headers; unreadable data raise exceptions
+        warnings.simplefilter("ignore")  # ignore warnings about nonstandard headers; unreadable data raise exceptions
         with fits.open(path, uint=True, lazy_load_hdus=True) as units:
             image = next((unit for unit in units if unit.is_image and unit.header.get("NAXIS", 0) >= 2), None)
             if image is None:
-                raise InputFileError(f"{path} holds no image; give a FITS file with a raw frame")
+                raise InputFileError(f"{path} contains no image; use a FITS file with a raw frame")
             require_picture(str(path), *image.shape[-2:])
             yield image

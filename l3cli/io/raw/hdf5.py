@@ -1,6 +1,6 @@
-"""Read stacks of raw frames from HDF5 files: a dataset of numbers (frame, row, col), or of one frame (row, col).
+"""Read raw frames from HDF5 files: a dataset with a stack (frame, row, col) or with one frame (row, col).
 
-Axes may be in another order if the file names them.
+The axes may have another order if the file names them.
 """
 
 import re
@@ -23,41 +23,45 @@ FILTERS = {  # number registered with The HDF Group → name
     4: "szip", 307: "bzip2", 32000: "LZF", 32001: "blosc", 32004: "LZ4", 32008: "bitshuffle", 32013: "ZFP", 32015: "zstd",
     32017: "SZ", 32018: "FCIDECOMP", 32019: "JPEG", 32024: "SZ3", 32026: "blosc2", 32028: "SPERR",
 }  # fmt: skip
-CHUNK_CACHE = 128 << 20  # bytes, largest cache; chunks with many frames are unpacked once instead of once per frame
+CHUNK_CACHE = 128 << 20  # bytes, maximum cache size; a cache avoids unpacking a chunk with many frames once per frame
 MATLAB = "MATLAB_class"  # attribute of each variable in a MATLAB file
 TRUE_COLOUR = "IMAGE_TRUECOLOR"  # value in the HDF5 Image specification
-MOST_AXES = 8  # largest number of axis names that are examined
+MOST_AXES = 8  # maximum number of axis names that are examined
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the last file, with its identity as key
+_opened: dict[tuple[Any, ...], Any] = {}  # the file that was opened last; the key identifies the file
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Return the frames of a dataset."""
+    """Return the frames of the dataset `dataset`, or of the only dataset with frames if `dataset` is None."""
     name, count = find_stack(path, dataset)
     return MultiFrameFile(count, lambda number: RawContent(values=stack_frame(path, name, number)), numbered=False)
 
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return the name and number of frames of the stack `dataset`, or of the only stack.
+    """Return the name of a dataset with frames, and its number of frames. `dataset` is None for the only one.
 
-    Raises InputFileError if there is none, or if it is a picture with several channels.
+    Raises InputFileError if the dataset does not exist or contains a picture with several channels.
     """
     root = _open(path)
-    held = dict(datasets(root))
-    name = _only_stack(path, held) if dataset is None else dataset.strip("/")
-    frames = held.get(name)
-    if frames is None or not _is_stack(frames):
-        content = "no dataset" if frames is None else f"{frames.dtype} {frames.shape}"
-        raise InputFileError(f"{path}: {dataset} is {content}; name with ‹dataset› one of uint16 (frame, row, col)")
+    members = dict(datasets(root))
+    name = _only_stack(path, members) if dataset is None else dataset.strip("/")
+    frames = members.get(name)
+    if frames is None:
+        raise InputFileError(f'{path} contains no dataset "{dataset}"; set ‹dataset› to a uint16 dataset (frame, row, col)')
+    if not _is_stack(frames):
+        raise InputFileError(
+            f'{path}: the dataset "{dataset}" is {frames.dtype} of shape {frames.shape}; '
+            "set ‹dataset› to a uint16 dataset (frame, row, col)"
+        )
     axes = _axes(path, frames)
     _require_frames(path, frames, axes)
     return name, 1 if axes.frame is None else frames.shape[axes.frame]
 
 
-@isolated("h5py", "hdf5plugin")  # if installed, hdf5plugin adds filters to h5py
+@isolated("h5py", "hdf5plugin")  # hdf5plugin, if installed, adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read a frame (row, col) of a stack found by `find_stack`."""
+    """Read a frame (row, col) of a dataset that `find_stack` has found."""
     frames = _open(path, name)[name]
     axes = _axes(path, frames)
     _require_frames(path, frames, axes)
@@ -69,7 +73,7 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
     except OSError as error:
         if filters := missing_filters(frames):
             raise InputFileError(
-                f"{path}: {frames.name} is compressed by {' and '.join(filters)}, which HDF5 has not; install it with: "
+                f"{path}: {frames.name} is compressed with {' and '.join(filters)}, which is not installed; run: "
                 "pip install hdf5plugin"
             ) from error
         raise InputFileError(f"{path}: frame {number} of {frames.name} is damaged; copy the file again") from error
@@ -77,23 +81,25 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, from their names in the file, or from the conventions of the program that wrote it."""
+    """Return the axes of a dataset, from their names in the file or by the convention of the program that wrote it."""
     name = f"{path}: {frames.name}"
     if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
-        raise InputFileError(f"{name} says that it is a picture of three channels (IMAGE_SUBCLASS); give the mosaic")
+        raise InputFileError(f"{name} is marked as a picture with three channels (IMAGE_SUBCLASS); use the raw mosaic")
     usual = None
     if MATLAB in frames.attrs:  # MATLAB stores an array (row, col, frame) with the last axis first
         usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)
         if frames.ndim == 3 and frames.shape[0] == 3:
-            raise InputFileError(f"{name} holds a picture of 3 channels, as MATLAB stores it; give the mosaic")
+            raise InputFileError(
+                f"{name} has shape {frames.shape}, like a MATLAB picture with 3 channels; use the raw mosaic"
+            )
     return frame_axes(name, frames.shape, _axis_names(frames), usual)
 
 
 def _axis_names(frames: Any) -> list[str]:
-    """Return the names of a dataset's axes, empty if there are none.
+    """Return the names of the axes of a dataset, or [] if the file states none.
 
-    They are labels or scales of dimensions (HDF5), `axes` of the dataset or of the group whose signal it is (NeXus), or
-    _ARRAY_DIMENSIONS (xarray).
+    They are the labels or scales of dimensions (HDF5), the attribute `axes` of the dataset or of the group whose signal is
+    the dataset (NeXus), or the attribute _ARRAY_DIMENSIONS (xarray).
     """
     stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
     group = frames.parent.attrs
@@ -108,8 +114,8 @@ def _scale_name(dimension: Any) -> str:
 
 
 def _listed(attribute: Any) -> list[str]:
-    """Return the names in an attribute: an array of names, a list in one text such as "[t:y:x]" or "t,y,x", or letters
-    "tyx".
+    """Return the names in an attribute: an array of names, a list in one text such as "[t:y:x]" or "t,y,x", or the letters
+    of a word such as "tyx".
     """
     if isinstance(attribute, np.ndarray):
         return [_text(each) for each in attribute.ravel()[:MOST_AXES]]
@@ -122,7 +128,7 @@ def _text(attribute: Any) -> str:
 
 
 def missing_filters(dataset: Any) -> list[str]:
-    """Return the names of filters that a dataset's chunks need and that are not installed."""
+    """Return the names of the compression filters that a dataset needs and that are not installed."""
     import h5py
 
     created = dataset.id.get_create_plist()
@@ -135,19 +141,19 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Return the file, which stays open for further frames of a stack."""
+    """Return the HDF5 file, which stays open for further frames. `stack` is the dataset for which the cache is sized."""
     import h5py
 
     key = (str(path), *stamp(path), stack)
     if key not in _opened:
         if not h5py.is_hdf5(path):
-            raise InputFileError(f"{path} is not an HDF5 file; give one with a dataset (frame, row, col)")
+            raise InputFileError(f"{path} is not an HDF5 file; use an HDF5 file with a dataset (frame, row, col)")
         for other in _opened.values():
             other.close()
         _opened.clear()
         root = h5py.File(path, "r")
         if stack is not None:
-            # A larger cache would only fill with frames that have already been read.
+            # A larger cache would only keep frames that have already been read.
             nbytes = min(CHUNK_CACHE, chunks_of_a_frame(root[stack], _axes(path, root[stack])))
             root.close()
             root = h5py.File(path, "r", rdcc_nbytes=nbytes)
@@ -156,21 +162,21 @@ def _open(path: Path, stack: str | None = None) -> Any:
 
 
 def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
-    """Return the number of bytes that are unpacked to read a frame of a dataset."""
+    """Return the number of bytes that must be unpacked to read one frame of a dataset."""
     chunks = frames.chunks or frames.shape
     across = prod(-(-frames.shape[axis] // chunks[axis]) for axis in (axes.row, axes.col))
     return across * prod(chunks) * int(frames.dtype.itemsize)
 
 
-def _only_stack(path: Path, held: dict[str, Any]) -> str:
-    """Return the name of the only stack of integers of at most 16 bits or, without one, of any numbers."""
-    stacks = sorted(name for name, member in held.items() if _is_stack(member) and member.ndim == 3)
-    counts = [name for name in stacks if held[name].dtype.kind == "u" and held[name].dtype.itemsize <= 2]
+def _only_stack(path: Path, members: dict[str, Any]) -> str:
+    """Return the only dataset (frame, row, col) of uint8 or uint16 or, if there is none, of any numbers."""
+    stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
+    counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]
     chosen = counts or ([] if _is_artifact(path) else stacks)
     if len(chosen) != 1:
         several = f"{len(chosen)} datasets of frames ({', '.join(chosen[:4])})"
-        content = several if chosen else "no dataset uint16 (frame, row, col)"
-        raise InputFileError(f"{path} holds {content}; name one with ‹dataset›")
+        content = several if chosen else "no uint16 dataset (frame, row, col)"
+        raise InputFileError(f"{path} contains {content}; select the dataset with ‹dataset›")
     return chosen[0]
 
 
@@ -186,11 +192,9 @@ def _is_stack(member: Any) -> bool:
 
 
 def _require_frames(path: Path, frames: Any, axes: Axes) -> None:
-    """Raise InputFileError if the frames are in another file, or if a frame, or the chunks unpacked with it, are too
-    large.
-    """
+    """Raise InputFileError if the frames are in another file, or if a frame or the chunks that contain it are too large."""
     require_within_file(path, frames.id)
     for shape in (frames.shape, frames.chunks or frames.shape):
         require_picture(f"{path}: {frames.name}", shape[axes.row], shape[axes.col])
-    if axes.frame not in (None, 0):  # a frame is part of every row, so HDF5 must read or unpack all of them
+    if axes.frame not in (None, 0):  # every row contains values of all frames, so HDF5 must read or unpack all frames
         require_values(f"{path}: {frames.name}", frames.chunks or frames.shape[1:], frames.dtype.itemsize)

@@ -1,5 +1,6 @@
-"""Read headerless files, which contain only the values of frames. The caller or the table states the layout
-(frames/packings.py).
+"""Read headerless files, which contain only the values of frames.
+
+The caller or the table states the layout of the values (frames/packings.py).
 """
 
 from collections.abc import Iterator
@@ -15,23 +16,23 @@ from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.system.limits import require_picture, require_values
 
-GIVE_LAYOUT = "give its layout with ‹size› ROWSxCOLS, ‹packing›, ‹stride› and ‹skip›"
+GIVE_LAYOUT = "specify the layout with ‹size› ROWSxCOLS, ‹packing›, ‹stride› and ‹skip›"
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of a headerless frame."""
+    """The layout of a headerless frame."""
 
     rows: int
     cols: int
     packing: Packing
-    stride: int | None = None  # bytes from one row to the next; None if there are no gaps
+    stride: int | None = None  # bytes from the start of a row to the start of the next; None if rows have no padding
     skip: int = 0  # bytes before the first frame
     big_endian: bool = False  # byte order of 16-bit words
 
     @property
     def bits(self) -> int:
-        """Number of bits of full scale. It is 16 for words of any packing, because swapped bytes need all of them."""
+        """Bits per value at full scale. 16-bit words count as 16 bits, because swapped bytes can produce any value."""
         return 16 if self.packing.is_words else self.packing.bits
 
     @property
@@ -41,9 +42,9 @@ class Layout:
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Number of runs of pixels that begin at a byte boundary, and pixels per run.
+        """Number of runs of pixels that begin at a byte boundary, and number of pixels per run.
 
-        A run is a row. If rows without padding would end within a byte of a bit stream, it is the whole frame.
+        Usually each row is a run. If an unpadded row of a bit stream would end within a byte, the whole frame is one run.
         """
         run_on = 8 * self.cols * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
@@ -52,13 +53,13 @@ class Layout:
 
     @property
     def exchangeable(self) -> bool:
-        """Whether swapped rows and columns fit the same number of bytes."""
+        """Whether a frame with rows and columns swapped would have the same number of bytes."""
         padded = self.stride is not None and self.stride != self.packing.bytes_of(self.cols)
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
     @property
     def pattern(self) -> NDArray[np.int64] | None:
-        """Colour codes (row, col) of the CFA that the packing names, or None."""
+        """Colour codes (row, col) of the CFA if the packing states it, otherwise None."""
         return codes_of(self.packing.pattern).reshape(2, 2) if self.packing.pattern else None
 
     def __str__(self) -> str:
@@ -83,7 +84,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels]).reshape(self.rows, self.cols)
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield the other layouts with the same number of bytes, each with the option that selects it."""
+        """Yield the other layouts with the same number of bytes per frame, each with the option that selects it."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in PACKINGS.values():
@@ -98,16 +99,16 @@ class Layout:
 def make_layout(
     size: tuple[int, int], name: str, stride: int | None = None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a packing.
+    """Return the layout of a frame with a given packing.
 
     Parameters
     ----------
     size : tuple of int
-        Rows and columns.
+        Number of rows and columns.
     name : str
         Name of the packing.
     stride : int, optional
-        Bytes from one row to the next.
+        Bytes from the start of a row to the start of the next.
     skip : int
         Bytes before the first frame.
     byte_order : str, optional
@@ -116,19 +117,23 @@ def make_layout(
     Raises
     ------
     RecipeError
-        If a parameter is invalid, or if they contradict each other.
+        If a parameter is invalid or contradicts another parameter.
     """
     rows, cols = size
     if min(size) < 1:
-        raise RecipeError(f"‹size› {rows}x{cols} holds no pixels; give rows and columns above 0")
+        raise RecipeError(f"‹size› {rows}x{cols} describes a frame without pixels; set at least 1 row and 1 column")
     packing = packing_named(name)
     if packing is None:
         raise RecipeError(f'‹packing› "{name}" is unknown; {suggestion(name, PACKINGS)}')
     if byte_order is not None and not packing.is_words:
-        raise RecipeError(f"‹byte_order› is that of 16-bit values; {packing.name} has none, leave it out")
+        raise RecipeError(
+            f"‹byte_order› applies only to 16-bit values, not to the packing {packing.name}; remove ‹byte_order›"
+        )
     needed = packing.bytes_of(cols)
     if stride is not None and stride < needed:
-        raise RecipeError(f"‹stride› {stride} is too short; a row of {cols} {packing.name} values has {needed} bytes")
+        raise RecipeError(
+            f"‹stride› {stride} is too short for {cols} {packing.name} values per row; set at least {needed} bytes"
+        )
     return Layout(rows, cols, packing, stride, skip, byte_order == "big")
 
 
@@ -138,7 +143,10 @@ def make_layout(
 def layout_of(
     path: Path, size: tuple[int, int], packing: str | None, stride: int | None, skip: int = 0, byte_order: str | None = None
 ) -> Layout:
-    """Return the layout of a headerless file. Its suffix may name the packing. `size` is rows and columns."""
+    """Return the layout of a headerless file. `size` is rows and columns.
+
+    If `packing` is None, the suffix of the file may state the packing.
+    """
     suffix = path.suffix.lower().removeprefix(".")
     layout = make_layout(size, packing or (suffix if suffix in PACKINGS else WORDS), stride, skip, byte_order)
     require_picture(str(path), layout.rows, layout.cols)
@@ -147,36 +155,36 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read the frame of a file that contains one."""
+    """Read the frame of a file that contains one frame."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
-            f"{path} has {_counted(size, layout)}, {layout} have {layout.frame_bytes}; {_cure(size, layout)}"
+            f"{path} has {_counted(size, layout)}, but {layout} need {layout.frame_bytes}; {_cure(size, layout)}"
         )
     return content_of(np.fromfile(path, np.uint8, offset=layout.skip), layout)
 
 
 def _counted(size: int, layout: Layout) -> str:
-    """Describe the size of a file without the skipped bytes."""
+    """Describe the size of a file without the skipped bytes, for a message."""
     if size < 0:
-        return f"{size + layout.skip} bytes, fewer than the {layout.skip} of ‹skip›"
-    return f"{size} bytes after the {layout.skip} of ‹skip›" if layout.skip else f"{size} bytes"
+        return f"{size + layout.skip} bytes, fewer than ‹skip› {layout.skip}"
+    return f"{size} bytes after ‹skip› {layout.skip}" if layout.skip else f"{size} bytes"
 
 
 def _cure(size: int, layout: Layout) -> str:
-    """Name the options with which a file of `size` bytes would have this number of pixels."""
+    """Return the advice for a file of the wrong size: the packings that fit, or all options for the layout."""
     fitting = [
         name
         for name, packing in PACKINGS.items()
         if not packing.pattern and replace(layout, packing=packing, stride=None).frame_bytes == size
     ]
     if fitting:
-        return f"{layout.rows}×{layout.cols} pixels of ‹packing› {', '.join(fitting)} have {size}; {GIVE_LAYOUT}"
+        return f"{layout.rows}×{layout.cols} pixels would fit with ‹packing› {', '.join(fitting)}; {GIVE_LAYOUT}"
     return GIVE_LAYOUT
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
-    """Return the content of a frame from its bytes."""
+    """Convert the bytes of a frame to its content."""
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
     def readings() -> Iterator[tuple[str, NDArray[np.uint16], int]]:
@@ -191,8 +199,9 @@ def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) ->
 
 
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
-    """Return as many frames as the file may contain, or None if there is only one. A truncated frame is noticed when it
-    is read.
+    """Return the frames of a file, or None if it contains only one.
+
+    The last frame may be truncated. `read_frame` reports that.
     """
     size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:
@@ -201,16 +210,16 @@ def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
 
 
 def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
-    """Read frame `number` of a file. Raises InputFileError if it is truncated."""
+    """Read frame `number` of a file, counted from 0. Raises InputFileError if the frame is truncated."""
     stored = np.fromfile(path, np.uint8, layout.frame_bytes, offset=layout.skip + number * layout.frame_bytes)
     if stored.size < layout.frame_bytes:
-        raise InputFileError(f"{path} ends within frame {number} of {layout}; {GIVE_LAYOUT}")
+        raise InputFileError(f"{path} ends in the middle of frame {number} ({layout}); {GIVE_LAYOUT}")
     return content_of(stored, layout)
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
     """Return the frames on stdin, read one by one."""
-    # Unbuffered, because a thread that waits in a buffered stream would keep the interpreter from exiting.
+    # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip
 
@@ -228,7 +237,7 @@ def stdin(layout: Layout) -> MultiFrameFile:
         content = bytearray(layout.frame_bytes)
         count = filled(content)
         if 0 < count < len(content):
-            raise InputFileError(f"stdin ends within the frame, of {layout}; check ‹size› ROWSxCOLS")
+            raise InputFileError(f"stdin ends in the middle of a frame ({layout}); correct ‹size› ROWSxCOLS")
         return content_of(content, layout) if count else None
 
     return MultiFrameFile(None, InOrder(following).read)

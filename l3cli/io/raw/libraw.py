@@ -1,6 +1,7 @@
 """Read camera raws with LibRaw: pixels, levels and colours as the file states them.
 
-Also facts about the camera that a raw file states: names, colour matrices, noise and lens (DNG 1.7, Exif, LibRaw).
+The module also reads the facts that a raw file states about its camera: names, colour matrices, noise and lens (DNG 1.7,
+Exif, LibRaw).
 """
 
 import contextlib
@@ -25,7 +26,7 @@ from l3cli.system.limits import require_picture
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Return the content of a camera raw within its visible area. Raises InputFileError like `opened`."""
+    """Read the frame of a camera raw within its visible area. Raises InputFileError in the same cases as `opened`."""
     with opened(path) as raw:
         content = _visible(path, raw)
         content["camera"], shot = _stated_by_tags(path)
@@ -35,8 +36,9 @@ def read(path: Path) -> RawContent:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Yield rawpy's object for a file with a mosaic. Raises InputFileError if LibRaw cannot read it, or if it is
-    demosaicked.
+    """Yield the rawpy object of a raw file.
+
+    Raises InputFileError if LibRaw cannot read the file, or if the file contains no mosaic.
     """
     import rawpy
 
@@ -44,30 +46,30 @@ def opened(path: Path) -> Iterator[Any]:
         with rawpy.imread(str(path)) as raw:
             require_picture(str(path), raw.sizes.raw_height, raw.sizes.raw_width)
             if raw.raw_type != rawpy.RawType.Flat or raw.raw_image_visible.ndim != 2:
-                raise InputFileError(f"{path} is already demosaicked (linear); give the raw file the camera wrote")
+                raise InputFileError(f"{path} is already demosaicked (linear); use the camera's original raw file")
             yield raw
     except rawpy.LibRawError as error:
         reason = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise InputFileError(
-            f"{path} is damaged or no raw file LibRaw can read ({reason}); "
-            "give a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
+            f"{path} is damaged, or is not a raw file that LibRaw supports ({reason}); "
+            "use a camera raw, a one-channel TIFF or PNG, a .npy, or a headerless .raw"
         ) from error
 
 
 def _visible(path: Path, raw: Any) -> RawContent:
-    """Return LibRaw's frame without masked borders. Black and white levels may differ between colours."""
+    """Return the frame without masked borders. Black and white levels may differ between colours."""
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
-    if raw.num_colors == 1:  # without filters, LibRaw returns colour 6, which does not exist
+    if raw.num_colors == 1:  # for a monochrome sensor, LibRaw returns the colour 6, which does not exist
         colours, letters = np.zeros_like(colours), "W"
     black_level = np.array(raw.black_level_per_channel, np.float64)
     whites = np.array(raw.camera_white_level_per_channel or (0,), np.float64)
     white_level = np.where(whites > 0, whites, raw.white_level) + np.zeros_like(black_level)
     if colours.max() >= min(len(letters), len(black_level)):
-        raise InputFileError(f"{path} names colours that it does not have; it is damaged")
+        raise InputFileError(f"{path} uses a colour that it does not define; copy the file again")
     used = np.unique(colours)
     if not (black_level[used] < white_level[used]).all():
-        levels = f"{black_level[used].max():g} is not below its white level {white_level[used].min():g}"
-        raise InputFileError(f"{path}: its black level {levels}; it is damaged")
+        levels = f"{black_level[used].max():g} is not below the white level {white_level[used].min():g}"
+        raise InputFileError(f"{path}: the black level {levels}; copy the file again")
     values = raw.raw_image_visible.copy()
     if np.ptp(black_level[used]) == 0:
         common, top = float(black_level[used[0]]), float(white_level[used].min())
@@ -75,7 +77,7 @@ def _visible(path: Path, raw: Any) -> RawContent:
         values, common, top = with_one_black_level(values, black_level[colours], white_level[colours])
     rows, cols = raw.raw_pattern.shape
     pattern = codes_of(letters)[colours[:rows, :cols]]
-    shot = getattr(raw, "other", None)  # rawpy has it since 0.26
+    shot = getattr(raw, "other", None)  # exists since rawpy 0.26
     exposure = float(shot.shutter_speed) if shot is not None else None
     return RawContent(
         values=values,
@@ -89,10 +91,9 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return the codes of the colours and the camera's signals of a grey, that is, the inverse of its multipliers.
+    """Return the code of each colour and the camera's signal of a grey object, the inverse of its white-balance multiplier.
 
-    Multipliers of 1 belong to values that are already balanced. None if the file states no multipliers (LibRaw returns 0),
-    or if there is a single colour.
+    Returns None if the file states no multipliers, which LibRaw returns as 0, or if there is a single colour.
     """
     multipliers = np.array(raw.camera_whitebalance[: len(letters)], np.float64)
     stated = {code: 1 / each for code, each in zip(codes_of(letters).tolist(), multipliers, strict=False) if each > 0}
@@ -102,18 +103,18 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return camera names and settings of the shot from a raw file that is a TIFF file, as most are. Empty for others."""
+    """Return the names of the camera and the settings of the shot from TIFF tags, or nothing if the file is not a TIFF."""
     import tifffile
 
     try:
         with tifffile.TiffFile(path) as file:
             return camera_names(file.pages[0]), shot_of_page(file.pages[0])
-    except Exception:  # LibRaw has read the frame, so unreadable tags are no reason to reject it
+    except Exception:  # LibRaw has read the frame, which can be used without the tags
         return [], {}
 
 
 def _shot(raw: Any) -> dict[str, str | float]:
-    """Return the settings that LibRaw reads from a raw file of any structure (rawpy 0.26 and later)."""
+    """Return the settings that LibRaw reads, whatever the structure of the file (rawpy 0.26 and later)."""
     shot, lens = getattr(raw, "other", None), getattr(raw, "lens", None)
     stated = {
         "lens": getattr(lens, "model", None),
@@ -126,22 +127,22 @@ def _shot(raw: Any) -> dict[str, str | float]:
 
 # ---------------------------------------------------------------------------------------- facts about the camera
 
-LIGHTS = {  # values of Exif's LightSource (calibration illuminants of DNG) → names of lights
+LIGHTS = {  # value of Exif's LightSource (calibration illuminants of DNG) → name of the illuminant
     1: "D55", 2: "F2", 3: "A", 4: "D55", 9: "D55", 10: "D65", 11: "D75", 12: "F1", 13: "F3", 14: "F2", 15: "F3", 17: "A",
     18: "B", 19: "C", 20: "D55", 21: "D65", 22: "D75", 23: "D50", 24: "3200K",
 }  # fmt: skip
-USUAL_LIGHT = "D65"  # light of matrices that state none, such as those in LibRaw
+USUAL_LIGHT = "D65"  # illuminant of matrices that state none, such as the matrices included in LibRaw
 UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # units of Exif's FocalPlaneResolutionUnit
 PITCHES_UM = 0.5, 50.0  # range of plausible pixel pitches
-LONGEST = 60  # characters of a name
+LONGEST = 60  # maximum length of a camera name
 
 
 def stated(path: Path) -> Stated:
-    """Return the facts that a raw file states about its camera. Invalid tags count as missing.
+    """Return the facts that a raw file states about its camera. Invalid tags are treated as missing.
 
-    Raises InputFileError if the file is not a raw file that can be opened.
+    Raises InputFileError if the file cannot be opened as a raw file.
     """
-    require_regular(path, "give a raw file")
+    require_regular(path, "use a raw file")
     names, figures, matrices = _stated(path)
     found = tuple(
         StatedMatrix(LIGHTS.get(int(light), USUAL_LIGHT), int(light) not in LIGHTS, rows)
@@ -163,7 +164,7 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by colour code; the first row of each code counts. Empty for an empty matrix."""
+    """Return the rows of a matrix by colour code, or {} if it is invalid. If a code is repeated, the first row counts."""
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}
@@ -174,7 +175,7 @@ def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
 
 
 def _named(names: list[str]) -> str:
-    """Return make and model as one name, without repeating the make: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
+    """Join make and model without repeating the make: "Canon", "Canon EOS 550D" → "Canon EOS 550D"."""
     make, model = (" ".join("".join(c if c.isprintable() else " " for c in name).split())[:LONGEST] for name in names)
     return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
 
@@ -183,28 +184,28 @@ def _positive(value: float | None) -> float | None:
     return value if value is not None and 0 < value < 1e6 else None
 
 
-# ------------------------------------------------------------------------------------- in the process that decodes
+# ------------------------------------------------------------------------------------------ in the decoding process
 
 
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return make and model, numbers by name, and matrices with the code of their light and the codes of their rows."""
+    """Return make and model, numbers by name, and each matrix with its illuminant's code and the codes of its rows."""
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:
             letters = raw.color_desc.decode("ascii", "replace")[: raw.num_colors]
             values = np.array(raw.rgb_xyz_matrix, np.float64)[: len(letters)]
             matrices = [(0, codes_of(letters), values)] if values.any() else []
-        shot = getattr(raw, "other", None)  # rawpy has it since 0.26
+        shot = getattr(raw, "other", None)  # exists since rawpy 0.26
         known = {"iso": "iso_speed", "focal_length_mm": "focal_length", "f_number": "aperture"}
         if not getattr(shot, "focal_length", 0.0):
-            del known["f_number"]  # LibRaw returns 1 if the file states none
+            del known["f_number"]  # LibRaw returns 1 if the file states no aperture
         figures = {name: float(getattr(shot, key, 0.0)) for name, key in known.items()} | figures
     return names, figures, matrices
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the facts in the tags of a TIFF or DNG. Empty for other files."""
+    """Return the facts in the tags of a TIFF or DNG file, or empty values for any other file."""
     import tifffile
 
     try:
@@ -212,7 +213,7 @@ def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[
             first = file.pages[0]
             pages = [first, *(first.pages or ())]
             return [str(first.tags.valueof(tag) or "") for tag in ("Make", "Model")], _figures(pages), _matrices(pages)
-    except Exception:  # LibRaw reports damaged files; unreadable tags alone are no reason to reject one
+    except Exception:  # LibRaw reports damaged files, and files with unreadable tags are accepted
         return ["", ""], {}, []
 
 

@@ -1,7 +1,7 @@
-"""Read frames in MATLAB files: a variable (row, col) or (row, col, frame), with scipy or, for version 7.3, as HDF5.
+"""Read frames from MATLAB files: a variable (row, col) or (row, col, frame). Version 7.3 is read as HDF5, others with scipy.
 
-MATLAB users store stacks as (row, col, frame). Files of version 5 written by Python (scipy.io.savemat) keep numpy's order
-(frame, row, col). The text at the beginning of a file states the platform that wrote it.
+MATLAB users store stacks as (row, col, frame). Files of version 5 that Python wrote (scipy.io.savemat) keep numpy's order
+(frame, row, col). The text at the beginning of a file shows which program wrote it.
 """
 
 from pathlib import Path
@@ -19,16 +19,16 @@ from l3cli.system.limits import require_picture, require_values
 
 OF_PYTHON = (b"Platform: posix", b"Platform: nt")
 HDF5_VERSION = b"MATLAB 7.3 MAT-file"
-TEXT = 116  # bytes of text at the beginning, which name the program that wrote the file
+TEXT = 116  # bytes of text at the beginning of a file, which identify the program that wrote it
 COUNTS, NUMBERS = ("uint8", "uint16"), ("uint8", "uint16", "int16", "int32", "uint32", "single", "double")
-BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # bytes per value; 4 for all other types
+BYTES = {"uint8": 1, "int16": 2, "uint16": 2, "double": 8}  # bytes per value; all other types have 4
 LEAST_SIDE = 8  # smallest number of rows and columns; smaller variables are settings
 
-_loaded: dict[tuple[Any, ...], NDArray] = {}  # the last array, with the identity of its file as key
+_loaded: dict[tuple[Any, ...], NDArray] = {}  # the array that was read last; the key identifies its file
 
 
 def stack(path: Path, dataset: str | None) -> MultiFrameFile:
-    """Return the frames of a variable: the array named `dataset`, or the only array in the file."""
+    """Return the frames of the variable `dataset`, or of the only array if `dataset` is None."""
     with open_regular(path) as stream:
         text = stream.read(TEXT)
     if text.startswith(HDF5_VERSION):
@@ -40,17 +40,21 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("scipy.io")
 def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str, int]:
-    """Return the name of a variable and its number of frames.
+    """Return the name of the variable and its number of frames.
 
-    Raises InputFileError if it does not exist, or if it is a picture with several channels.
+    Raises InputFileError if the variable does not exist or contains a picture with several channels.
     """
     import scipy.io
 
-    held = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
-    name = _only_variable(path, held) if dataset is None else dataset
-    shape, kind = held.get(name, ((), "no variable"))
+    variables = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
+    name = _only_variable(path, variables) if dataset is None else dataset
+    if name not in variables:
+        raise InputFileError(f'{path} contains no variable "{name}"; set ‹dataset› to an array (row, col, frame)')
+    shape, kind = variables[name]
     if kind not in NUMBERS or len(shape) not in (2, 3):
-        raise InputFileError(f"{path}: {name} is {kind} {shape}; name with ‹dataset› an array (row, col, frame)")
+        raise InputFileError(
+            f'{path}: the variable "{name}" is {kind} of shape {shape}; set ‹dataset› to an array (row, col, frame)'
+        )
     axes = _axes(path, name, shape, of_python)
     require_picture(f"{path}: {name}", shape[axes.row], shape[axes.col])
     require_values(f"{path}: {name}", shape, BYTES.get(kind, 4))
@@ -59,7 +63,7 @@ def find_variable(path: Path, dataset: str | None, of_python: bool) -> tuple[str
 
 @isolated("scipy.io")
 def frame(path: Path, name: str, of_python: bool, number: int) -> NDArray:
-    """Read a frame (row, col) of a variable found by `find_variable`."""
+    """Read a frame (row, col) of a variable that `find_variable` has found."""
     import scipy.io
 
     key = (str(path), *stamp(path), name)
@@ -76,17 +80,19 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axe
     if of_python or len(shape) == 2:
         return frame_axes(f"{path}: {name}", shape)
     if shape[2] == 3:
-        raise InputFileError(f"{path}: {name} holds {shape} values, as a picture of 3 channels; give the mosaic")
+        raise InputFileError(
+            f'{path}: the variable "{name}" has shape {shape}, like a picture with 3 channels; use the raw mosaic'
+        )
     return Axes(2, 0, 1)
 
 
-def _only_variable(path: Path, held: dict[str, tuple[tuple[int, ...], str]]) -> str:
-    """Return the only array of integers of at most 16 bits or, without one, of any numbers."""
-    arrays = sorted(name for name, (shape, kind) in held.items() if kind in NUMBERS and _is_stack(shape))
-    chosen = [name for name in arrays if held[name][1] in COUNTS] or arrays
+def _only_variable(path: Path, variables: dict[str, tuple[tuple[int, ...], str]]) -> str:
+    """Return the name of the only array of uint8 or uint16 or, if there is none, of the only array of other numbers."""
+    arrays = sorted(name for name, (shape, kind) in variables.items() if kind in NUMBERS and _is_stack(shape))
+    chosen = [name for name in arrays if variables[name][1] in COUNTS] or arrays
     if len(chosen) != 1:
         content = f"{len(chosen)} arrays ({', '.join(chosen[:4])})" if chosen else "no array (row, col, frame)"
-        raise InputFileError(f"{path} holds {content}; name one with ‹dataset›")
+        raise InputFileError(f"{path} contains {content}; select the variable with ‹dataset›")
     return chosen[0]
 
 

@@ -1,4 +1,4 @@
-"""Read raw frames from numpy's .npy files: one frame (row, col) or several (frame, row, col). Files are memory-mapped."""
+"""Read raw frames from numpy's .npy files: one frame (row, col), or a stack (frame, row, col). Files are memory-mapped."""
 
 from pathlib import Path
 from typing import Any
@@ -14,51 +14,51 @@ from l3cli.system.limits import require_picture
 
 
 def map_array(path: Path) -> NDArray[Any]:
-    """Map the array of a .npy file.
+    """Memory-map the array of a .npy file.
 
-    Raises InputFileError if the file is not a complete .npy file, or if it contains objects, which would be unpickled.
+    Raises InputFileError if the file is not a complete .npy file, or if it contains Python objects.
     """
-    require_regular(path, "give a .npy file")
+    require_regular(path, "use a .npy file")
     try:
-        with np.errstate(over="ignore"):  # an absurdly large shape is rejected anyway
+        with np.errstate(over="ignore"):  # impossibly large shapes are rejected by np.load or by the size limit
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise InputFileError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged header makes Python's tokenizer raise various exceptions
-        raise InputFileError(f"{path} is not a whole .npy file; write it with numpy.save(file, array)") from error
+    except Exception as error:  # a damaged header can raise any exception of Python's tokenizer
+        raise InputFileError(f"{path} is not a complete .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
         values.close()
-        raise InputFileError(f"{path} is an archive; give one .npy array")
+        raise InputFileError(f"{path} is a numpy archive (.npz); save a single array with numpy.save")
     return values
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame of a file that contains one."""
+    """Read the frame of a file that contains one frame."""
     shape = map_array(path).shape
     if len(shape) == 3:
-        raise InputFileError(f"{path} holds {shape[0]} frames; give it alone, or give files of one frame each")
+        raise InputFileError(f"{path} contains {shape[0]} frames; pass it alone, or use files with one frame each")
     return RawContent(values=np.array(_mapped(path, 2)))
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a file with three axes."""
+    """Return the frames of a file with three axes, or None for any other file."""
     shape = map_array(path).shape
     if len(shape) != 3:
         return None
     frame_axes(str(path), shape)
 
     def frame(number: int) -> RawContent:
-        # Mapped anew, because pages of a kept mapping count as memory.
+        # Map the file for each frame, because the pages of a mapping that stays open count as used memory.
         return RawContent(values=np.array(_mapped(path, 3)[number]))
 
     return MultiFrameFile(len(_mapped(path, 3)), frame, numbered=False)
 
 
 def _mapped(path: Path, axes: int) -> NDArray:
-    """Map the array of a .npy file. Raises InputFileError unless it has `axes` axes of numbers with acceptable sizes."""
+    """Memory-map an array. Raises InputFileError unless it contains numbers and has `axes` axes of acceptable lengths."""
     values = map_array(path)
     if values.ndim != axes or values.dtype.kind not in "iuf":
-        held = f"{values.ndim}-dimensional {values.dtype}"
-        raise InputFileError(f"{path} holds {held}; give a uint16 array of rows × columns, or of frames × rows × columns")
+        found = f"a {values.ndim}-dimensional array of {values.dtype}"
+        raise InputFileError(f"{path} contains {found}; save a uint16 array (row, col) or (frame, row, col)")
     require_picture(str(path), *values.shape[-2:])
     return values

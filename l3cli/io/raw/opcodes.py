@@ -1,8 +1,8 @@
-"""Opcode lists of a DNG (Adobe DNG 1.7, chapter 7): requested changes to the mosaic, or to the picture made from it.
+"""Opcode lists of a DNG file (Adobe DNG 1.7, chapter 7): changes to the mosaic or to the picture that the file requests.
 
 l3 corrects bad pixels, and converts gain maps and radial vignetting to a gain per pixel. Other opcodes would move pixels or
-change values nonlinearly. Of these, optional ones are ignored with a note. A file with a mandatory one is rejected, unless
-the user asks to ignore it.
+change values nonlinearly. If such an opcode is optional, l3 ignores it with a note. If it is mandatory, l3 rejects the file
+unless the user asks to ignore the opcode.
 """
 
 import struct
@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for stored, linear and demosaicked values
+LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for stored, linear and demosaicked values, respectively
 FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
-CARRIED_OUT = ((4, 5), (5, 3, 9), (3, 9))  # supported opcodes of each list
+SUPPORTED = ((4, 5), (5, 3, 9), (3, 9))  # supported opcodes in each list
 NAMES = (
     "", "WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList", "TrimBounds",
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
     "WarpRectilinear2",
 )  # fmt: skip
-OPTIONAL = 1  # bit of an opcode's flags that allows readers to ignore it
+OPTIONAL = 1  # bit of an opcode's flags that permits readers to ignore the opcode
 MOST_OPCODES = 1000
 MOST_GAIN = 64.0
 MOST_PLANES = 16
@@ -43,7 +43,7 @@ class Opcode:
 
 @dataclass(frozen=True)
 class GainMap:
-    """Gains on a coarse grid for some rows, columns and planes."""
+    """Gains on a coarse grid, for some of the rows, columns and colour planes."""
 
     stage: int
     area: tuple[slice, slice]  # rows, columns
@@ -69,7 +69,7 @@ class Opcodes:
     rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right of bad pixels
     gains: tuple[GainMap | Vignette, ...] = ()
     notes: tuple[str, ...] = ()  # notes on ignored optional opcodes
-    demanded: tuple[str, ...] = ()  # unsupported opcodes that are not optional
+    demanded: tuple[str, ...] = ()  # unsupported mandatory opcodes
 
     def __bool__(self) -> bool:
         return bool(self.constants or self.rects or self.gains)
@@ -83,12 +83,12 @@ def read_opcodes(page: Any) -> Opcodes:
     found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": [], "demanded": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
-        carried = each.number in CARRIED_OUT[each.stage]
-        if not carried or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):
+        supported = each.number in SUPPORTED[each.stage]
+        if not supported or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):
             name = NAMES[each.number] if 0 < each.number < len(NAMES) else f"opcode {each.number}"
-            named = f"{name} of {LISTS[each.stage]}"
+            named = f"{name} in {LISTS[each.stage]}"
             if each.optional:
-                found["notes"].append(f"{named} is optional and not carried out")
+                found["notes"].append(f"the optional correction {named} is ignored")
             else:
                 found["demanded"].append(named)
         elif each.number == FIX_BAD_PIXELS_CONSTANT:
@@ -109,22 +109,22 @@ def _listed(page: Any) -> list[Opcode]:
         content = bytes(content)
         (count,) = struct.unpack_from(">I", content)
         if count > MOST_OPCODES:
-            raise ValueError(f"{count} opcodes")
+            raise ValueError(f"a list of {count} opcodes")
         at = 4
         for _ in range(count):
             number, _, flags, size = HEAD.unpack_from(content, at)
             at += HEAD.size + size
             if at > len(content):
-                raise ValueError("an opcode beyond its list")
+                raise ValueError("an opcode that extends beyond its list")
             opcodes.append(Opcode(stage, number, bool(flags & OPTIONAL), content[at - size : at]))
     return opcodes
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return rectangles and points of bad pixels (rect, 5): the list's stage, then top, left, bottom, right."""
+    """Return rectangles and single points of bad pixels (rect, 5): index of the list, then top, left, bottom, right."""
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
-        raise ValueError("a list of bad pixels of another length")
+        raise ValueError("a list of bad pixels with the wrong length")
     numbers = np.frombuffer(opcode.content, ">i4", offset=12).astype(np.int64)
     corners, listed = numbers[: 2 * points].reshape(-1, 2), numbers[2 * points :].reshape(-1, 4)
     return np.insert(np.concatenate([np.hstack([corners, corners + 1]), listed]), 0, opcode.stage, axis=1)
@@ -138,9 +138,9 @@ def _gain_map(opcode: Opcode) -> GainMap:
     spacing = tuple(1.0 if points == 1 else value for points, value in zip((rows, cols), numbers[2:4], strict=True))
     origin = tuple(0.0 if points == 1 else value for points, value in zip((rows, cols), numbers[4:6], strict=True))
     if not (min(rows, cols, map_planes, count, down, across) >= 1 and gains.size == rows * cols * map_planes):
-        raise ValueError("a gain map of another size")
+        raise ValueError("a gain map with the wrong number of gains")
     if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0 and 0 < gains.min() <= gains.max() <= MOST_GAIN):
-        raise ValueError("a gain map of no gains")
+        raise ValueError("a gain map with invalid gains or spacing")
     area = slice(top, bottom, down), slice(left, right, across)
     planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # a mosaic has one plane
     return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
@@ -149,15 +149,15 @@ def _gain_map(opcode: Opcode) -> GainMap:
 def _vignette(opcode: Opcode) -> Vignette:
     *terms, across, down = struct.unpack(">7d", opcode.content)
     if not np.isfinite((*terms, across, down)).all():
-        raise ValueError("a vignette without numbers")
+        raise ValueError("vignetting terms that are not finite")
     return Vignette(tuple(terms), (down, across))
 
 
-# ------------------------------------------------------------------------------------------------------- carrying out
+# -------------------------------------------------------------------------------------------------- applying opcodes
 
 
 def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, int, int, int]) -> NDArray[np.bool_]:
-    """Return the pixels (active row, active col) of a stored image that its opcodes mark as bad."""
+    """Return a mask (row, col) of the active area that is True for pixels that the opcodes mark as bad."""
     top, left, bottom, right = active
     bad = np.isin(stored[top:bottom, left:right], opcodes.constants)
     origins = ((top, left), (0, 0), (0, 0))
@@ -172,12 +172,12 @@ def bad_pixels(opcodes: Opcodes, stored: NDArray[np.uint16], active: tuple[int, 
 def gain_of_pixels(
     opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Return the gain (active row, active col) of every pixel.
+    """Return the gain (row, col) of every pixel in the active area.
 
     Parameters
     ----------
     opcodes : Opcodes
-        The opcodes.
+        The opcodes of the file.
     pattern : ndarray, (row, col)
         Colour codes of the CFA.
     planes : sequence of int
@@ -188,9 +188,9 @@ def gain_of_pixels(
     Raises
     ------
     ValueError
-        If a gain is implausible.
+        If a gain is not positive or implausibly large.
     """
-    with np.errstate(all="ignore"):  # overflow is rejected below
+    with np.errstate(all="ignore"):  # the result of an overflow is rejected below
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
         raise ValueError(f"gains of {gain.min():.3g}…{gain.max():.3g}")
@@ -225,7 +225,7 @@ def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
 
 
 def _interpolated(each: GainMap, plane: int, shape: tuple[int, int]) -> Floats:
-    """Return the gains (row, col) in the map's area: linear between grid points and constant beyond them."""
+    """Return the gains (row, col) in the area of a gain map: linear between grid points, constant beyond the outermost."""
     sides = []
     for axis in (0, 1):
         place = (np.arange(shape[axis])[each.area[axis]] + 0.5) / shape[axis]

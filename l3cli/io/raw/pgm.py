@@ -1,6 +1,6 @@
-"""Read binary portable graymaps (PGM, P5) of 8 or 16 bits as stored.
+"""Read binary portable graymaps (PGM, P5) with 8 or 16 bits, without scaling.
 
-OpenImageIO scales values to the full range of 16 bits by the header's maximum, but a raw mosaic must not be scaled.
+OpenImageIO would scale the values so that the maximum in the header becomes 65535, but a raw mosaic must not be scaled.
 """
 
 import re
@@ -15,32 +15,34 @@ from l3cli.system.limits import require_picture
 
 GAP = rb"(?:\s|#[^\n\r]*[\n\r])+"
 HEADER = re.compile(rb"P5" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,9})" + GAP + rb"(\d{1,5})\s")
-LONGEST_HEADER = 65536  # bytes, comments included
+LONGEST_HEADER = 65536  # bytes, including comments
 
 
 def read(path: Path) -> RawContent:
-    """Read the pixels (row, col) of a graymap in DN, uint8 or uint16 as in the file.
+    """Read the pixels (row, col) of a graymap in DN, as uint8 or uint16 like in the file.
 
-    Raises InputFileError unless the file is a single complete P5 graymap.
+    Raises InputFileError if the file is not a single, complete P5 graymap.
     """
     with open_regular(path) as stream:
         start = stream.read(LONGEST_HEADER)
     header = HEADER.match(start)
     if header is None:
-        kind = "a PGM in text" if start.startswith(b"P2") else "no binary PGM"
-        raise InputFileError(f"{path} is {kind}; give a P5 graymap of raw values")
+        kind = "a PGM file in text form" if start.startswith(b"P2") else "not a binary PGM file"
+        raise InputFileError(f"{path} is {kind}; save the raw values as a binary graymap (P5)")
     cols, rows, top = (int(number) for number in header.groups())
     if not (rows and cols and 0 < top < 65536):
-        raise InputFileError(f"{path} says it has {rows}×{cols} values up to {top}; it is damaged")
+        raise InputFileError(f"{path} has an invalid header ({rows}×{cols} values up to {top}); write the file again")
     dtype = np.dtype(np.uint8 if top < 256 else ">u2")
     wanted, size = rows * cols * dtype.itemsize, path.stat().st_size - header.end()
     if size != wanted:
-        held = "is truncated" if size < wanted else "has more than one graymap"
+        problem, cure = ("is truncated", "copy it again") if size < wanted else ("is too long", "save one graymap per file")
         raise InputFileError(
-            f"{path} {held}: {size} bytes, {rows}×{cols} values have {wanted}; give whole files of one frame"
+            f"{path} {problem}: it has {size} bytes after the header, but {rows}×{cols} values need {wanted}; {cure}"
         )
     require_picture(str(path), rows, cols)
     values = np.fromfile(path, dtype, offset=header.end()).reshape(rows, cols)
     if values.max() > top:
-        raise InputFileError(f"{path} holds {values.max()} DN, its header says at most {top}; it is damaged")
+        raise InputFileError(
+            f"{path} contains the value {values.max()}, but its header states a maximum of {top}; write the file again"
+        )
     return RawContent(values=values.astype(dtype.newbyteorder("=")))

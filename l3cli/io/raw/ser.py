@@ -1,7 +1,7 @@
 """Read SER, the raw video format of planetary astronomy: a header of 178 bytes, then frames of 8 or 16 bits.
 
-The reference is the SER format description 3. Programs disagree on which value of LittleEndian means little-endian, so the
-first frame decides: with the right byte order, neighbouring pixels are similar. The times of frames after the last frame
+The reference is the SER format description 3. Programs disagree on which value of LittleEndian means little-endian, so l3
+chooses the byte order in which neighbouring pixels of the first frame are more similar. The frame times at the end of a file
 are not read.
 """
 
@@ -28,12 +28,12 @@ COLOURS = (100, 101)  # ColorID of RGB and BGR
 
 
 def stack(path: Path) -> MultiFrameFile:
-    """Return the frames of a file.
+    """Return the frames of a SER file.
 
     Raises
     ------
     InputFileError
-        If it is no SER file, holds frames of colours, or fewer frames than its header says.
+        If the file is not a SER file, contains colour frames, or contains fewer frames than its header states.
     """
     layout, pattern, count = _header(path)
 
@@ -51,19 +51,19 @@ def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
     with open_regular(path) as stream:
         stored = stream.read(HEADER_BYTES)
     if len(stored) < HEADER_BYTES or not stored.startswith(MAGIC):
-        raise InputFileError(f"{path} is no whole SER file; copy it again")
+        raise InputFileError(f"{path} is not a complete SER file; copy it again")
     _, _, colour, _, cols, rows, bits, count = HEADER.unpack_from(stored)
     if colour in COLOURS:
-        raise InputFileError(f"{path} holds frames of three colours, already demosaicked; give the raw frames")
+        raise InputFileError(f"{path} contains colour frames, which are already demosaicked; use the raw frames")
     if colour not in PATTERNS or not (rows > 0 and cols > 0 and count > 0 and 0 < bits <= 16):
-        said = f"ColorID {colour}, {count} frames of {rows}×{cols} pixels of {bits} bits"
-        raise InputFileError(f"{path} says that it has {said}; it is damaged")
+        stated = f"ColorID {colour}, {count} frames of {rows}×{cols} pixels with {bits} bits"
+        raise InputFileError(f"{path} has an invalid header ({stated}); copy it again")
     require_picture(str(path), rows, cols)
     layout = Layout(rows, cols, PACKINGS["u8" if bits <= 8 else "u16"], skip=HEADER_BYTES)
     size = path.stat().st_size - HEADER_BYTES
     if size < count * layout.frame_bytes:
         whole = size // layout.frame_bytes
-        raise InputFileError(f"{path} holds {whole} of the {count} frames of its header; copy it again, or repair it")
+        raise InputFileError(f"{path} contains only {whole} of {count} frames; copy it again or repair it")
     pattern = codes_of(PATTERNS[colour]).reshape(2, 2) if PATTERNS[colour] else None
     return _in_byte_order(path, layout), pattern, count
 
@@ -73,6 +73,6 @@ def _in_byte_order(path: Path, layout: Layout) -> Layout:
     if not layout.packing.is_words:
         return layout
     first = read_frame(path, layout, 0)
-    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # in all SER arrays, pixels two apart have the same filter
+    period = np.arange(4, dtype=np.uint8).reshape(2, 2)  # in all SER arrays, the CFA repeats after two rows and columns
     readings = [roughness(values, bits, period) for _, values, bits in first["readings"]()][:2]
     return Layout(layout.rows, layout.cols, layout.packing, skip=layout.skip, big_endian=readings[1] < readings[0])

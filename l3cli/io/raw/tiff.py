@@ -1,7 +1,7 @@
-"""Read raw frames from single-channel pictures: TIFF and PNG. The pages of a TIFF are the frames of a stack if they are
-alike, otherwise the file is rejected.
+"""Read raw frames from single-channel pictures: TIFF and PNG.
 
-Mosaics that are laid out as l3 writes them are read in this process, any other file by OpenImageIO in the isolated process.
+A TIFF file with several pages is a stack. l3 rejects it unless all pages have the same size and type. Mosaics with the file
+layout that l3 writes are read in this process, all other files by OpenImageIO in the isolated process.
 """
 
 import contextlib
@@ -23,9 +23,9 @@ from l3cli.io.tags import COLOUR_FILTER_ARRAY, ONE_OF_MANY, UPRIGHT, flip_of, sh
 from l3cli.system.files import open_regular, stamp
 from l3cli.system.limits import most_pixels
 
-MOST_PAGES = 1_000_000  # largest number of pages
+MOST_PAGES = 1_000_000  # maximum number of pages
 
-_opened: dict[tuple[Any, ...], Any] = {}  # the last file, with its identity as key
+_opened: dict[tuple[Any, ...], Any] = {}  # the file that was opened last; the key identifies the file
 
 
 def read(path: Path) -> RawContent:
@@ -37,14 +37,14 @@ def read(path: Path) -> RawContent:
 
 @isolated("OpenImageIO", "tifffile")
 def read_by_library(path: Path) -> RawContent:
-    """Read the frame of any picture with OpenImageIO."""
+    """Read the frame of a picture with OpenImageIO."""
     _check_first_page(path)
     with opened(path) as (source, spec):
         return _content(path, source, spec)
 
 
 def _content(path: Path, source: Any, spec: Any) -> RawContent:
-    """Return the frame at the input's current page."""
+    """Return the frame at the current page of OpenImageIO's ImageInput."""
     values, exposure = mono_of(path, source, spec)
     flip = flip_of(path, spec.get_int_attribute("Orientation", UPRIGHT))
     return RawContent(values=values, orientation=flip, exposure=exposure, shot=shot_of_spec(spec))
@@ -54,7 +54,7 @@ def _content(path: Path, source: Any, spec: Any) -> RawContent:
 
 
 def stack(path: Path) -> MultiFrameFile | None:
-    """Return the frames of a TIFF with several pages."""
+    """Return the frames of a TIFF file with several pages, or None for any other file."""
     if is_plain(path):
         return None
     count = count_pages(path)
@@ -63,10 +63,10 @@ def stack(path: Path) -> MultiFrameFile | None:
 
 @isolated("OpenImageIO", "tifffile")
 def count_pages(path: Path) -> int:
-    """Return the number of pages of a TIFF.
+    """Return the number of pages of a TIFF file.
 
-    Raises InputFileError if several pages differ in size or kind, such as a thumbnail after a picture, or if there are
-    images that are not pages.
+    Raises InputFileError if pages differ in size or type, for example because a thumbnail follows the picture, or if there
+    are images that are not pages.
     """
     first = _page(path, 0).spec()
     usual, count = _kind(first), _count(path)
@@ -76,32 +76,34 @@ def count_pages(path: Path) -> int:
     for number in range(1, count):
         if (kind := _kind(_page(path, number).spec())) != usual:
             raise InputFileError(
-                f"{path}: page {number + 1} holds {kind}, page 1 {usual}; give a file whose pages are frames of one kind"
+                f"{path}: page {number + 1} has {kind}, but page 1 has {usual}; save pages that are all frames of one size"
             )
     return count
 
 
 @isolated("OpenImageIO", "tifffile")
 def read_page(path: Path, number: int) -> RawContent:
-    """Read a single-channel page as stored. Pages count from 0."""
+    """Read a single-channel page as stored. Pages are counted from 0."""
     source = _page(path, number)
     require_bearable(path, source.spec())
     return _content(path, source, source.spec())
 
 
 def _require_frames(path: Path, spec: Any, count: int) -> None:
-    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME state, or its columns."""
+    """Raise InputFileError if the pages are channels of a picture, as ImageJ, tifffile or OME state, or columns."""
     text = spec.get_string_attribute("ImageDescription")
     channels = re.search(r"^channels=([0-9]{1,9})$", text, re.MULTILINE) if text.startswith("ImageJ=") else None
     channels = channels or re.search(r'<Pixels [^>]*SizeC="([0-9]{1,9})"', text)
-    # A larger number of channels are frames, because tifffile writes stacks with unnamed axes in this way.
+    # A larger number of channels means frames, because tifffile writes stacks with unnamed axes in this way.
     if (channels and 1 < int(channels[1]) <= MOST_CHANNELS) or re.match(r"""\{.*"axes": "[A-Z]*C[A-Z]*\"""", text):
-        raise InputFileError(f"{path}: its pages are channels of a picture, as its description says; give the mosaic")
+        raise InputFileError(
+            f"{path}: the pages are channels of a picture according to the description; save the frames of a mosaic as pages"
+        )
     frame_axes(str(path), (count, spec.height, spec.width))
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return OpenImageIO's input, which stays open for further pages, at a page."""
+    """Return OpenImageIO's ImageInput, which stays open for further pages, positioned at a page."""
     key = (str(path), *stamp(path))
     if key not in _opened:
         for other in _opened.values():
@@ -114,7 +116,7 @@ def _page(path: Path, number: int) -> Any:
 
 
 def _kind(spec: Any) -> str:
-    """Describe the size, channels and type of a page, and whether it is a copy or a mask."""
+    """Describe the size, channels and type of a page, and whether it is a smaller copy or a mask."""
     part = ", a smaller copy or a mask" if spec.get_int_attribute("tiff:subfiletype", 0) & ~ONE_OF_MANY else ""
     channels = f"{spec.nchannels} channel{'s' if spec.nchannels > 1 else ''}"
     return f"{spec.height}×{spec.width} pixels, {channels} of {spec.format}{part}"
@@ -123,12 +125,12 @@ def _kind(spec: Any) -> str:
 def _count(path: Path) -> int:
     """Return the number of pages.
 
-    Libraries take the end of a broken chain of pages for the end of the file, so the offset of the next page is checked.
-    Raises InputFileError if the chain is broken, or if images other than smaller copies hang below a page.
+    Libraries mistake a broken chain of pages for the end of the file, so the offset of the next page is checked here. Raises
+    InputFileError if the chain is broken, or if a page has subpages other than smaller copies.
     """
     import tifffile
 
-    broken = InputFileError(f"{path}: the chain of its pages is broken; it is damaged, copy it again")
+    broken = InputFileError(f"{path} is damaged, because the chain of its pages is broken; copy it again")
     with tifffile.TiffFile(path) as file:
         with contextlib.suppress(IndexError):
             file.pages.get(MOST_PAGES)  # limited, because a chain of pages may form a loop
@@ -140,12 +142,12 @@ def _count(path: Path) -> int:
         for page in file.pages:
             _check_tags(path, page)
             if not all(below.is_reduced for below in page.pages or ()):
-                raise InputFileError(f"{path} holds images beside its pages; give a file whose pages are its frames")
+                raise InputFileError(f"{path} contains images that are not pages; save each frame as a page")
         return len(file.pages)
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the first page of a TIFF, if the file is one, with `_check_tags`."""
+    """Check the first page with `_check_tags` if the file is a TIFF file."""
     import tifffile
 
     try:
@@ -153,26 +155,26 @@ def _check_first_page(path: Path) -> None:
             _check_tags(path, file.pages.first)
     except InputFileError:
         raise
-    except Exception:  # the file is damaged or not a TIFF, which OpenImageIO reports
+    except Exception:  # OpenImageIO reports damaged files
         return
 
 
 def _check_tags(path: Path, page: Any) -> None:
-    """Raise InputFileError for what OpenImageIO ignores: an orientation that TIFF does not define, or a DNG's mosaic."""
+    """Raise InputFileError for tags that OpenImageIO ignores: an orientation that TIFF does not define, or a DNG mosaic."""
     tags = page.tags
     flip_of(path, tags.valueof("Orientation", UPRIGHT))
     if "DNGVersion" in tags or tags.valueof("PhotometricInterpretation") == COLOUR_FILTER_ARRAY:
-        raise InputFileError(f"{path} is a DNG's mosaic, whose tags are read of files called .dng alone; rename it")
+        raise InputFileError(f"{path} contains a DNG mosaic; rename it to {path.stem}.dng, so that l3 reads the DNG tags")
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
-# Importing tifffile would take a tenth of the time of a still, and starting the decoding process a quarter.
+# For a still, importing tifffile would take a tenth of the time, and starting the decoding process a quarter.
 
 ENTRY = np.dtype([("tag", "<u2"), ("type", "<u2"), ("count", "<u4"), ("content", "V4")])
 MAX_TAGS, MAX_STRIPS = 20, 1 << 20
 WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, DATE_TIME, EXIF = 256, 257, 258, 273, 278, 279, 306, 34665  # tags
 EXPOSURE_TIME = 33434
-# tags with a single allowed value: compression, photometric interpretation, orientation, channels, planes, kind of samples
+# tags with a single allowed value: compression, photometric interpretation, orientation, channels, planes, sample format
 FIXED = {259: [1], 262: [1], 274: [UPRIGHT], 277: [1], 284: [1], 339: [1]}
 NEEDED = {WIDTH, LENGTH, BITS, OFFSETS, ROWS_PER_STRIP, COUNTS, *FIXED}
 RATIONAL = np.dtype("<u4,<u4")
@@ -180,7 +182,7 @@ TYPES: dict[int, np.dtype] = {3: np.dtype("<u2"), 4: np.dtype("<u4"), 5: RATIONA
 
 
 class _Plain(NamedTuple):
-    """Layout of a plain file, and its exposure time."""
+    """Layout of a file that l3 wrote, and its exposure time."""
 
     shape: tuple[int, int]
     dtype: np.dtype
@@ -189,7 +191,7 @@ class _Plain(NamedTuple):
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a file is laid out as l3 writes mosaics."""
+    """Whether a file has the layout in which l3 writes mosaics."""
     try:
         with open_regular(path) as stream:
             return _layout(stream) is not None
@@ -198,7 +200,7 @@ def is_plain(path: Path) -> bool:
 
 
 def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | None:
-    """Read a mosaic with one of the `depths` in bits that is laid out as l3 writes it. Returns None for any other file."""
+    """Read a mosaic in the layout that l3 writes, with a bit depth in `depths`. Returns None for any other file."""
     with open_regular(path) as stream:
         plain = _layout(stream)
         if plain is None or 8 * plain.dtype.itemsize not in depths:
@@ -206,12 +208,12 @@ def read_plain(path: Path, depths: tuple[int, ...] = (8, 16)) -> RawContent | No
         stream.seek(plain.offset)
         values = np.fromfile(stream, plain.dtype, prod(plain.shape))
     if values.size < prod(plain.shape):
-        return None  # the file has become shorter
+        return None  # the file was truncated in the meantime
     return RawContent(values=values.reshape(plain.shape).astype(np.uint16, copy=False), exposure=plain.exposure)
 
 
 def _layout(stream: BinaryIO) -> _Plain | None:
-    """Return the layout that a file states, or None unless l3 writes mosaics in this way: little-endian, one page, one
+    """Return the layout of a file, or None unless it is the layout in which l3 writes mosaics: little-endian, one page, one
     channel of 8 or 16 bits, uncompressed, consecutive strips, no other tags.
     """
     try:
@@ -234,20 +236,21 @@ def _layout(stream: BinaryIO) -> _Plain | None:
             exposure = (float(np.float32(above / below)) or None) if below else None
             if tag != EXPOSURE_TIME:
                 return None
-    except (ValueError, KeyError, TypeError, struct.error, RecipeError):  # the general reader says what is wrong
+    except (ValueError, KeyError, TypeError, struct.error, RecipeError):  # the general reader reports what is wrong
         return None
     return _Plain((rows, cols), np.dtype(f"<u{bits // 8}"), int(offsets[0]), exposure)
 
 
 def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
-    """Return the numbers of each tag. Raises ValueError or KeyError if one is repeated or of another type, or if another
-    directory follows.
+    """Return the numbers in each tag of a TIFF directory.
+
+    Raises ValueError or KeyError if a tag is repeated or has another type, or if another directory follows.
     """
     [count] = _numbers(stream, at, np.dtype("<u2"), 1)
     [following] = _numbers(stream, at + 2 + ENTRY.itemsize * count, np.dtype("<u4"), 1)
     tags: dict[int, list[Any]] = {}
     for tag, kind, length, content in _numbers(stream, at + 2, ENTRY, min(count, MAX_TAGS)):
-        if tag == DATE_TIME:  # a text, which is not needed
+        if tag == DATE_TIME:  # text, which is not needed
             tags[tag] = []
         elif TYPES[kind].itemsize * length > len(content):
             tags[tag] = _numbers(stream, int.from_bytes(content, "little"), TYPES[kind], length)
@@ -259,7 +262,7 @@ def _directory(stream: BinaryIO, at: int) -> dict[int, list[Any]]:
 
 
 def _numbers(stream: BinaryIO, at: int, dtype: np.dtype, count: int) -> list[Any]:
-    """Return numbers of a file. Raises ValueError if there are too many, or if it ends before."""
+    """Return numbers from a file. Raises ValueError if there are too many, or if the file ends before them."""
     if count > MAX_STRIPS or at + count * dtype.itemsize > os.fstat(stream.fileno()).st_size:
         raise ValueError
     stream.seek(at)

@@ -1,6 +1,6 @@
-"""Formats without raw frames that l3 can read, each with advice what to give instead.
+"""Formats from which l3 cannot read raw frames, each with advice on what to use instead.
 
-A file is recognised by its first bytes or its suffix, so that an intact file is never called damaged.
+A file is recognised by its first bytes or its suffix, so that l3 never reports an intact file as damaged.
 """
 
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from pathlib import Path
 from l3cli.errors import InputFileError
 from l3cli.system.files import open_regular
 
-DEVELOPED = "its raw values are lost; give the camera's raw file"
+DEVELOPED = "its raw values are lost; use the camera's raw file"
 EXPORT = "export its frames as 16-bit TIFF files with one channel, or as .npy"
-SPECTRUM = "it contains spectra, not a frame; name it in a recipe as an illuminant or a reflectance"
+SPECTRUM = "it contains spectra instead of a frame; set it as an illuminant or a reflectance in a recipe"
 
 
 @dataclass(frozen=True)
 class UnreadFormat:
     """A format that is recognised and rejected."""
 
-    name: str  # in messages: "is NAME; INSTEAD"
+    name: str  # noun in messages of the form "FILE is NAME; INSTEAD"
     suffixes: tuple[str, ...]  # in lower case
-    instead: str
-    magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes), any of which identifies the format; empty: suffix only
+    instead: str  # advice in messages
+    magic: tuple[tuple[int, bytes], ...] = ()  # (offset, bytes), each of which identifies the format; empty: by suffix only
 
 
 UNREAD = (
@@ -34,7 +34,7 @@ UNREAD = (
     ),
     UnreadFormat("a Blackmagic RAW video", (".braw",), "record CinemaDNG, or export DNG frames"),
     UnreadFormat("a video of a Canon camera", (".crm",), "export DNG frames"),
-    UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "give raw frames, as FFV1 in MKV or as DNG"),
+    UnreadFormat("an MXF or transport stream video", (".mxf", ".mts", ".m2ts"), "record FFV1 in MKV, or DNG frames"),
     UnreadFormat("an Andor SIF file", (".sif",), EXPORT, ((0, b"Andor Technology Multi-Channel File"),)),
     UnreadFormat("a Princeton Instruments SPE file", (".spe",), EXPORT),
     UnreadFormat("a PCO file", (".b16", ".pcoraw"), EXPORT, ((0, b"PCO-"),)),
@@ -43,9 +43,9 @@ UNREAD = (
     UnreadFormat("a numpy archive", (".npz",), "save one array with numpy.save", ((0, b"PK\x03\x04"),)),
     UnreadFormat("a zarr or zip file", (".zip", ".zarr"), "unpack it, or save one array with numpy.save"),
     UnreadFormat("a compressed file", (".gz", ".xz", ".bz2", ".zst", ".7z", ".rar"), "unpack it first"),
-    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), "cubes are scenes for l3 simulate, not raw frames"),
+    UnreadFormat("an ENVI cube", (".hdr", ".bil", ".bip", ".bsq"), 'use it as a scene for "l3 simulate"'),
     UnreadFormat("a JCAMP-DX file", (".jdx", ".dx", ".jcm", ".jcamp"), SPECTRUM, ((0, b"##TITLE="),)),
-    UnreadFormat("a text file", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "give a raw file"),
+    UnreadFormat("a text file", (".csv", ".txt", ".tsv", ".xml", ".json", ".asc"), "use a raw file"),
     UnreadFormat("a JPEG file", (".jpg", ".jpeg", ".jpe"), DEVELOPED, ((0, b"\xff\xd8\xff"),)),
     UnreadFormat("a JPEG 2000 file", (".jp2", ".j2k", ".jpx"), "decode it to a TIFF file with one channel", ((4, b"jP  "),)),
     UnreadFormat("a JPEG XL file", (".jxl",), DEVELOPED),
@@ -54,23 +54,23 @@ UNREAD = (
     UnreadFormat("an OpenEXR or Radiance file", (".exr",), DEVELOPED, ((0, b"v/1\x01"), (0, b"#?RADIANCE"))),
     UnreadFormat("a Photoshop file", (".psd", ".psb"), DEVELOPED, ((0, b"8BPS"),)),
 )
-# First bytes of formats that l3 reads, to recognise files with a wrong suffix.
+# First bytes of formats that l3 reads, by which it recognises files with a wrong suffix.
 MISNAMED = {
     b"SIMPLE  =": ".fits", b"\x89HDF\r\n\x1a\n": ".h5", b"\x93NUMPY": ".npy", b"\x89PNG": ".png", b"P5": ".pgm",
     b"LUCAM-RECORDER": ".ser", b"MATLAB 5.0 MAT-file": ".mat", b"MATLAB 7.3 MAT-file": ".mat", b"YUV4MPEG2": ".y4m",
     b"\x1aE\xdf\xa3": ".mkv",
 }  # fmt: skip
-START = 160  # bytes that are examined
+START = 160  # number of bytes at the beginning of a file that are examined
 
 
 def refuse_unread(path: Path) -> None:
-    """Raise InputFileError, with advice, if a file is of a known but unsupported format."""
+    """Raise InputFileError, with advice, if a file has a known format that l3 does not read or has a wrong suffix."""
     with open_regular(path) as stream:
         start = stream.read(START)
     suffix = path.suffix.lower()
     for magic, named in MISNAMED.items():
         if start.startswith(magic):
-            raise InputFileError(f"{path} holds {named.lstrip('.').upper()} content; rename it to {path.stem}{named}")
+            raise InputFileError(f"{path} contains {named.lstrip('.').upper()} data; rename it to {path.stem}{named}")
     by_content = (each for each in UNREAD if any(start[at:].startswith(magic) for at, magic in each.magic))
     by_suffix = (each for each in UNREAD if suffix in each.suffixes)
     known = next(by_suffix, None) or next(by_content, None)

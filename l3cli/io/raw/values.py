@@ -1,7 +1,7 @@
 """Convert pixel values of any number type to 16-bit DN.
 
 Integers from 0 to 65535 are DN, whatever type stores them. For other values, such as floating-point values from 0 to 1 or
-negative values, only the caller knows the scale: the black and the white level in the units of the file.
+negative values, the scale is unknown. The user must state it, as the black and the white level in the units of the file.
 """
 
 import numpy as np
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from l3cli.errors import InputFileError
 
 TOP = 65535  # largest DN
-# Levels of scaled values in DN, with room for noise below black and for values above white.
+# Levels of scaled values in DN, with a margin for noise below black and for values above white.
 SCALED_BLACK, SCALED_WHITE = 8192.0, 57344.0
-FULL_SCALE_ONE = 2.0  # values with a full scale of 1 stay below this, noise included
-LEAST_DN_LEVEL = 16.0  # white levels from here on are in DN
+FULL_SCALE_ONE = 2.0  # if full scale is 1, all values are below this limit, even with noise
+LEAST_DN_LEVEL = 16.0  # a white level of at least this value is in DN
 
 
 def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
@@ -31,49 +31,50 @@ def as_dn(values: NDArray) -> NDArray[np.uint16] | None:
 
 
 def require_dn(name: str, values: NDArray) -> NDArray[np.uint16]:
-    """Return values as DN. Raises InputFileError that names `name` if they are not DN."""
+    """Convert values to DN. Raises InputFileError, beginning with `name`, if the values are not DN."""
     dn = as_dn(values)
     if dn is None:
-        raise InputFileError(f"{name} holds {_held(name, values)}; give DN, whole numbers of 0 to {TOP}")
+        raise InputFileError(f"{name} contains {_range_of(name, values)}; save DN, that is, integers from 0 to {TOP}")
     return dn
 
 
 def scaled_dn(name: str, values: NDArray, black: float | None, white: float | None) -> NDArray[np.uint16]:
-    """Convert values with another scale to DN with SCALED_BLACK and SCALED_WHITE as levels.
+    """Convert values on another scale to DN with the levels SCALED_BLACK and SCALED_WHITE.
 
     Parameters
     ----------
     name : str
-        The file, for messages.
+        Name of the file in messages.
     values : ndarray
         Stored values.
     black, white : float or None
-        Levels in the units of the file.
+        Black and white level in the units of the file.
 
     Raises
     ------
     InputFileError
-        If the levels are missing or not in the units of the values, or if a value is not a number.
+        If a level is missing or not in the units of the values, or if a value is not finite.
     """
-    held = _held(name, values)
+    found = _range_of(name, values)
     if black is None or white is None:
         raise InputFileError(
-            f"{name} holds {held}, no DN; give ‹black_level› and ‹white_level› in the units of the file, such as "
-            f"{'0.06 and 1' if float(values.max()) < FULL_SCALE_ONE else '0 and its full scale'}"
+            f"{name} contains {found}, which are not DN; set ‹black_level› and ‹white_level› in the units of the file, such "
+            f"as {'0.06 and 1' if float(values.max()) < FULL_SCALE_ONE else '0 and its full scale'}"
         )
     if not black < white or (float(values.max()) < FULL_SCALE_ONE and white >= LEAST_DN_LEVEL):
         raise InputFileError(
-            f"{name} holds {held}, its ‹black_level› is {black:g} and its ‹white_level› {white:g}; give both in the units "
-            "of the file"
+            f"{name} contains {found}, which do not fit ‹black_level› {black:g} and ‹white_level› {white:g}; "
+            "set both in the units of the file"
         )
     dn = SCALED_BLACK + (values.astype(np.float64) - black) * ((SCALED_WHITE - SCALED_BLACK) / (white - black))
     return np.clip(np.rint(dn), 0, TOP).astype(np.uint16)
 
 
-def _held(name: str, values: NDArray) -> str:
+def _range_of(name: str, values: NDArray) -> str:
+    """Describe the type and range of values. Raises InputFileError if they are not finite numbers."""
     if values.dtype.kind not in "iuf":
-        raise InputFileError(f"{name} holds {values.dtype}; give numbers")
+        raise InputFileError(f"{name} contains values of type {values.dtype}; save integers or floating-point numbers")
     least, most = values.min(), values.max()
     if not np.isfinite([least, most]).all():
-        raise InputFileError(f"{name} holds values that are no finite numbers; give DN")
-    return f"{values.dtype} from {least:.6g} to {most:.6g}"
+        raise InputFileError(f"{name} contains values that are infinite or not a number; save finite values")
+    return f"{values.dtype} values from {least:.6g} to {most:.6g}"

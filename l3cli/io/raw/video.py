@@ -1,4 +1,4 @@
-"""Read raw videos with PyAV (FFmpeg): mosaics from lossless videos with one channel."""
+"""Read raw videos with PyAV (FFmpeg). A raw video has one channel, is compressed without loss, and contains mosaics."""
 
 import contextlib
 import itertools
@@ -15,13 +15,13 @@ from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.video import CONTAINERS, DecodedVideo, InTurn, StatedTimes, storable_rate
 
 PALETTE = "pal8"  # pixel format of uncompressed 8-bit AVI
-AT_A_TIME = 500  # frames whose times are read in one call
+AT_A_TIME = 500  # number of frames whose times are read in one call
 
 
 def stack(path: Path) -> MultiFrameFile:
     """Return the frames of a video, whose number is not known in advance.
 
-    Raises InputFileError unless it is a video with one grey channel of 8 to 16 bits, such as FFV1 in MKV.
+    Raises InputFileError unless the video has one grey channel of 8 to 16 bits, such as FFV1 in MKV.
     """
     fraction, numbers = _rate(path), itertools.count()
     rate = storable_rate(Fraction(*fraction)) if fraction else None
@@ -34,13 +34,13 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the times of the frames of a raw video up to the first damage, or None if some frames have no time.
+    """Return the times of the frames up to the first damaged frame, or None if some frames have no time.
 
-    The whole file is read, but not decoded.
+    The whole file is read, but no frame is decoded.
     """
     ticks: list[int | None] = []
     tick = (1, 1)
-    with contextlib.suppress(InputFileError):  # reported when that frame is read
+    with contextlib.suppress(InputFileError):  # the damage is reported when the frame is read
         while True:
             tick, more = _some_times(path, len(ticks))
             if not more:
@@ -60,16 +60,16 @@ def _rate(path: Path) -> tuple[int, int] | None:
 
 @isolated("av")
 def _some_times(path: Path, number: int) -> tuple[tuple[int, int], list[int | None]]:
-    """Return the seconds per tick, and the times in ticks of the next frames from `number` on, a limited number per call."""
+    """Return the seconds per tick, and the times in ticks of at most AT_A_TIME frames, beginning with frame `number`."""
     video = _timed.video(path, number)
     return (video.tick.numerator, video.tick.denominator), video.times(AT_A_TIME)
 
 
 @isolated("av")
 def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
-    """Return frame `number` (row, col) of a raw video in DN, or None after the last.
+    """Return frame `number` (row, col) of a raw video in DN, or None after the last frame.
 
-    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged; the next may be intact.
+    Frames must be requested in order, from 0. Raises InputFileError if the frame is damaged. Later frames can still be read.
     """
     frame = _in_turn.frame(path, number)
     if frame is None:
@@ -79,9 +79,11 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the indices of a palette (colour, ARGB) of greys 0…255, which then are the raw values."""
+    """Return the indices of a palette image if the palette (colour, ARGB) is grey, so that each index is a raw value."""
     if not (palette[:, 1:] == np.arange(256)[:, None]).all():
-        raise InputFileError(f"{path} holds colours of a palette; a raw video has one channel (gray, gray12le…)")
+        raise InputFileError(
+            f"{path} has a colour palette; record a raw video with one channel (pixel format gray, gray12le…)"
+        )
     return pixels
 
 
@@ -96,5 +98,6 @@ def _require_mosaics(path: Path, context: Any) -> None:
     """Raise InputFileError unless a video has one grey channel of 8 to 16 bits, or a palette."""
     if not (context.pix_fmt or "").startswith(("gray", PALETTE)) or "f" in context.pix_fmt:
         raise InputFileError(
-            f"{path} holds {context.pix_fmt or 'unknown'} pixels; a raw video has one channel (gray, gray12le…)"
+            f"{path} has the pixel format {context.pix_fmt or 'unknown'}; "
+            "record a raw video with one channel (pixel format gray, gray12le…)"
         )

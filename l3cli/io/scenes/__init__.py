@@ -1,8 +1,8 @@
-"""Formats of scene files. The `source` in a recipe and the suffix of a file determine the module that reads it.
+"""Formats of scene files. The `source` in a recipe and the suffix of a file determine which module reads the file.
 
 To add a format, write a module in this folder and add a line to FORMATS. A new source also needs keys in
-simulation/sources.py. The module has functions `read` and `size`, and also `files` if its line in FORMATS says so. It is
-imported when the first scene is read.
+simulation/sources.py. The module defines the functions `read` and `size`, and also `files` and `unknown` if its line in
+FORMATS says so. l3 imports the module when it reads the first scene in this format.
 """
 
 import importlib
@@ -22,8 +22,8 @@ class SceneFormat:
 
     source: str  # value of `source` in a recipe
     module: str  # module in this folder
-    suffixes: tuple[str, ...] = ()  # in lower case; empty means all suffixes that are not in an earlier line
-    keys: tuple[str, ...] = ()  # keys of the recipe that are passed to the reader
+    suffixes: tuple[str, ...] = ()  # in lower case; empty for all suffixes that no earlier line lists
+    keys: tuple[str, ...] = ()  # recipe keys that are passed to the reader
     is_folder: bool = False  # whether a scene is a folder rather than a file
     has_files: bool = False  # whether a scene consists of several files
     names_unknown: bool = False  # whether the module has a function `unknown`, which returns unknown header fields
@@ -36,7 +36,7 @@ class SceneFormat:
         Returns
         -------
         Scene, SpectralCube or ndarray
-            A scene, a cube of bands, or a linear picture (row, col, 3).
+            A scene with its illuminant, a cube of bands, or a linear picture (row, col, 3).
 
         Raises
         ------
@@ -47,16 +47,16 @@ class SceneFormat:
         return content
 
     def size(self, path: Path, **keys: Any) -> tuple[int, int]:
-        """Return the rows and columns of a scene. They are read from the header if it states them."""
+        """Return the number of rows and columns of a scene, without reading its values if the header states the size."""
         rows, cols = self._reader.size(path, **keys)
         return rows, cols
 
     def files(self, path: Path) -> list[Path]:
-        """Return all files of a scene."""
+        """Return all files that belong to a scene."""
         return self._reader.files(path) if self.has_files else [path]
 
     def unknown(self, path: Path) -> list[str]:
-        """Return the header fields of a file that l3 does not recognise and that may affect the values."""
+        """Return the header fields that l3 does not recognise and that may affect the values."""
         fields: list[str] = self._reader.unknown(path) if self.names_unknown else []
         return fields
 
@@ -74,13 +74,14 @@ FORMATS = (
     ),
     SceneFormat(
         "envi", "envi", keys=("holds",), has_files=True, names_unknown=True,
-        holds="ENVI header (.hdr) with its data beside it",
+        holds="ENVI header (.hdr) and its data file in the same folder",
         states="[all fields of the header that change values](#fields-of-envi-headers)",
     ),
     SceneFormat(
         "cube", "cube", keys=("variable", "axes"), holds="array of MATLAB (any version), HDF5, netCDF-4 or .npy",
-        states="wavelengths, their unit and bad bands beside the cube, in its attributes, groups or structs; attributes "
-        "`scale_factor`, `add_offset`, `_FillValue`, `missing_value` (CF), `Scale_Factor`, `Data_Ignore_Value` (NEON)",
+        states="wavelengths, their unit and bad bands: from arrays near the cube, or from attributes, groups or structs; "
+        "attributes `scale_factor`, `add_offset`, `_FillValue`, `missing_value` (CF), `Scale_Factor`, "
+        "`Data_Ignore_Value` (NEON)",
     ),
     SceneFormat(
         "channels", "bands", has_files=True, holds="OpenEXR or TIFF with one channel per band; TIFF with one page per band",
@@ -91,11 +92,11 @@ FORMATS = (
 
 
 def format_of(source: str, path: Path) -> SceneFormat:
-    """Return the format of a file, given the `source` in the recipe."""
+    """Return the format of a scene file, given the `source` in the recipe."""
     suffix = path.suffix.lower()
     return next(each for each in FORMATS if each.source == source and (not each.suffixes or suffix in each.suffixes))
 
 
 def is_folder(source: str) -> bool:
-    """Whether scenes of a source are folders."""
+    """Whether each scene of a source is a folder."""
     return any(each.is_folder for each in FORMATS if each.source == source)

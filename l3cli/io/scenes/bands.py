@@ -1,4 +1,4 @@
-"""Reads spectral cubes from pictures.
+"""Read spectral cubes from pictures.
 
 A cube may be a folder with one picture per band, a picture with one channel per band (such as EXR), or a TIFF file with one
 page per band.
@@ -21,16 +21,16 @@ from l3cli.system.limits import require_values
 
 BAND_PICTURES = (".png", ".tif", ".tiff", ".pgm", ".exr")
 TIFF = (".tif", ".tiff")
-GDAL_METADATA, GDAL_NODATA, PAGE_NAME = 42112, 42113, 285  # tags
+GDAL_METADATA, GDAL_NODATA, PAGE_NAME = 42112, 42113, 285  # TIFF tags
 ITEM = re.compile(r'<Item name="(\w+)"([^>]*)>([^<]*)</Item>')
 
 
 def read(path: Path) -> SpectralCube:
-    """Read the cube of a folder of pictures, of a picture with several channels, or of the pages of a TIFF.
+    """Read a cube from a folder of pictures, from a picture with several channels, or from the pages of a TIFF file.
 
-    The pictures in a folder are sorted by the numbers in their names, and only their first channels are used. The names of
-    files, channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some names do, the other bands are left
-    out. Raises InputFileError if there are no pictures, or if their sizes differ.
+    The pictures in a folder are sorted by the numbers in their names, and only the first channel of each picture is used.
+    The names of files, channels or pages may state wavelengths ("450nm", "S0.450,5nm"). If only some names state a
+    wavelength, the bands without one are left out. Raises InputFileError if there are no pictures, or if their sizes differ.
     """
     if path.is_dir():
         pictures = _pictures(path)
@@ -44,7 +44,7 @@ def read(path: Path) -> SpectralCube:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Return the rows and columns of the first picture. Raises InputFileError if there are no pictures."""
+    """Return the number of rows and columns of the first picture. Raises InputFileError if there are no pictures."""
     if path.suffix.lower() in TIFF and not path.is_dir():
         rows, cols = _tiff_size(path)
         return rows, cols
@@ -67,15 +67,15 @@ def _pictures(folder: Path) -> list[Path]:
     pictures = files(folder)
     if not pictures:
         raise InputFileError(
-            f"{folder} contains no pictures ({', '.join(BAND_PICTURES)}); give a folder with one picture per band"
+            f"{folder} contains no pictures ({', '.join(BAND_PICTURES)}); use a folder with one picture per band"
         )
     return pictures
 
 
 def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.float64] | None]:
-    """Return the indices of the candidates that are bands, and their wavelengths in nm.
+    """Select the bands whose names state a wavelength. Returns their indices and their wavelengths in nm.
 
-    If the names do not state wavelengths, all candidates are bands, and the wavelengths are None.
+    If no name states a wavelength, all bands are selected, and the wavelengths are None.
     """
     stated = of_names(names)
     wanted = [index for index, each in enumerate(stated) if each is not None]
@@ -85,7 +85,7 @@ def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.fl
 
 
 def _stacked(pictures: list[Path]) -> NDArray:
-    """Return the first channel of each picture: (row, col, band)."""
+    """Return the first channel of each picture as a cube (row, col, band)."""
     cube: NDArray | None = None
     for band, picture in enumerate(pictures):
         pixels = read_image(picture)[0][..., 0]
@@ -93,7 +93,7 @@ def _stacked(pictures: list[Path]) -> NDArray:
             cube = np.empty((*pixels.shape, len(pictures)), pixels.dtype)
         if pixels.shape != cube.shape[:2] or pixels.dtype != cube.dtype:
             raise InputFileError(
-                f"{picture} differs in size or depth from {pictures[0].name}; keep only pictures of bands in the folder"
+                f"{picture} and {pictures[0].name} differ in size or bit depth; keep only pictures of bands in the folder"
             )
         cube[..., band] = pixels
     assert cube is not None
@@ -103,24 +103,24 @@ def _stacked(pictures: list[Path]) -> NDArray:
 # ------------------------------------------------------------------------------------------------------------ TIFF
 
 
-def _of_tiff(values: NDArray, names: list[str], said: dict[str, Any]) -> SpectralCube:
+def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
     """Convert the result of `_read_tiff` to a cube."""
-    if said["wavelengths"]:
-        wanted, wavelength = list(range(values.shape[2])), in_nm(said["wavelengths"], "")
+    if stated["wavelengths"]:
+        wanted, wavelength = list(range(values.shape[2])), in_nm(stated["wavelengths"], "")
     else:
-        names = said["DESCRIPTION"] or names
+        names = stated["DESCRIPTION"] or names
         wanted, wavelength = _named(names) if len(names) == values.shape[2] else (list(range(values.shape[2])), None)
     values = values[..., wanted]
-    ignored = None if said["nodata"] is None else missing(values, said["nodata"])
-    gain = np.array(said["SCALE"])[wanted] if said["SCALE"] else 1.0
-    offset = np.array(said["OFFSET"])[wanted] if said["OFFSET"] else 0.0
+    ignored = None if stated["nodata"] is None else missing(values, stated["nodata"])
+    gain = np.array(stated["SCALE"])[wanted] if stated["SCALE"] else 1.0
+    offset = np.array(stated["OFFSET"])[wanted] if stated["OFFSET"] else 0.0
     made = scaled(values, gain, offset)
     return SpectralCube(made, wavelength, None if made is values else 1.0, None, ignored)
 
 
 @isolated("tifffile")
 def _tiff_size(path: Path) -> tuple[int, int]:
-    """Return rows and columns of the bands of a TIFF."""
+    """Return the number of rows and columns of the bands in a TIFF file."""
     import tifffile
 
     with tifffile.TiffFile(path) as file:
@@ -130,9 +130,9 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 
 @isolated("OpenImageIO", "tifffile")
 def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
-    """Return the bands of a TIFF (row, col, band), their names, and metadata from its tags.
+    """Return the bands of a TIFF file (row, col, band), their names, and metadata from tags.
 
-    The metadata are wavelengths, the value of pixels without data, and GDAL's scales and offsets.
+    The metadata are the wavelengths, the value of pixels without data, and the scales and offsets that GDAL writes.
     """
     import tifffile
 
@@ -140,14 +140,14 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         series = _bands_of(path, file)
         page = series.keyframe
         bands = int(np.prod(series.shape)) // (page.imagelength * page.imagewidth)
-        said, names = _said(file, page, bands), _page_names(file, series, bands)
+        stated, names = _stated(file, page, bands), _page_names(file, series, bands)
         pages = [each.index for each in series.pages if each is not None]
-        has_all_pages = len(pages) * page.samplesperpixel == bands  # if not, the data follow a single page (ImageJ)
+        has_all_pages = len(pages) * page.samplesperpixel == bands  # otherwise all bands follow the first page (ImageJ)
         values = None if has_all_pages else series.asarray()
         axes = series.axes
     if values is not None:
         order = sorted(range(values.ndim), key=lambda axis: {"Y": 0, "X": 1}.get(axes[axis], 2))
-        return values.transpose(order).reshape(page.imagelength, page.imagewidth, bands), names, said
+        return values.transpose(order).reshape(page.imagelength, page.imagewidth, bands), names, stated
     source = open_image(path)
     planes = []
     for index in pages:
@@ -157,61 +157,63 @@ def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
         require_bearable(path, spec)
         pixels = pixels_of(path, source, spec)
         depth = 8 * pixels.dtype.itemsize
-        if pixels.dtype.kind == "u":  # OpenImageIO shifts depths such as 12 bits to the upper bits
+        if pixels.dtype.kind == "u":  # OpenImageIO shifts values with, for example, 12 bits to the upper bits
             pixels = pixels >> pixels.dtype.type(depth - spec.get_int_attribute("oiio:BitsPerSample", depth))
         planes.append(pixels)
         names = names or list(spec.channelnames)
     source.close()
-    return np.concatenate(planes, axis=2), names if len(names) == bands else [], said
+    return np.concatenate(planes, axis=2), names if len(names) == bands else [], stated
 
 
 def _bands_of(path: Path, file: Any) -> Any:
     """Return the series of pages that contains the bands.
 
-    Raises InputFileError if there are several series, or axes other than rows, columns and bands.
+    Raises InputFileError if the file contains several series of the same size, or axes other than row, column and band.
     """
     series = file.series[0]
     page = series.keyframe
     if any(each.shape == series.shape and each is not series for each in file.series[1:]):
-        raise InputFileError(f"{path} contains several stacks of pages; give a file with one cube")
+        raise InputFileError(f"{path} contains several stacks of pages; save one cube per file")
     further = [axis for axis, length in zip(series.axes, series.shape, strict=True) if axis not in "YX" and length > 1]
     if len(further) > 1 or "Y" not in series.axes or "X" not in series.axes:
         lengths = "×".join(map(str, series.shape))
-        raise InputFileError(f"{path} has axes {series.axes} of lengths {lengths}; give only rows, columns and bands")
+        raise InputFileError(
+            f"{path} has axes {series.axes} of lengths {lengths}; save a cube with only rows, columns and bands"
+        )
     if page.samplesperpixel > 1 and sum(each is not None for each in series.pages) > 1:
-        raise InputFileError(f"{path} has pages with {page.samplesperpixel} channels; give pages with one channel")
+        raise InputFileError(f"{path} has pages with {page.samplesperpixel} channels; save pages with one channel")
     require_values(str(path), series.shape, series.dtype.itemsize)
     return series
 
 
-def _said(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Return the metadata of the bands from the tags."""
-    said: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
+def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
+    """Return the metadata of the bands from the tags of a page."""
+    stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
         for name, value in metadata.items():
             if name.lower() in NAMES and isinstance(value, list | tuple) and len(value) == bands:
-                said["wavelengths"] = [float(each) for each in value]
+                stated["wavelengths"] = [float(each) for each in value]
     if GDAL_NODATA in page.tags:
-        said["nodata"] = float(str(page.tags[GDAL_NODATA].value).strip("\0 "))
+        stated["nodata"] = float(str(page.tags[GDAL_NODATA].value).strip("\0 "))
     items: dict[str, dict[int, str]] = {}
     for name, about, text in ITEM.findall(str(page.tags[GDAL_METADATA].value) if GDAL_METADATA in page.tags else ""):
         if sample := re.search(r'sample="(\d+)"', about):
             items.setdefault(name, {})[int(sample[1])] = text
     for name, usual in (("SCALE", 1.0), ("OFFSET", 0.0)):
         if name in items:
-            said[name] = [float(items[name].get(band, usual)) for band in range(bands)]
+            stated[name] = [float(items[name].get(band, usual)) for band in range(bands)]
     for name, nm in (("wavelength", 1.0), ("WAVELENGTH", 1.0), ("CENTRAL_WAVELENGTH_UM", 1e3)):
         if len(items.get(name, ())) == bands:
-            said["wavelengths"] = [float(items[name][band]) * nm for band in range(bands)]
+            stated["wavelengths"] = [float(items[name][band]) * nm for band in range(bands)]
     if "DESCRIPTION" in items:
-        said["DESCRIPTION"] = [items["DESCRIPTION"].get(band, "") for band in range(bands)]
-    return said
+        stated["DESCRIPTION"] = [items["DESCRIPTION"].get(band, "") for band in range(bands)]
+    return stated
 
 
 def _page_names(file: Any, series: Any, bands: int) -> list[str]:
-    """Return the names of the bands: labels of ImageJ, channels of OME, or names or descriptions of pages.
+    """Return the names of the bands: labels of ImageJ, channel names of OME, or names or descriptions of pages.
 
-    The result is empty if the file states no names.
+    The result is empty if the file contains no names.
     """
     if file.is_imagej and len(labels := (file.imagej_metadata or {}).get("Labels") or ()) == bands:
         return [str(label) for label in labels]

@@ -1,6 +1,6 @@
-"""Reads spectral cubes from MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
+"""Read spectral cubes from MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
 
-MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. Attributes of HDF5 datasets describe how
+MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. The attributes of an HDF5 dataset say how its
 values are stored. l3 reads the attributes of the CF conventions (scale_factor, add_offset, _FillValue, missing_value) and of
 NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
 """
@@ -23,9 +23,9 @@ from l3cli.system.limits import require_values
 
 Content = dict[str, Any]
 SCALE, OFFSET, WHITE = "scale_factor", "add_offset", "Scale_Factor"  # attributes: factor, offset, value of a perfect white
-MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes for the value of pixels without data
+MISSING = ("_FillValue", "missing_value", "Data_Ignore_Value")  # attributes that contain the value of pixels without data
 MATLAB, NPY = ".mat", ".npy"
-DEEPEST = 16  # deepest nesting of groups or structs
+DEEPEST = 16  # maximum nesting of groups or structs
 
 
 def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
@@ -34,34 +34,36 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
     Parameters
     ----------
     path : Path
-        The file.
+        The cube file.
     variable : str or None
-        Name of the cube, or None if the file contains only one.
+        Name of the array that contains the cube. None if the file contains only one array with three axes.
     axes : str
         Names of the axes in order, such as "row col band".
 
     Raises
     ------
     InputFileError
-        If there is no such cube, or if there are several different lists of wavelengths.
+        If the file does not contain the cube, or if it contains several lists of wavelengths that differ.
 
     Notes
     -----
-    A list of wavelengths has one number per band and one of the usual names. It is searched first as an attribute of the
-    cube, then beside the cube, then in the enclosing groups or structs, and finally anywhere if there is only one list.
+    A list of wavelengths has one number per band, and its name is in `wavelengths.NAMES`. l3 searches for it among the
+    attributes of the cube, then in the group or struct of the cube, then in the enclosing groups, and finally anywhere.
     """
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
     arrays = dict(_arrays(content))
     if variable is None:
         cubes = [name for name, values in arrays.items() if values.ndim == 3]
         if len(cubes) != 1:
-            names = ", ".join(cubes) or "none"
-            raise InputFileError(f"{path} does not contain exactly one cube with three axes; set variable (found: {names})")
+            names = f"{len(cubes)} arrays with three axes ({', '.join(cubes)})" if cubes else "no array with three axes"
+            raise InputFileError(f'{path} contains {names}; set the key "variable" to the name of the cube')
         name = cubes[0]
     else:
         name = _path_of(variable)
         if name not in arrays or arrays[name].ndim != 3:
-            raise InputFileError(f'{path} contains no cube "{variable}" with three axes; set variable to another name')
+            raise InputFileError(
+                f'{path} contains no array "{variable}" with three axes; set the key "variable" to the name of the cube'
+            )
     order = axes.split()
     values = arrays[name].transpose([order.index(axis) for axis in ("row", "col", "band")])
     attributes = {} if path.suffix.lower() == NPY else _attributes(path)
@@ -73,7 +75,7 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Make a cube from stored values (row, col, band), scaled and masked according to the attributes of the dataset."""
+    """Make a cube from stored values (row, col, band), scaled and masked as the attributes of its dataset say."""
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
         found = missing(values, float(np.ravel(mark)[0]), good)
@@ -85,24 +87,24 @@ def _as_stored(
 
 
 def size(path: Path, variable: str | None, axes: str) -> tuple[int, int]:
-    """Return the rows and columns of the cube. They are read from the header if it states them."""
+    """Return the number of rows and columns of the cube, without reading its values if the header states the size."""
     shapes = {"values": map_array(path).shape} if path.suffix.lower() == NPY else array_shapes(path)
     wanted = [
         shape for name, shape in shapes.items() if len(shape) == 3 and (variable is None or name == _path_of(variable))
     ]
     if len(wanted) != 1:
-        rows, cols, _ = read(path, variable, axes).values.shape  # also raises if something is wrong
+        rows, cols, _ = read(path, variable, axes).values.shape  # raises InputFileError if the file is invalid
         return rows, cols
     order = axes.split()
     return wanted[0][order.index("row")], wanted[0][order.index("col")]
 
 
 def _path_of(variable: str) -> str:
-    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path."""
+    """Convert the name of a variable, such as "a", "a/b" or "a.b", to a path with slashes."""
     return variable.replace(".", "/").strip("/")
 
 
-Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of numbers; all have the same length
+Lists = dict[tuple[str, str], NDArray[np.float64]]  # (group, name) → list of numbers; all lists have the same length
 
 
 def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], length: int) -> Lists:
@@ -124,9 +126,9 @@ def _lists(arrays: dict[str, NDArray], attributes: dict[str, dict[str, Any]], le
 
 
 def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return the lists with one of `names` that are nearest to a cube.
+    """Return the keys of the lists that have one of `names` and are nearest to a cube.
 
-    Attributes of the cube are nearest, followed by lists beside the cube, in enclosing groups, and anywhere else.
+    The attributes of the cube are nearest, followed by the group of the cube, the enclosing groups, and all other groups.
     """
     usual = [key for key in lists if is_named(key[1], names)]
     places = [cube]
@@ -139,7 +141,10 @@ def _nearest(cube: str, lists: Lists, names: tuple[str, ...]) -> list[tuple[str,
 
 
 def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict[str, Any]]) -> NDArray[np.float64] | None:
-    """Return the wavelengths in nm. The unit is in the name or the attribute "units" of the list, or inferred from it."""
+    """Return the wavelengths in nm, or None if the file states none.
+
+    The unit is the attribute "units" of the list or the last word of its name. Otherwise it is inferred from the numbers.
+    """
     found = []
     for group, name in _nearest(cube, lists, NAMES):
         about = attributes.get(f"{group}/{name}".strip("/"), {})
@@ -149,12 +154,14 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
                 found.append((f"{group}/{name}".strip("/"), wavelength))
     if any(not np.allclose(wavelength, found[0][1]) for _, wavelength in found[1:]):
         names = ", ".join(name for name, _ in found)
-        raise InputFileError(f"{path} contains several lists of wavelengths ({names}); give wavelengths_nm in the recipe")
+        raise InputFileError(
+            f'{path} contains several different lists of wavelengths ({names}); set "wavelengths_nm" in the recipe'
+        )
     return found[0][1] if found else None
 
 
 def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
-    """Return a mask (band) of the good bands, from a list of 0 and 1, or None if there is no such list."""
+    """Return a mask of the good bands, from a list of 0 and 1, or None if the file contains no such list."""
     for key in _nearest(cube, lists, GOOD_NAMES):
         if np.isin(lists[key], (0, 1)).all() and lists[key].any():
             return np.asarray(lists[key] == 1)
@@ -165,10 +172,10 @@ def _good_bands(cube: str, lists: Lists) -> NDArray[np.bool_] | None:
 
 
 def read_content(path: Path) -> Content:
-    """Read all numbers and texts in a MATLAB file, if the suffix says so, or in an HDF5 file.
+    """Read all numbers and texts in a MATLAB file (suffix .mat) or an HDF5 file (any other suffix).
 
-    Groups and structs become dictionaries. Arrays from MATLAB have their axes in MATLAB's order, without axes of length 1.
-    Raises InputFileError if the file has neither format.
+    Groups and structs become dictionaries. Arrays from MATLAB keep the order of axes that they have in MATLAB, without axes
+    of length 1. Raises InputFileError if the file has neither format.
     """
     return read_matlab(path) if path.suffix.lower() == MATLAB else _read_hdf5(path)
 
@@ -178,7 +185,7 @@ def read_matlab(path: Path) -> Content:
     """Read the content of a .mat file."""
     import h5py
 
-    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # -v7.3 is HDF5 with reversed axes
+    return _stored(path, reverse=True) if h5py.is_hdf5(path) else _loaded(path)  # -v7.3 files are HDF5, with reversed axes
 
 
 @isolated("h5py")
@@ -190,7 +197,7 @@ def _read_hdf5(path: Path) -> Content:
 def array_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shapes of all numeric arrays in a .mat or HDF5 file, by name ("a", "a/b").
 
-    Shapes are read from headers, except for structs in MATLAB files before version 7.3, which must be read as a whole.
+    Shapes are read from headers. Only structs in MATLAB files before version 7.3 must be read completely.
     """
     import h5py
 
@@ -221,7 +228,7 @@ def _arrays(content: Content, prefix: str = "") -> Iterator[tuple[str, NDArray]]
 
 
 def _loaded(path: Path, names: list[str] | None = None) -> Content:
-    """Read the variables `names` of a .mat file before version 7.3. None means all variables."""
+    """Read variables from a .mat file before version 7.3. If `names` is None, all variables are read."""
     from scipy.io import loadmat, whosmat
 
     for name, shape, _ in whosmat(path):
@@ -231,7 +238,7 @@ def _loaded(path: Path, names: list[str] | None = None) -> Content:
 
 
 def _plain(content: Content, depth: int = 0) -> Content:
-    """Return only the fields that are numbers or text."""
+    """Return only the fields that contain numbers or text."""
     fields: Content = {}
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
@@ -242,7 +249,7 @@ def _plain(content: Content, depth: int = 0) -> Content:
 
 
 def _is_matlab(path: Path) -> bool:
-    """Whether MATLAB (-v7.3) wrote an HDF5 file."""
+    """Whether an HDF5 file was written by MATLAB (-v7.3)."""
     with open(path, "rb") as stream:
         return stream.read(10) == b"MATLAB 7.3"
 
@@ -251,7 +258,7 @@ def _is_matlab(path: Path) -> bool:
 def _attributes(path: Path) -> dict[str, dict[str, Any]]:
     """Return the numeric and text attributes of every group and dataset in an HDF5 file, by path.
 
-    The path of the root is "". The result is empty for other files.
+    The path of the root is "". If the file is not an HDF5 file, the result is empty.
     """
     import h5py
 
@@ -272,7 +279,7 @@ def _attributes(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _plain_attribute(attributes: Any, key: str) -> Any:
-    """Return an attribute that is text or a list of at most a million numbers, otherwise None."""
+    """Return an attribute if it is text or contains at most a million numbers, otherwise None."""
     kind, shape = attributes.get_id(key).dtype, attributes.get_id(key).shape
     if kind.kind in "fiu" and np.prod(shape, dtype=float) <= 1e6:
         return np.asarray(attributes[key])

@@ -1,7 +1,8 @@
-"""Reads ENVI cubes, which consist of a text header and a data file beside it.
+"""Read ENVI cubes, which consist of a text header and a data file in the same folder.
 
-FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and how
-l3 treats it. Manufacturers add fields of their own, which are ignored. `unknown` returns those that may affect the values.
+FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and says
+how l3 treats it. Manufacturers add their own fields, which l3 ignores. `unknown` returns the names of ignored fields that
+may affect the values.
 """
 
 import math
@@ -25,7 +26,7 @@ COMPLEX = (6, 9)
 AXES = {"bsq": ("bands", "lines", "samples"), "bil": ("lines", "bands", "samples"), "bip": ("lines", "samples", "bands")}
 STANDARD = ("envi standard", "envi", "standard", *UNSTATED)  # file types of uncompressed cubes
 DATA = ("", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".bin", ".cube", ".hyspex")
-CURE = "give a whole ENVI header"
+CURE = "use a complete ENVI header"
 
 # Words in the names of manufacturers' fields that suggest an effect on the values, as in "radiance gain" or "dark level".
 CHANGING = re.compile(
@@ -41,7 +42,7 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ, REFUSED (unless the value is harmless), or HARMLESS (the field does not affect the values of the cube)
+    fate: str  # READ, REFUSED (unless the value has no effect), or HARMLESS (the field does not affect the cube)
     meaning: str
 
 
@@ -132,14 +133,14 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of the values in the data file."""
+    """Position of the values in the data file."""
 
-    shape: tuple[int, int, int]  # in the order of `axes`, the last axis varying fastest
+    shape: tuple[int, int, int]  # lengths of `axes`; the last axis varies fastest
     axes: tuple[str, str, str]
     dtype: np.dtype
     offset: int  # bytes before the first value
     strides: tuple[int, int, int]  # bytes
-    end: int  # smallest size of the file in bytes
+    end: int  # required size of the data file in bytes
 
     @property
     def size(self) -> tuple[int, int]:
@@ -147,57 +148,57 @@ class Layout:
 
 
 class Header:
-    """The fields of an ENVI header, with names in lower case."""
+    """The fields of an ENVI header. Names are in lower case."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.fields = path, _fields(path)
 
     def wrong(self, name: str, why: str, cure: str = CURE) -> InputFileError:
-        return InputFileError(f"{self.path}: {name} {why}; {cure}")
+        return InputFileError(f'{self.path}: the field "{name}" {why}; {cure}')
 
     def text(self, name: str) -> str:
         return self.fields.get(name, "")
 
     def whole(self, name: str, least: int = 0, default: int | None = None) -> int:
-        """Return a field that is an integer. Without a default, the field must exist."""
+        """Return a field that is an integer of at least `least`. Without a default, the field must exist."""
         text = self.text(name)
         if not text and default is not None:
             return default
         if not text:
             raise self.wrong(name, "is missing")
         if not text.isdecimal() or int(text) < least:
-            raise self.wrong(name, f'is "{text[:40]}", not an integer of at least {least}')
+            raise self.wrong(name, f'is "{text[:40]}" but must be an integer of at least {least}')
         return int(text)
 
     def numbers(self, name: str, count: int) -> NDArray[np.float64] | None:
-        """Return one number per band, or None if the field is missing. A single number applies to all bands."""
+        """Return `count` numbers, or None if the field is missing. A single number in the file is repeated."""
         if not self.text(name):
             return None
         words = [word for word in re.split(r"[,\s]+", self.text(name)) if word]
         try:
             listed = np.array([float(word) for word in words])
         except ValueError as error:
-            raise self.wrong(name, f"has an entry that is not a number ({error})") from error
+            raise self.wrong(name, f"contains an entry that is not a number ({error})") from error
         if listed.size not in (1, count):
-            raise self.wrong(name, f"has {listed.size} numbers for {count} bands")
+            raise self.wrong(name, f"contains {listed.size} numbers instead of {count}")
         return np.broadcast_to(listed, count)
 
 
 def read(path: Path, holds: str = "reflectance") -> SpectralCube:
-    """Read the cube of an ENVI header (.hdr). The data file must lie beside the header.
+    """Read the cube of an ENVI header (.hdr). The data file must be in the same folder as the header.
 
     Parameters
     ----------
     path : Path
         The header.
     holds : str
-        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It determines whether the gains
-        for reflectance or for radiance are used.
+        Content of the cube according to the recipe: "reflectance", "radiance" or "photons". It determines whether l3 uses
+        the gains for reflectance or the gains for radiance.
 
     Raises
     ------
     InputFileError
-        If header and data do not match, or if a field requires something that l3 does not support.
+        If header and data do not match, or if the header requires something that l3 does not support.
     """
     header = Header(path)
     layout = _layout(header)
@@ -212,12 +213,12 @@ def read(path: Path, holds: str = "reflectance") -> SpectralCube:
     try:
         ignored = missing(values, float(mark), good) if mark else None
     except ValueError as error:
-        raise header.wrong("data ignore value", f'is "{mark[:40]}", not a number') from error
+        raise header.wrong("data ignore value", f'is "{mark[:40]}" but must be a number', "correct the field") from error
     return SpectralCube(scaled(values, gain, offset), wavelength, white, good, ignored)
 
 
 def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
-    """Return the rows and columns in the header. Raises InputFileError like `read`."""
+    """Return the number of rows and columns according to the header. Raises InputFileError in the same cases as `read`."""
     header = Header(path)
     layout = _layout(header)
     _wavelengths(header), _good_bands(header), _scale(header, holds), _whole_data(path, layout)
@@ -225,29 +226,29 @@ def size(path: Path, holds: str = "reflectance") -> tuple[int, int]:
 
 
 def files(path: Path) -> list[Path]:
-    """Return an ENVI header and its data file. Raises InputFileError if one is missing."""
+    """Return an ENVI header and its data file. Raises InputFileError if either file is missing."""
     _fields(path)
     return [path, _data(path)]
 
 
 def unknown(path: Path) -> list[str]:
-    """Return the fields of a header that are not part of the format and whose names suggest an effect on the values."""
+    """Return the fields of a header that are not in FIELDS and whose names suggest that they affect the values."""
     known = {field.name for field in FIELDS}
     return [name for name, text in _fields(path).items() if name not in known and text and CHANGING.search(name)]
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the fields of a header: names in lower case, and values without braces and comments."""
-    with open_regular(path, "give the .hdr file") as stream:  # data may be larger than a text may be
+    """Return the fields of a header, with names in lower case and values without braces and comments."""
+    with open_regular(path, "use the .hdr file") as stream:  # a data file may exceed the size limit of text files
         if b"ENVI" not in stream.read(64):
-            raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
+            raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     content = read_bounded(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.lstrip().startswith("ENVI"):
-        raise InputFileError(f"{path} is not an ENVI header; give the .hdr file")
+        raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(";")]  # a semicolon starts a comment
     fields, at = {}, 0
     while at < len(lines):
@@ -264,7 +265,7 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Return whether a value continues in the next line, because its brace is open or opens there."""
+    """Whether a value continues in the following line: its brace is still open, or the brace opens in that line."""
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
@@ -274,41 +275,41 @@ def _data(path: Path) -> Path:
         for data in (stem.with_name(stem.name + suffix), stem.with_name(stem.name + suffix.upper())):
             if data.is_file() and data != path:
                 return data
-    raise InputFileError(f"{path}: its data file is missing; put {stem.name} or {stem.name}.img beside the header")
+    raise InputFileError(f"{path}: the data file is missing; put {stem.name} or {stem.name}.img in the folder of the header")
 
 
 def _whole_data(path: Path, layout: Layout) -> Path:
-    """Return the data file. Raises InputFileError if it is missing or too short."""
+    """Return the data file of a header. Raises InputFileError if it is missing or too short."""
     data = _data(path)
-    held = data.stat().st_size
-    if held < layout.end:
-        raise InputFileError(f"{data} has {held} bytes, but its header requires {layout.end}; give the whole file")
+    size = data.stat().st_size
+    if size < layout.end:
+        raise InputFileError(f"{data} has {size} bytes, but its header requires {layout.end}; copy the complete file")
     return data
 
 
 def _layout(header: Header) -> Layout:
-    """Return the layout of the values.
-
-    Raises InputFileError, with the name of the field, if one is missing or unsupported.
-    """
+    """Return the layout of the values. Raises InputFileError if a field is missing or unsupported."""
     sizes = {name: header.whole(name, 1) for name in ("lines", "samples", "bands")}
     kind = header.text("file type")
     if kind.lower() not in STANDARD:
-        raise header.wrong("file type", f'is "{kind[:40]}"', "give a cube of file type ENVI Standard")
+        raise header.wrong("file type", f'is "{kind[:40]}", which l3 does not support', "save the cube as ENVI Standard")
     if header.text("read procedures"):
-        raise header.wrong("read procedures", "name the only program that can read the data", "save it as ENVI Standard")
+        raise header.wrong(
+            "read procedures", "says that only another program can read the data", "save the cube as ENVI Standard"
+        )
     if header.text("file compression").lower() not in ("", "0", "none", "false"):
         raise header.wrong("file compression", "says that the data are compressed", "save the cube without compression")
     code = header.whole("data type")
     if code not in TYPES:
         what = " (complex numbers)" if code in COMPLEX else ""
-        raise header.wrong("data type", f"= {code}{what} is of no known kind", "save the cube as real numbers")
+        raise header.wrong("data type", f"is {code}{what}, which l3 does not support", "save the cube as real numbers")
     order = header.whole("byte order", default=0)
     if order > 1:
-        raise header.wrong("byte order", f"is {order}, neither 0 nor 1")
+        raise header.wrong("byte order", f"is {order} but must be 0 or 1")
     interleave = (header.text("interleave") or ("bsq" if sizes["bands"] == 1 else "")).lower()
     if interleave not in AXES:
-        raise header.wrong("interleave", f'is "{interleave[:40]}", not bsq, bil or bip' if interleave else "is missing")
+        why = f'is "{interleave[:40]}" but must be bsq, bil or bip' if interleave else "is missing"
+        raise header.wrong("interleave", why)
     axes, dtype = AXES[interleave], np.dtype("<>"[order] + TYPES[code])
     require_picture(str(header.path), sizes["lines"], sizes["samples"], sizes["bands"])
     shape = sizes[axes[0]], sizes[axes[1]], sizes[axes[2]]
@@ -324,19 +325,19 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
     if listed is None:
         return 0, 0
     if not all(number >= 0 and number == int(number) for number in listed):
-        raise header.wrong(name, "are not two numbers of bytes")
+        raise header.wrong(name, "must contain two numbers of bytes")
     return int(listed[0]), int(listed[1])
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelengths (band) in nm, from their field if it exists, otherwise from the names of the bands."""
+    """Return the wavelength of each band in nm, from the field "wavelength" or otherwise from the names of the bands."""
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
         try:
             wavelength = in_nm(listed, header.text("wavelength units"))
         except ValueError as error:
             name = "wavelength units" if "unit" in str(error) else "wavelength"
-            raise InputFileError(f"{header.path}: {name}: {error}") from error
+            raise InputFileError(f'{header.path}: the field "{name}" is invalid: {error}') from error
         if wavelength is not None:
             return wavelength
     names = [name.strip() for name in header.text("band names").split(",") if name.strip()]
@@ -349,14 +350,14 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
     if listed is None:
         return None
     if not np.isin(listed, (0.0, 1.0)).all():
-        raise header.wrong("bbl", "has entries other than 0 and 1", "mark bad bands with 0 and good bands with 1")
+        raise header.wrong("bbl", "contains entries other than 0 and 1", "mark bad bands with 0 and good bands with 1")
     if not listed.any():
         raise header.wrong("bbl", "marks all bands as bad", "mark good bands with 1")
     return np.asarray(listed == 1.0)
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return gain and offset (band) of the stored values, and the scaled value of a perfect white (None if unknown)."""
+    """Return the gain and the offset of each band, and the scaled value of a perfect white, or None if it is unknown."""
     bands = header.whole("bands", 1)
     white = None
     if text := header.text("reflectance scale factor"):
@@ -365,35 +366,41 @@ def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.
         except ValueError:
             white = math.nan
         if not 0 < white < math.inf:
-            raise header.wrong("reflectance scale factor", f'is "{text[:40]}", not a number above zero')
+            raise header.wrong(
+                "reflectance scale factor", f'is "{text[:40]}" but must be a number above zero', "correct the field"
+            )
     to_radiance, to_reflectance = (_linear(header, kind, bands) for kind in ("data", "data reflectance"))
     if to_reflectance is not None and holds == "reflectance":
         if white is not None:
             raise header.wrong(
-                "reflectance scale factor", "and data reflectance gain values both scale the data", "remove one of them"
+                "reflectance scale factor",
+                'and the field "data reflectance gain values" both scale the data',
+                "remove one of the two fields",
             )
         return *to_reflectance, 1.0
     if to_radiance is not None:
         if white is not None and holds == "reflectance":
             raise header.wrong(
                 "reflectance scale factor",
-                "and data gain values both scale the data",
-                'remove one of them, or set holds = "radiance" in the recipe',
+                'and the field "data gain values" both scale the data',
+                'remove one of the two fields, or set holds = "radiance" in the recipe',
             )
         return *to_radiance, None
     if to_reflectance is not None:
         raise header.wrong(
             "data reflectance gain values",
-            f"convert the data to reflectance, not to {holds}",
-            "leave the key `holds` out of the recipe",
+            f"converts the data to reflectance, not to {holds}",
+            'remove the key "holds" from the recipe',
         )
     return np.ones(bands), np.zeros(bands), white
 
 
 def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return gains and offsets (band) of the given kind, or None if they are missing or change nothing."""
+    """Return gains and offsets for `kind` ("data" or "data reflectance"), or None if they are missing or change nothing."""
     gain, offset = (header.numbers(f"{kind} {what} values", bands) for what in ("gain", "offset"))
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
     if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):
-        raise header.wrong(f"{kind} gain values", "or offsets are zero or not finite", "correct them")
+        raise header.wrong(
+            f"{kind} gain values", "or the field of the offsets contains zero gains or infinite values", "correct the values"
+        )
     return None if (gain == 1).all() and (offset == 0).all() else (gain, offset)

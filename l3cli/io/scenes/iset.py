@@ -1,4 +1,4 @@
-"""Reads ISET scene files (.mat)."""
+"""Read ISET scene files (.mat)."""
 
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,14 @@ Curve = tuple[NDArray[np.floating], NDArray[np.floating]]
 def read(path: Path, light: Curve | None = None) -> Scene:
     """Read an ISET scene and its illuminant.
 
-    l3 reads all storage forms of ISET: a scene struct with floats or with integers between dmin and dmax, the variables
-    photons and wave, and coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are noise and become
-    zero. Specular highlights are preserved (docs/method.md#simulation).
+    l3 reads all three forms in which ISET stores scenes: a scene struct with floats or with integers between dmin and dmax,
+    the variables photons and wave, and coefficients (mcCOEF) of a basis about a mean (imgMean). Small negative values are
+    noise and become zero. Specular highlights are preserved (docs/method.md#simulation).
 
     Parameters
     ----------
     path : Path
-        The file.
+        The scene file.
     light : tuple of ndarray, optional
         Wavelengths in nm and photons of an illuminant, for files without an illuminant.
 
@@ -39,21 +39,24 @@ def read(path: Path, light: Curve | None = None) -> Scene:
         wavelength, photons = _photons(content)
         illuminant = _illuminant(content.get("illuminant"), wavelength, light)
     except KeyError as error:
-        raise InputFileError(
-            f"{path} is not a complete ISET scene: it lacks {error.args[0]}; save it from ISET again"
-        ) from error
+        name, cure = (*error.args, "save the scene from ISET again")[:2]
+        raise InputFileError(f"{path} is not a complete ISET scene because it contains no {name}; {cure}") from error
     except (ValueError, TypeError) as error:
         raise InputFileError(
-            f"{path}: wavelengths or photons are not numbers, or a wavelength occurs twice; save it again"
+            f"{path}: wavelengths or photons are not numbers, or a wavelength occurs twice; save the scene from ISET again"
         ) from error
     if wavelength.size == 1 and photons.ndim == 2:
         photons = photons[..., None]  # MATLAB drops a last axis of length 1
     if photons.ndim != 3 or photons.shape[2] != wavelength.size:
         raise InputFileError(
-            f"{path}: {photons.shape} photons do not fit {wavelength.size} wavelengths; save the scene again"
+            f"{path}: photons of shape {photons.shape} do not match {wavelength.size} wavelengths; "
+            "save the scene from ISET again"
         )
     if illuminant.size != wavelength.size or not (illuminant > 0).all():
-        raise InputFileError(f"{path}: its illuminant is not one positive value for each of {wavelength.size} wavelengths")
+        raise InputFileError(
+            f"{path}: the illuminant must have a positive value at each of the {wavelength.size} wavelengths; "
+            "save the scene with a complete illuminant"
+        )
     with raised_as(InputFileError, path):
         photons /= illuminant.astype(np.float32)
         _, illuminant = spectra.ascending(wavelength, illuminant)
@@ -62,17 +65,17 @@ def read(path: Path, light: Curve | None = None) -> Scene:
 
 
 def size(path: Path, light: Curve | None = None) -> tuple[int, int]:
-    """Return the rows and columns of an ISET scene. They are read from the header if it states them."""
+    """Return the number of rows and columns of an ISET scene, without reading the photons if the header states the size."""
     shapes = array_shapes(path)
     for name in (f"{scene}{array}" for scene in ("scene/", "") for array in ("mcCOEF", "photons", "data/photons")):
         if len(shapes.get(name, ())) in (2, 3):
             return shapes[name][0], shapes[name][1]
-    rows, cols, _ = read(path, light).reflectance.shape  # also raises if something is wrong
+    rows, cols, _ = read(path, light).reflectance.shape  # raises InputFileError if the scene is invalid
     return rows, cols
 
 
 def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Return wavelengths in nm and photons (row, col, wave). Raises KeyError, with its name, if a variable is missing."""
+    """Return the wavelengths in nm and the photons (row, col, wave). Raises KeyError with the name of a missing variable."""
     if "mcCOEF" in content:
         basis = content["basis"]
         functions = np.asarray(basis["basis"], np.float32).reshape(np.size(basis["wave"]), -1)
@@ -84,25 +87,26 @@ def _photons(content: Content) -> tuple[NDArray[np.float64], NDArray[np.float32]
     if "photons" in content:
         return _numbers(content["wave"]), _decoded(content["photons"], content, "dmin", "dmax")
     if "data" not in content:
-        raise KeyError("a scene, photons or mcCOEF")
+        raise KeyError("scene, photons or mcCOEF")
     return _numbers(content["spectrum"]["wave"]), _decoded(content["data"]["photons"], content["data"], "dmin", "dmax")
 
 
 def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | None) -> NDArray[np.float64]:
-    """Return the photons (wavelength) from a perfect white.
+    """Return the photons that a perfect white reflects, at each wavelength.
 
-    They come from ISET's new illuminant struct (photons), from its old struct (energy), or from `light`.
+    They are read from ISET's new illuminant struct (photons) or its old struct (energy). If the file contains no struct,
+    `light` is used.
     """
     if not isinstance(stored, dict):
         if light is None:
-            raise KeyError('illuminant (or give "light" in the recipe)')
+            raise KeyError("illuminant", 'set "light" in the recipe')
         return spectra.average(light[1].ravel(), light[0], wavelength)
     if isinstance(stored.get("data"), dict):
         data = stored["data"]
         photons = np.asarray(_decoded(data["photons"], data, "min", "max"), float).ravel()
         grid = _numbers(stored["spectrum"]["wave"]) if isinstance(stored.get("spectrum"), dict) else wavelength
     elif "data" not in stored:
-        raise KeyError("data in its illuminant")
+        raise KeyError("data of its illuminant")
     else:
         grid = _numbers(stored["wavelength"])
         photons = spectra.photons_from_energy(grid, np.asarray(stored["data"], float).ravel())
@@ -114,7 +118,7 @@ def _numbers(values: Any) -> NDArray[np.float64]:
 
 
 def _decoded(values: Any, holder: Content, low: str, high: str) -> NDArray[np.float32]:
-    """Return floats unchanged, and decode integers. In ISET, the range of integers is mapped to `low`…`high`."""
+    """Convert stored values to float32. Integers are scaled so that 0 to their maximum becomes `low` to `high`."""
     array = np.asarray(values)
     decoded = array.astype(np.float32)
     if array.dtype.kind in "iu":

@@ -1,4 +1,4 @@
-"""RGB pictures as scenes: colours that are converted to spectra, or codes that are channel signals."""
+"""Read RGB pictures as scenes. Their values are colours, which l3 converts to spectra, or signals of camera channels."""
 
 from pathlib import Path
 
@@ -11,19 +11,19 @@ from l3cli.physics.display import srgb_decoded
 
 
 def size(path: Path, holds: str = "sRGB") -> tuple[int, int]:
-    """Return the rows and columns of a picture."""
+    """Return the number of rows and columns of a picture."""
     return picture_size(path)
 
 
 def read(path: Path, holds: str = "sRGB") -> NDArray[np.float32]:
     """Read a picture (row, col, 3) as linear values, where 1 is white.
 
-    Integers are decoded from sRGB, and floats are assumed to be linear. If `holds` is "codes", integers are only divided by
-    the maximum of their type. Raises InputFileError if the file is not a colour picture.
+    Integers are decoded from sRGB, and floats are assumed to be linear. If `holds` is "codes", integers are not decoded but
+    divided by the maximum of their type. Raises InputFileError if the file is not a colour picture.
     """
     pixels, names = read_image(path)
     if len(names) < 3:
-        raise InputFileError(f"{path} has no red, green and blue; give a colour picture")
+        raise InputFileError(f"{path} has no red, green and blue channels; use a colour picture")
     if pixels.dtype.kind == "f":
         return np.maximum(np.nan_to_num(pixels[..., :3]), 0.0).astype(np.float32)
     levels = np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max

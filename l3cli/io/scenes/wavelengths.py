@@ -1,4 +1,4 @@
-"""Parses the wavelengths in scene files, which are lists in any unit, or names of bands, pages, files and arrays."""
+"""Parse wavelengths in scene files, which state them in lists or in the names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ INVERSE_CM = ("wavenumber", "wavenumbers", "cm-1", "1/cm", "cm^-1", "cm⁻¹")
 HERTZ = {"thz": 1e12, "ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0}
 METRIC = {"millimeter": 1e6, "millimetre": 1e6, "centimeter": 1e7, "centimetre": 1e7, "meter": 1e9, "metre": 1e9}
 LIGHT_SPEED_NM = 299792458e9  # nm/s
-MICROMETRES = 100.0  # wavelengths without a unit are assumed to be in µm if all are smaller
+MICROMETRES = 100.0  # numbers without a unit are assumed to be in µm if all of them are smaller than this
 UNIT_WORDS = "Nanometers, Micrometers, Millimeters, Centimeters, Meters, Angstroms, Wavenumber, GHz, MHz, Index"
-SHORTEST, LONGEST = 300.0, 2600.0  # nm; numbers without a unit count as wavelengths in this range
+SHORTEST, LONGEST = 300.0, 2600.0  # nm; a number without a unit in a name is a wavelength only within this range
 IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)[\s_]*(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)(?![A-Za-z])", re.IGNORECASE)
 
 
@@ -30,9 +30,9 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
     Parameters
     ----------
     values : array, (band)
-        Numbers in `unit`.
+        Numbers in the unit `unit`.
     unit : str
-        Name of the unit in the file. Without a unit, consecutive integers from 0 or 1 are indices of bands. Other numbers
+        Name of the unit in the file. If it is empty, consecutive integers from 0 or 1 are indices of bands. Other numbers
         are in µm if all of them are below 100, and otherwise in nm.
 
     Returns
@@ -59,14 +59,15 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
         return LIGHT_SPEED_NM / (numbers * HERTZ[word.lower()])
     scale = length_nm(word) or length_nm(word.lower()) or METRIC.get(word.lower().rstrip("s"))
     if scale is None:
-        raise ValueError(f'"{word[:40]}" is not a unit of wavelength; give one of {UNIT_WORDS}')
+        raise ValueError(f'"{word[:40]}" is not a unit of wavelength; use one of {UNIT_WORDS}')
     return numbers * scale
 
 
 def in_name(name: str) -> float | None:
-    """Return the wavelength in nm in the name of a band or file, such as "red (650.5 nm)" or "S0.450,5nm", or None.
+    """Return the wavelength in nm that the name of a band or file states, such as "red (650.5 nm)", or None.
 
-    A comma is a decimal point. A period is a decimal point unless the number would be below 100 nm, as in "S0.450nm".
+    A comma is a decimal point, as in "S0.450,5nm". A period is a decimal point unless the number would be below 100 nm, as
+    in "S0.450nm".
     """
     found = IN_NAME.search(name)
     if found is None:
@@ -78,10 +79,10 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength (band) in nm in each name, or None if a name does not state a wavelength.
+    """Return the wavelength in nm that each name states, or None for a name that states no wavelength.
 
-    Numbers without a unit count as wavelengths if every name ends with a number, if all numbers are within 300…2600, and if
-    they differ by at least 2. Otherwise they are indices.
+    Numbers without a unit are wavelengths if every name ends with a number, all numbers are within 300…2600, and all differ
+    by at least 2. Otherwise the numbers are indices.
     """
     stated = [in_name(name) for name in names]
     if any(stated):
@@ -98,12 +99,12 @@ def of_names(names: Sequence[str]) -> list[float | None]:
 
 
 def is_named(name: str, names: Sequence[str] = NAMES) -> bool:
-    """Whether the name of an array is one of `names`. Case, punctuation and unit are ignored."""
+    """Whether the name of an array is one of `names`. Letter case, punctuation and units are ignored."""
     return _plain(name) in names
 
 
 def unit_in(name: str) -> str:
-    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or "" without a unit."""
+    """Return the unit in the name of an array, such as "wavelength_um" or "Wavelength (nm)", or "" if there is none."""
     words = [word for word in re.split(r"[\s_()\[\]/]+", name) if word]
     return words[-1] if len(words) > 1 and length_nm(words[-1]) is not None else ""
 
