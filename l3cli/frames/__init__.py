@@ -1,1 +1,1 @@
-"""Raw frames, scenes and lab measurements as data, with the corrections and checks of raw frames."""
+"""Data types for raw frames, scenes and lab measurements, with the corrections and checks of raw frames."""

@@ -1,8 +1,8 @@
-"""Finds a colour chart in a mosaic and measures its patches (docs/method.md#charts-in-photographs).
+"""Find a colour chart in a mosaic and measure its patches (docs/method.md#charts-in-photographs).
 
 A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. The
-responsivities need not be known: the values of each channel are compared with all values that the reflectances permit. This
-comparison also determines the orientation of the chart.
+responsivities need not be known, because the values of each channel are compared with all values that the reflectances
+permit. This comparison also determines the orientation of the chart.
 """
 
 import itertools
@@ -16,28 +16,29 @@ from numpy.typing import NDArray
 from l3cli.physics.mosaic import tiled
 
 CORE = 0.25  # half the side of the measured core of a patch, in cells; the core excludes borders and blurred edges
-OUTLIER = 5.0  # robust standard deviations; a pixel farther from the median is assumed to be dust, a scratch or hot
-DUSTY = 0.2  # largest fraction of outliers in a usable patch
-CLIPPED = 1e-3  # largest fraction of saturated pixels in a usable patch
-MIN_PIXELS = 12  # smallest number of pixels of one channel in a patch
+OUTLIER = 5.0  # robust standard deviations; a pixel farther from the median is treated as dust, a scratch or a hot pixel
+DUSTY = 0.2  # maximum fraction of outliers in a usable patch
+CLIPPED = 1e-3  # maximum fraction of saturated pixels in a usable patch
+MIN_PIXELS = 12  # minimum number of pixels of one channel in a patch
 PRECISION = 0.002  # relative error due to texture and gloss, which does not decrease with more pixels
-MIN_POINTS = 6  # smallest number of points (patches × channels) for a photon transfer line
+MIN_POINTS = 6  # minimum number of points (patches × channels) for a photon transfer line
 MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a Gaussian
 Array = NDArray[np.floating]
-SEARCHED = 480  # pixels; longer side of the reduced picture in which charts are searched
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # largest relative change between adjacent pixels of a uniform area; tried in this order
+SEARCHED = 480  # longer side, in pixels, of the reduced picture in which l3 searches for charts
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # maximum relative change between adjacent pixels of a uniform area; tried in this order
 DARK_FRACTION = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
-MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: smallest in pixels, and largest as a fraction of the picture
-LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: largest aspect ratio, and range of its area relative to a parallelogram
-NEIGHBOURS, SEEDS = 8, 160  # number of neighbours that may define the grid steps, and of regions from which grids start
+MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: minimum in pixels, and maximum as a fraction of the picture
+LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: maximum aspect ratio, and range of its area relative to a parallelogram
+# number of nearest regions that may define the grid steps, and number of regions at which grids may start
+NEIGHBOURS, SEEDS = 8, 160
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: largest cosine of the angle between them, and largest ratio of their lengths
-OFF = 0.22  # largest distance of a region from its grid point, in grid steps
-REFINED = (0.25, 0.15, 0.1, 0.1)  # largest distance of a region from its patch in each refinement, in cells
-MIN_SHARE, MIN_REGIONS = 0.4, 5  # smallest fraction of the patches, and smallest number, that must be found as regions
-GROWN, TRIED = 200, 20  # number of grids that are extended, and of grids whose values are compared with the reflectances
+ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: maximum cosine of the angle between them, and maximum ratio of their lengths
+OFF = 0.22  # maximum distance of a region from its grid point, in grid steps
+REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance of a region from its patch in each refinement, in cells
+MIN_SHARE, MIN_REGIONS = 0.4, 5  # minimum fraction and minimum number of patches that must be found as regions
+GROWN, TRIED = 200, 20  # number of grids that are extended, and number of grids that are compared with the reflectances
 COMPONENTS = 6  # number of principal components of the reflectances; they explain every channel within a few percent
-MIN_FIT = 0.9  # smallest R² of the fit of the components to the values
+MIN_FIT = 0.9  # minimum R² with which the components explain the values
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -58,7 +59,7 @@ def homography(cells: Array, pixels: Array) -> Array:
     Raises
     ------
     LinAlgError
-        If four points lie on a line.
+        If four points lie on a line, so that there is no unique homography.
     """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
@@ -72,7 +73,7 @@ def homography(cells: Array, pixels: Array) -> Array:
 def _equations(cells: Array, pixels: Array) -> Array:
     """Return the matrix (…, 2 · point, 8) of the linear equations for a homography.
 
-    Its product with the first eight elements of the homography gives the coordinates of the pixels. The ninth element is 1.
+    The product with the first eight elements of the homography is the coordinates of the pixels. The ninth element is 1.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -86,7 +87,7 @@ def corner_cells(rows: int, cols: int) -> Array:
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Transform points (…, 2) by a homography, or by several homographies, which gives (grid, point, 2).
+    """Transform points (…, 2) by a homography, or by several homographies. Several return an array (grid, point, 2).
 
     Points without an image become infinite.
     """
@@ -124,13 +125,13 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
 
 @dataclass(frozen=True)
 class PatchValues:
-    """Values of the patches of a chart in a mosaic."""
+    """The values of the patches of a chart in a mosaic."""
 
     mean: Array  # (patch, channel) DN above black
     deviation: Array  # (patch, channel) DN; standard deviation of the mean
     variance: Array  # (patch, channel) DN²; noise variance of a pixel, without texture and gradients
     used: NDArray[np.bool_]  # (patch, channel) whether the value is usable
-    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason of each value that is not usable
+    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason for each value that is not usable
 
 
 def patch_values(
@@ -141,7 +142,7 @@ def patch_values(
     Parameters
     ----------
     frames : sequence of ndarray, (row, col)
-        Frames of one scene in DN above black. Their first pixel is CFA site (0, 0).
+        Frames of one scene, in DN above black. The first pixel is at CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     to_pixels : ndarray, (3, 3)
@@ -149,7 +150,7 @@ def patch_values(
     grid : tuple of int
         Rows and columns of patches.
     saturation : float
-        DN above black at which a pixel is clipped.
+        DN above black from which a pixel counts as clipped.
 
     Raises
     ------
@@ -182,7 +183,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield each (patch, channel) with the flat indices of its pixels. `patch` (row, col) is the map of patches."""
+    """Yield each pair (patch, channel) with the flat indices of its pixels. `patch` is the result of `patch_map`."""
     channels = int(cfa.max()) + 1
     label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
@@ -202,10 +203,11 @@ def _typical(values: Array, least: float) -> NDArray[np.bool_]:
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return differences (row, col) whose variance equals the noise variance of a pixel. They are NaN at the edges.
+    """Return differences (row, col) whose variance is equal to the noise variance of a pixel. They are NaN at the edges.
 
-    With two or more frames, they are differences between frames. With a single frame, they are mixed second differences
-    between neighbouring pixels of the same CFA site, in which gradients and differences between patches cancel.
+    If there are several frames, the result is the difference between two frames, divided by √2. If there is a single frame,
+    it is a mixed second difference between neighbouring pixels of the same CFA site, in which gradients and differences
+    between patches cancel.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -227,8 +229,8 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon transfer line.
 
-    The line is fitted to the patches and channels of all shots. Processed files and files with almost no noise have no such
-    line, and the result is None.
+    The line is fitted to the patches and channels of all shots. The result is None if there is no such line, for example
+    because the files were processed or contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -237,7 +239,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # the fit is reweighted, because the error of a variance is proportional to the variance
+    for _ in range(3):  # reweight the fit, because the error of a variance is proportional to the variance
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -247,14 +249,14 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
 
 @dataclass(frozen=True)
 class Located:
-    """Position of a chart in a picture."""
+    """The position of a chart in a picture."""
 
     to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row) of the mosaic
-    fit: float  # R² with which the reflectances explain the values, mean over channels
+    fit: float  # R² with which the reflectances explain the values, averaged over the channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the channel means (row, col, channel) over complete super-pixels of a mosaic that begins at CFA site (0, 0)."""
+    """Return the channel means (row, col, channel) of the complete super-pixels. The mosaic begins at CFA site (0, 0)."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -269,7 +271,7 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
     Parameters
     ----------
     mosaic : ndarray, (row, col)
-        Mosaic in DN above black. Its first pixel is CFA site (0, 0).
+        Mosaic in DN above black. The first pixel is at CFA site (0, 0).
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     reflectance : ndarray, (patch, wavelength)
@@ -299,12 +301,12 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
         return None
     best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
     scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
-    shift = (scale - 1) / 2  # pixels; centre of the first reduced pixel
+    shift = (scale - 1) / 2  # position of the centre of the first reduced pixel, in pixels
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 
 def components(reflectance: Array) -> Array:
-    """Return an orthonormal basis (patch, component) for the values of any channel, including a constant for glare."""
+    """Return an orthonormal basis (patch, component) for the values of any channel. It includes a constant for glare."""
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
     return np.asarray(basis)
@@ -314,20 +316,20 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative gradient (row, col) of a picture, as the largest over the channels."""
+    """Return the relative gradient (row, col) of a picture, which is the maximum over the channels."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # above zero even for a black frame
+        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # positive even for a black frame
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     return steepest
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2), as column and row, and the areas (region) of uniform regions that may be patches."""
+    """Return the centres (region, 2), as (column, row), and the areas of the uniform regions that may be patches."""
     from scipy import ndimage
 
     label, count = ndimage.label(steepest < slope)
@@ -353,9 +355,9 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Return homographies from grid points to pixels for the grids that contain most regions.
+    """Return homographies from grid points to pixels, for the grids that contain the most regions.
 
-    Grid point (0, 0) is the region from which a grid starts.
+    Grid point (0, 0) is the region at which a grid starts.
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -382,7 +384,7 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
     """Return a mask of the pairs (pair, 2, 2) of offsets that may be grid steps along the rows and columns of a chart.
 
-    The chart must be seen from the front.
+    This requires that the camera faces the front of the chart.
     """
     one, other = np.hypot(*steps.T)
     turn = np.linalg.det(steps)  # positive unless the chart is mirrored
@@ -392,9 +394,9 @@ def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return the region nearest to each grid point (grid, y, x) from -reach to reach, or -1 if none is near.
+    """Return the region nearest to each grid point (grid, y, x) from -reach to reach, or -1 if no region is near.
 
-    `coordinates` (grid, region, 2) are x and y of the regions in each grid.
+    `coordinates` (grid, region, 2) are the positions (x, y) of the regions in each grid.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -403,12 +405,12 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # sorted by distance, so that the nearest region is assigned last
+    on[grids, y, x] = regions  # sorted by descending distance, so that the nearest region is assigned last
     return on
 
 
 def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Extend grids step by step, and return the number of regions on each grid and its homography."""
+    """Extend grids step by step. Returns the number of regions in each grid, and its homography."""
     counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
         growing = growing[np.linalg.det(matrices[growing]) != 0]
@@ -423,7 +425,7 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Return the homographies (grid, 3, 3) from grid points to the centres of their regions (grid, y, x)."""
+    """Return the homographies (grid, 3, 3) from grid points to the centres of the regions at these points (grid, y, x)."""
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
     shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
@@ -442,7 +444,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Fit the position again, only to regions that lie on patches. Regions found with any of the SLOPES are used."""
+    """Fit the position again to the regions that lie on patches. Regions found with any of the SLOPES are used."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -460,7 +462,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Return the position of the chart on a grid whose values fit the reflectances best, among all shifts and rotations."""
+    """Return the position on a grid at which the values fit the reflectances best, among all shifts and rotations."""
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
     index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
@@ -479,7 +481,7 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values (…, channel) of a picture at points (…, 2), given as column and row. They are NaN outside."""
+    """Return the values (…, channel) of a picture at points (…, 2), which are (column, row). Outside, they are NaN."""
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
@@ -489,9 +491,9 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Return the R² (…) with which the `components` of the reflectances explain values (…, patch, channel).
+    """Return the R² with which the `components` of the reflectances explain values (…, patch, channel).
 
-    It is the mean over the channels.
+    The R² is averaged over the channels.
     """
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)

@@ -26,15 +26,16 @@ from l3cli.system.files import require_same
 if TYPE_CHECKING:
     from l3cli.artifacts.table import TransformTable
 
-NEIGHBOURS = 4  # number of neighbours of a bad pixel; the mean of the middle two replaces it
-SEARCH_PIXELS = 16  # pixels; neighbours are searched up to this distance in rows and columns
-MAX_BAD = 0.1  # largest fraction of bad pixels; a map with more is probably not a map of defects
+NEIGHBOURS = 4  # number of neighbours that replace a bad pixel, by the mean of the two middle values
+SEARCH_PIXELS = 16  # neighbours are searched up to this distance, in rows and in columns
+MAX_BAD = 0.1  # maximum fraction of bad pixels; a map with more is probably not a defect map
 MIN_EXCESS = 8.0  # standard deviations of noise by which a hot pixel exceeds its brightest neighbour
-RANGE = 2.0  # a hot pixel exceeds its brightest neighbour by more than this multiple of the range of its neighbours
-NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1  # largest excess of adjacent pixels: in standard deviations; relative to the hot pixel
+RANGE = 2.0  # a hot pixel also exceeds its brightest neighbour by this multiple of the range of its neighbours
+# Maximum brightness of the pixels next to a hot pixel, in standard deviations, and as a fraction of the excess
+NEXT_SIGMAS, NEXT_SHARE = 2.0, 0.1
 AROUND = [(row, col) for row in (-1, 0, 1) for col in (-1, 0, 1) if (row, col) != (0, 0)]
 Array = NDArray[np.float64]
-HOT = 5.0  # standard deviations; pixels of a dark frame that deviate more are left out of its mean
+HOT = 5.0  # standard deviations; pixels of a dark frame that deviate more are excluded from its mean level
 MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
 
 
@@ -46,7 +47,7 @@ class BadPixelCorrection:
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) in which the mean of the middle two neighbours, rounded up, replaces each bad pixel."""
+        """Return values (row, col) with bad pixels replaced by the mean of their two middle neighbours, rounded up."""
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
         result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
@@ -54,7 +55,7 @@ class BadPixelCorrection:
 
 
 def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixelCorrection:
-    """Find the pixels that replace the bad pixels of a sensor: the nearest good pixels of the same channel.
+    """Find the pixels that replace each bad pixel: the nearest good pixels of the same channel.
 
     Parameters
     ----------
@@ -66,10 +67,10 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
     Raises
     ------
     InputFileError
-        If a pixel has no good neighbour within FARTHEST, or if too many pixels are bad.
+        If a pixel has no good neighbour within SEARCH_PIXELS, or if too many pixels are bad.
     """
     if bad.mean() > MAX_BAD:
-        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked as defective, too many to correct; mark fewer")
+        raise InputFileError(f"{bad.mean():.0%} of the pixels are marked as defective, which is too many; mark fewer pixels")
     shape, period = bad.shape, cfa.shape
     targets, sources = [], []
     places = np.argwhere(bad)
@@ -93,9 +94,9 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
         if not count.all():
             row, col = defects[int(count.argmin())]
             raise InputFileError(
-                f"pixel ({row}, {col}) has no good neighbour within {SEARCH_PIXELS} pixels; mark fewer defects"
+                f"pixel ({row}, {col}) has no good neighbour within {SEARCH_PIXELS} pixels; mark fewer pixels as defective"
             )
-        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats the neighbours if there are too few
+        again = np.arange(NEIGHBOURS) % count[:, None]  # repeats neighbours if there are fewer than NEIGHBOURS
         targets.append(defects[:, 0] * shape[1] + defects[:, 1])
         sources.append(np.take_along_axis(nearest, again, axis=1))
     if not targets:
@@ -106,7 +107,7 @@ def plan_correction(bad: NDArray[np.bool_], cfa: NDArray[np.integer]) -> BadPixe
 def _offsets(cfa: NDArray[np.integer], site: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the offsets (offset, 2) from a CFA site to other pixels of its channel, sorted by distance.
 
-    Among pixels at equal distance, opposite pixels are adjacent in the list.
+    Among pixels at the same distance, opposite pixels follow each other.
     """
     down, across = np.mgrid[-SEARCH_PIXELS : SEARCH_PIXELS + 1, -SEARCH_PIXELS : SEARCH_PIXELS + 1].reshape(2, -1)
     same = cfa[(site[0] + down) % cfa.shape[0], (site[1] + across) % cfa.shape[1]] == cfa[site]
@@ -124,7 +125,7 @@ class Correction:
     """The corrections for the frames of one camera."""
 
     camera: str  # name of the camera
-    shape: tuple[int, int]  # rows and columns of its frames
+    shape: tuple[int, int]  # rows and columns of the camera's frames
     bad_pixels: BadPixelCorrection | None
     shading: Shading | None
 
@@ -137,24 +138,24 @@ class Correction:
         return hashlib.sha256(repr(self.shape).encode() + b"".join(content)).hexdigest()
 
     def corrected(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with bad pixels replaced, and with the camera's shading instead of the gains in the file.
+        """Return the frame with bad pixels replaced, and with the shading of the camera instead of the gains in the file.
 
-        Raises InputFileError if the frame does not have the size of the camera or begins at another CFA site.
+        Raises InputFileError if the frame is not a full frame of the camera.
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
-                f"{frame.name} of {_size(frame.values.shape)} pixels, first site {frame.phase[0]},{frame.phase[1]}, is not "
-                f"a whole frame of camera {self.camera} of {_size(self.shape)}; give the ‹camera› that took it"
+                f"{frame.name} has {_size(frame.values.shape)} pixels from site {frame.phase[0]},{frame.phase[1]}, but a "
+                f"full frame of camera {self.camera} has {_size(self.shape)} from site 0,0; set ‹camera› to its camera"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
         return replace(frame, values=values, shading=self.shading or frame.shading)
 
 
 def correction_of(camera: CameraModel) -> Correction:
-    """Return the corrections for the frames of a camera. Raises InputFileError if it has none, or if they are unusable."""
+    """Return the corrections for the frames of a camera. Raises InputFileError if there are none or they are unusable."""
     if camera.defects is None and camera.flat_field is None:
         raise InputFileError(
-            f"camera {camera.name} has neither a defect map nor a flat field; calibrate it with darks and whites"
+            f"camera {camera.name} has neither a defect map nor a flat field; calibrate it with dark and white frames"
         )
     shape, bad_pixels = (camera.rows, camera.cols), None
     if camera.defects is not None and camera.defects.position.size:
@@ -171,30 +172,30 @@ def _size(shape: tuple[int, ...]) -> str:
 
 @dataclass(frozen=True)
 class HotTest:
-    """Finds hot pixels in a frame by the noise of its camera.
+    """Finds hot pixels in a frame, based on the noise of its camera.
 
-    The variance is constant + (linear + quadratic · signal) · signal, with the signal in DN above black.
+    The noise variance is constant + (linear + quadratic · signal) · signal, with the signal in DN above black.
     """
 
     constant: float  # DN²
     linear: float  # DN
     quadratic: float
-    span: float  # DN from black to white level
-    period: tuple[int, int]  # rows, columns of the array
+    span: float  # DN; difference between white and black level
+    period: tuple[int, int]  # rows and columns of the CFA
 
     @classmethod
     def of(cls, camera: CameraModel) -> "HotTest":
-        """Return the test for a camera, by its noise model."""
+        """Return the test for a camera, based on its noise model."""
         rows, cols = camera.cfa.shape
         constant, linear, quadratic = camera.noise_terms(channel=np.arange(len(camera.channels)))
-        noisiest = float(np.max(constant)), float(np.max(linear))  # channels may differ in gain
+        noisiest = float(np.max(constant)), float(np.max(linear))  # the gains of the channels may differ
         return cls(*noisiest, quadratic, camera.white_level - camera.black_level, (rows, cols))
 
     def without_hot(self, frame: RawFrame, cfa: NDArray[np.uint8]) -> RawFrame:
-        """Return the frame with hot pixels replaced. `cfa` is the CFA as seen from the first pixel of the frame.
+        """Return the frame with hot pixels replaced. `cfa` begins with the site of the first pixel of the frame.
 
-        A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels of any channel are
-        not. A star, or any other detail that a lens has imaged, also brightens the adjacent pixels.
+        A hot pixel is far brighter than the eight nearest pixels of its CFA site, but its adjacent pixels are not brighter
+        than usual. A star, or any other detail imaged by the lens, also brightens the adjacent pixels.
         """
         if min(frame.values.shape) <= 2 * max(self.period):
             return frame  # the frame is too small to contain the neighbours
@@ -208,7 +209,7 @@ class HotTest:
         return replace(frame, values=plan_correction(hot, cfa).corrected(frame.values))
 
     def _suspects(self, frame: RawFrame) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of pixels that exceed all neighbours by more than the lowest noise level explains."""
+        """Return the rows and columns of pixels that exceed all neighbours by more than the lowest noise explains."""
         values, (down, across) = frame.values, self.period
         brightest = np.zeros_like(values)  # maximum of the left and right neighbours
         np.maximum(brightest[:, across:], values[:, :-across], out=brightest[:, across:])
@@ -225,7 +226,7 @@ class HotTest:
     def _isolated(
         self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the suspects that are hot pixels."""
+        """Return the rows and columns of the suspects that are hot pixels."""
         neighbours = self._neighbours(frame, row, col)
         brightest, darkest = neighbours.max(axis=0), neighbours.min(axis=0)
         excess = frame.values[row, col] - brightest
@@ -238,14 +239,14 @@ class HotTest:
             usual = np.median(self._neighbours(frame, *place), axis=0)
             inside = (place[0] != row) | (place[1] != col)
             brighter += np.where(inside, frame.values[place] - usual, 0.0)
-            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 is for the median of eight values
+            variance += np.where(inside, 1.2 * self._variance(frame, usual), 0.0)  # 0.2 for the median of eight values
         hot = brighter < np.maximum(NEXT_SIGMAS * np.sqrt(variance), NEXT_SHARE * excess)
         return row[hot], col[hot]
 
     def _neighbours(self, frame: RawFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
         """Return the values (neighbour, pixel), in DN, of the eight nearest pixels with the same CFA site.
 
-        Neighbours beyond an edge are replaced by pixels on the opposite side.
+        Neighbours beyond an edge are replaced by pixels on the opposite side of the pixel.
         """
         rows, cols = frame.values.shape
         down, across = self.period
@@ -271,7 +272,7 @@ class DarkFrame:
     name: str
     level: float  # DN; mean over all pixels except hot pixels
     offset: NDArray[np.int32]  # (row, col) DN; difference between each pixel and the mean
-    phase: tuple[int, int]  # CFA row and column of pixel (0, 0)
+    phase: tuple[int, int]  # CFA row and column of the first pixel
     orientation: int
     exposure: float | None  # exposure time in s; None if unknown
 
@@ -282,18 +283,18 @@ class DarkFrame:
 
 
 def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
-    """Average frames of equal size, phase, orientation and exposure time that were taken without light.
+    """Average dark frames, which must have the same size, phase, orientation and exposure time.
 
     The mean of n frames still contains 1/√n of their noise, which would be added to every picture. The difference d between
     a pixel and the mean level is therefore reduced to d · max(0, 1 − σ²/d²), where σ is the standard deviation of the
-    remaining noise (the non-negative garrote, Breiman 1995). Hot pixels are thus removed completely even with few frames,
-    and weak patterns better with more frames. σ is estimated from the differences between frames or, if there is only one
-    frame, from the spread of its pixels.
+    remaining noise (the non-negative garrote, Breiman 1995). In this way, hot pixels are removed completely even with few
+    frames, and weak patterns are removed better with more frames. σ is estimated from the differences between frames or, if
+    there is only one frame, from the spread of its pixels.
 
     Raises
     ------
     InputFileError
-        If the frames are not of equal kind, or if there are no frames.
+        If the frames differ in these properties, if they are clipped, or if there are no frames.
     """
     kind: tuple[object, ...] = ()
     first, total, squares, count = None, np.zeros(1), 0.0, 0
@@ -305,7 +306,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
             earlier = values
         elif of_kind != kind:
             raise InputFileError(
-                f"{frame.name} and {first.name} differ in size, phase or exposure; give dark frames of one kind"
+                f"{frame.name} and {first.name} differ in size, phase, orientation or exposure time; use equal dark frames"
             )
         else:
             squares += _spread(values - earlier) ** 2 / 2  # noise variance of one frame
@@ -313,12 +314,12 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
         total += values
         count += 1
     if first is None:
-        raise InputFileError("there are no dark frames; give at least one as ‹dark›")
+        raise InputFileError("there are no dark frames; set ‹dark› to at least one frame")
     mean = total / count
     middle, spread = float(np.median(mean)), _spread(mean)
     level = float(mean[np.abs(mean - middle) <= HOT * spread + 0.5].mean())
     if not level < first.black_level + CLIPPED * (first.white_level - first.black_level):
-        raise InputFileError(f"{first.name} is clipped nearly everywhere; give frames without light as ‹dark›")
+        raise InputFileError(f"{first.name} is clipped almost everywhere; set ‹dark› to frames without light")
     variance = squares / (count - 1) / count if count > 1 else spread**2
     deviation = mean - level
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -328,26 +329,26 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Subtract the dark pattern from a frame. The mean dark signal becomes `RawFrame.dark`, and clipped pixels stay clipped.
+    """Subtract a dark frame from a frame. Its mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
 
     Raises InputFileError if the dark frame has another size, phase, orientation or exposure time.
     """
     if dark.offset.shape != frame.values.shape or (dark.phase, dark.orientation) != (frame.phase, frame.orientation):
         raise InputFileError(
-            f"{dark.name} of {_size(dark.offset.shape)} is not a dark frame for {frame.name} of "
-            f"{_size(frame.values.shape)}; give a dark frame with the same camera, size and phase"
+            f"{dark.name} ({_size(dark.offset.shape)} pixels) is not a dark frame for {frame.name} "
+            f"({_size(frame.values.shape)} pixels); use a dark frame with the same camera, size, phase and orientation"
         )
     if dark.exposure and frame.exposure and not math.isclose(dark.exposure, frame.exposure, rel_tol=0.02):
         raise InputFileError(
             f"{dark.name} was exposed for {dark.exposure:.4g} s, but {frame.name} for {frame.exposure:.4g} s; "
-            "give dark frames with the same exposure time"
+            "use dark frames with the same exposure time"
         )
     span = frame.white_level - frame.black_level
     mean = dark.level - frame.black_level
     if not mean < span:
         raise InputFileError(
-            f"the dark signal of {dark.name} reaches the white level {frame.white_level:g} of {frame.name}; give a dark "
-            "frame with the levels of the frame"
+            f"the dark signal of {dark.name} reaches the white level {frame.white_level:g} of {frame.name}; use a dark "
+            "frame with the black and white level of the frame"
         )
     clipped = frame.values >= frame.black_level + CLIPPED * span
     values = np.clip(frame.values.astype(np.int32) - dark.offset, 0, np.iinfo(np.uint16).max).astype(np.uint16)
@@ -355,53 +356,55 @@ def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
 
 
 def _spread(values: NDArray[np.float64]) -> float:
-    """Return a standard deviation of values that is robust against hot pixels."""
+    """Return the standard deviation of values, estimated so that hot pixels do not affect it."""
     return MAD * float(np.median(np.abs(values - np.median(values))))
 
 
 @dataclass(frozen=True)
 class CameraFile:
-    """The file of a camera model."""
+    """A file that contains a camera model."""
 
-    path: Path  # absolute, because workers open the file too
+    path: Path  # absolute, because workers may have another working directory
     digest: str  # SHA-256
 
 
 def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
-    """Read the corrections in the file of a camera model.
+    """Read the corrections from the file of a camera model.
 
-    Raises InputFileError if the file has none, or if the CFA of the camera differs from that of the table.
+    Raises InputFileError if the file contains none, or if the CFA of the camera differs from the CFA of the table.
     """
     camera = _camera_of(file)
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
         raise InputFileError(
-            f"{file.path.name} is a camera with the array {theirs}, but the table is for {ours}; give the table's camera"
+            f"{file.path.name} is a camera with the array {theirs}, but the table is for {ours}; use the camera of the table"
         )
     return correction_of(camera)
 
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """Read the corrections in a worker, once per run."""
+    """Read the corrections in a worker process. The result is cached for the frames of a run."""
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """Return the camera model in a file, which may be a table."""
+    """Return the camera model in a file, which may be a transform table."""
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:
         return load(CameraModel, file.path)
     camera = load(TransformTable, file.path).camera
     if camera is None:
-        raise InputFileError(f"{file.path} is a table that does not hold its camera; give a camera model")
+        raise InputFileError(f"{file.path} is a table that does not contain its camera model; use a camera model")
     return camera
 
 
 def hot_test(table: "TransformTable") -> HotTest:
-    """Return the test by the noise of the table's camera; RecipeError if the table does not hold it."""
+    """Return the test for hot pixels for the camera of a table. Raises RecipeError if the table contains no camera model."""
     if table.camera is None:
-        raise RecipeError("‹hot› needs the camera's noise, but the table does not hold its camera; train the table again")
+        raise RecipeError(
+            "‹hot› needs the noise model of the camera, which this table does not contain; train the table again"
+        )
     return HotTest.of(table.camera)

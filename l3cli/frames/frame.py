@@ -1,4 +1,4 @@
-"""A raw frame, which is a mosaic of digital numbers (DN) from a camera, and its conversion to the levels of a table."""
+"""A raw frame, which is a mosaic of digital numbers (DN) from a camera, and its conversion to other levels."""
 
 import functools
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from l3cli.frames.shading import Shading, colour_corrected
 
 @dataclass(frozen=True)
 class Shot:
-    """Settings of an exposure according to its file. They are empty or 0 if the file does not state them."""
+    """Settings of an exposure according to its file. A setting that the file does not state is "" or 0."""
 
     make: str = ""
     model: str = ""
@@ -28,11 +28,11 @@ class NoiseLeft:
     """The fraction of the temporal noise that remains after a temporal filter, for each cell of a frame."""
 
     shares: NDArray[np.uint16]  # (cell row, cell col) fraction of the camera's noise variance, in units of 1/whole
-    whole: int  # value of `shares` that means 1
+    whole: int  # value of `shares` that stands for a fraction of 1
     cell: tuple[int, int]  # rows and columns of a cell
 
     def below(self, limits: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the number of `limits` that the fraction does not exceed, for each pixel (row, col) of a frame."""
+        """Return, for each pixel (row, col) of a frame, the number of `limits` that the fraction does not exceed."""
         cells = np.sum([self.shares <= int(limit * self.whole) for limit in limits], axis=0, dtype=np.uint8)
         return cells.repeat(self.cell[1], 1)[:, : shape[1]].repeat(self.cell[0], 0)[: shape[0]]
 
@@ -45,28 +45,30 @@ class RawFrame:
     values: NDArray[np.uint16]  # (row, col) DN
     black_level: float  # DN
     white_level: float  # DN at which a pixel saturates
-    phase: tuple[int, int] = (0, 0)  # CFA row and column of pixel (0, 0)
+    phase: tuple[int, int] = (0, 0)  # CFA row and column of the first pixel
     orientation: int = 0  # orientation of the camera as a flip code of LibRaw (see `upright`)
     exposure: float | None = None  # exposure time in s; None if unknown
-    dark: float = 0.0  # DN above black; mean signal of the dark current
+    dark: float = 0.0  # DN; mean signal of the dark current above the black level
     dark_measured: bool = False  # whether `dark` comes from a dark frame rather than from the exposure time
-    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey at any scale, if the file states them
+    neutral: tuple[float, ...] | None = None  # (channel) signals of a grey object at any scale, if the file states them
     taken_by: tuple[str, ...] = ()  # make, model and other names of the camera, if the file states them
     shot: Shot = Shot()
-    shading: Shading | None = None  # lens shading that is not yet corrected in the values
-    gain: float = 1.0  # analog gain, relative to the camera's
-    baseline_exposure: float = 0.0  # EV; the file asks for pictures that are brighter by this amount
-    noise_share: float = 1.0  # fraction of the camera's noise variance, below 1 after a temporal filter
+    shading: Shading | None = None  # lens shading that has not been corrected in the values
+    gain: float = 1.0  # analog gain, relative to the gain of the camera model
+    baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
+    noise_share: float = 1.0  # fraction of the camera's noise variance; below 1 after a temporal filter
     noise_left: NoiseLeft | None = None  # the same fraction for each cell; None means 1 everywhere
-    notes: tuple[str, ...] = ()  # processing that the file asks for but l3 does not do
-    exchangeable: bool = False  # whether rows and columns may be exchanged, because the file states no size
-    misread: str = ""  # option with which the bytes would look like a picture, if the values look like noise
+    notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not do
+    exchangeable: bool = False  # whether the numbers of rows and columns may be swapped, because the file states no size
+    misread: str = ""  # if the values look like noise, the option with which the bytes would look like a picture
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:
             raise ValueError(f"{self.name}: a raw frame must be an array (row, column) of 16-bit values")
         if not self.black_level < self.white_level:
-            raise ValueError(f"{self.name}: black level {self.black_level:g} is not below white level {self.white_level:g}")
+            raise ValueError(
+                f"{self.name}: the black level {self.black_level:g} is not below the white level {self.white_level:g}"
+            )
         if not self.black_level + self.dark < self.white_level:
             raise ValueError(
                 f"{self.name}: the dark current of {self.dark:g} DN reaches the white level {self.white_level:g}"
@@ -80,11 +82,11 @@ class RawFrame:
     def at_levels(self, black_level: float, white_level: float, bits: int) -> "RawFrame":
         """Convert the frame to other black and white levels, and subtract the dark current.
 
-        DN are mapped linearly: black level plus dark current becomes `black_level`, and the white level becomes
-        `white_level`. The result is clamped to `bits`. Its full scale corresponds to `light_share` of the previous full
-        scale.
+        The conversion is linear. The black level plus the dark current becomes `black_level`, and the white level becomes
+        `white_level`. The result is clamped to `bits` bits. Full scale of the result corresponds to the fraction
+        `light_share` of the previous full scale.
 
-        The dark current is subtracted in whole DN, so that no level is lost. The remainder, which is less than half a DN, is
+        The dark current is subtracted in whole DN, so that no values merge. The remainder, which is less than half a DN, is
         added to the black level of the result.
         """
         levelled = self.rescaled(black_level, white_level, bits)
@@ -115,7 +117,7 @@ class RawFrame:
 
 @functools.lru_cache(maxsize=8)
 def _level_table(black_level: float, new_black_level: float, scale: float, top: int) -> NDArray[np.uint16] | None:
-    """Return a look-up table for 16-bit values, with results up to `top`. None if no value up to `top` changes."""
+    """Return a look-up table for 16-bit values, clamped to `top`, or None if the table would not change any value."""
     every = np.arange(1 << 16)
     table = np.clip(np.rint((every - black_level) * scale + new_black_level), 0, top).astype(np.uint16)
     return None if np.array_equal(table[: top + 1], every[: top + 1]) else table
@@ -124,22 +126,22 @@ def _level_table(black_level: float, new_black_level: float, scale: float, top: 
 def with_one_black_level(
     values: NDArray[np.uint16], black_level: NDArray[np.floating], white_level: NDArray[np.floating]
 ) -> tuple[NDArray[np.uint16], float, float]:
-    """Shift the values of pixels with different black levels to a common black level.
+    """Shift the values of pixels with different black levels to a single black level.
 
     Parameters
     ----------
     values : ndarray, (row, col)
         Values in DN.
     black_level, white_level : ndarray
-        Levels of each pixel in DN. They are broadcast to the shape of the values.
+        Levels of each pixel in DN, in a shape that can be broadcast to the shape of the values.
 
     Returns
     -------
     values : ndarray, (row, col)
         Shifted values.
     black_level, white_level : float
-        Common levels. The black level is the rounded mean. The white level is that of the pixel with the smallest range, so
-        that a saturated pixel never looks like a bright unsaturated one.
+        The common black level is the rounded mean. The common white level is the white level of the pixel with the smallest
+        range, so that a saturated pixel never looks like a bright pixel that is not saturated.
     """
     room = float((white_level - black_level).min())
     if np.ptp(black_level) == 0:
@@ -151,9 +153,9 @@ def with_one_black_level(
 
 
 def upright(pixels: NDArray, orientation: int) -> NDArray:
-    """Return pixels (row, col, …) in upright orientation, according to a flip code of LibRaw.
+    """Turn pixels (row, col, …) upright, according to a flip code of LibRaw.
 
-    Bit 1 of the code reverses the columns, bit 2 reverses the rows, and bit 4 then transposes. Code 3 is therefore a
+    Bit 1 of the code reverses the columns, bit 2 reverses the rows, and bit 4 transposes the result. Code 3 is therefore a
     rotation by 180°, code 5 by 90° to the left and code 6 by 90° to the right.
     """
     if orientation & 1:
@@ -166,9 +168,9 @@ def upright(pixels: NDArray, orientation: int) -> NDArray:
 def mirrored_indices(length: int, margin: int, period: int) -> NDArray[np.int32]:
     """Return the index of the source sample for each of `length` + 2 · `margin` padded samples.
 
-    Inside the frame, a sample is its own source. In the margin, the source is the sample with the same CFA phase that is
-    nearest to the mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the frame is shorter
-    than the period, the source is the nearest sample.
+    A sample within the frame is its own source. For a sample in the margin, the source is the sample of the same CFA phase
+    that is nearest to the mirror image, so that padding preserves the mosaic (docs/method.md#rendering). If the frame is
+    shorter than the period, the source is the nearest sample.
     """
     wanted = np.arange(-margin, length + margin)
     if length < period:

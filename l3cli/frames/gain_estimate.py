@@ -1,18 +1,17 @@
-"""Estimates the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
+"""Estimate the analog gain of a frame from the noise in uniform areas (docs/method.md#gains).
 
-1. Patches are aligned with the CFA, so that the distance between samples of a channel does not matter. The mean of every
-   channel is subtracted from each patch, and the rest is divided by the noise that the camera would have at an assumed
-   gain.
+1. Patches are aligned with the CFA, so that every patch samples the channels at the same positions. From each patch, the
+   mean of every channel is subtracted. The residual is divided by the noise that the camera would have at an assumed gain.
 2. The principal components of all patches are divided into a stronger half, which contains texture, and a weaker half, in
-   which natural pictures have almost none. This combines noise estimation by principal components (Pyatykh, Hesser and
+   which natural pictures have almost no texture. This combines noise estimation by principal components (Pyatykh, Hesser and
    Zheng, 2013) with patches of weak texture (Liu, Tanaka and Okutomi, 2013).
-3. Patches with the smallest strong components are uniform. Their noise is measured in the weak components. The noise in
-   the two halves is independent, so this selection causes no bias. The components are computed from one half of the frame
-   and applied to the other.
+3. Patches with the smallest strong components are uniform. Their noise is measured in the weak components. Because the noise
+   in the two halves is independent, this selection causes no bias. The components are computed from one half of the frame
+   and applied to the other half.
 4. The gain is the maximum-likelihood estimate for all uniform patches, dark and bright, under the noise model. Remaining
-   texture grows with the square of the signal, like photo-response nonuniformity, and is fitted as such (`excess`).
+   texture grows with the square of the signal, like photo-response nonuniformity, and is fitted as a parameter (`excess`).
 
-These steps are repeated with the new gain until it no longer changes.
+These steps are repeated with the new gain until the gain no longer changes.
 """
 
 from dataclasses import dataclass
@@ -24,41 +23,41 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import CameraModel
 from l3cli.frames.frame import RawFrame
 
-# Pixels; side of a patch, and smallest step between patches, which is a multiple of the CFA period
+# Side of a patch in pixels, and minimum distance between patches, which is rounded up to a multiple of the CFA period
 PATCH_SIDE_PIXELS, MIN_STEP = 8, 4
-MAX_PATCHES = 20_000  # largest number of patches taken from a frame
-ROUNDS, CLOSE = 10, 0.01  # largest number of rounds, and the relative change of the gain below which they end
+MAX_PATCHES = 20_000  # maximum number of patches in a frame
+ROUNDS, CLOSE = 10, 0.01  # maximum number of rounds, and relative change of the gain below which the rounds end
 STRIPE = 8  # width, in columns of patches, of the stripes that alternate between the two halves of the frame
-CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale at which a pixel clips; largest fraction of clipped pixels
-# Smallest distance of a signal from black and white, in standard deviations, so that its noise does not clip
+CLIPPED, MAX_CLIPPED = 0.99, 0.02  # fraction of full scale from which a pixel is clipped; maximum fraction of such pixels
+# Minimum distance of a signal from black and white, in standard deviations, so that noise is not clipped
 MIN_DEVIATIONS = 2.5
-SIGNAL_RANGES, MIN_PLAIN = 8, 32  # number of signal ranges, and smallest number of uniform patches in each
-# Criteria for uniform patches, tried in turn: fraction of a signal range that is taken, and its largest ratio of strong to
-# weak components.
+SIGNAL_RANGES, MIN_PLAIN = 8, 32  # number of signal ranges, and minimum number of uniform patches in each range
+# Criteria for uniform patches, tried in this order: fraction of the patches in a signal range that is selected, and maximum
+# ratio of their strong components to their weak components.
 PLAIN = ((0.05, 1.0), (0.01, 2.0))
-AGREE = 1.3  # largest ratio between measured and predicted variance of a signal range that agrees with the gain
+AGREE = 1.3  # maximum ratio of measured and predicted variance of a signal range that is consistent with the gain
 LOWEST, HIGHEST = 2.0**-8, 2.0**10  # range of the estimate
-USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and the largest multiple of it
-MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: largest number of steps, and the step below which it ends
-SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py), and largest in total
+USUAL_EXCESS, MAX_EXCESS = 0.01**2, 25.0  # expected relative variance of texture, and maximum multiple of this variance
+MAX_SCORING_STEPS, SMALL = 50, 1e-4  # Fisher scoring: maximum number of steps, and step size below which it ends
+SYSTEMATIC, MAX_ERROR = 0.04, 0.08  # relative errors: systematic (tests/studies/test_gain_study.py), and maximum in total
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class GainEstimate:
-    """An estimated analog gain, relative to the camera's."""
+    """An estimated analog gain, relative to the gain of the camera model."""
 
     gain: float
     error: float  # relative standard error
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The gains that are two standard errors below and above the estimate."""
+        """The gains two standard errors below and two standard errors above the estimate."""
         return self.gain * float(np.exp(-2 * self.error)), self.gain * float(np.exp(2 * self.error))
 
 
 def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
-    """Estimate the analog gain of a frame, relative to its camera's gain.
+    """Estimate the analog gain of a frame, relative to the gain of its camera model.
 
     Raises
     ------
@@ -80,29 +79,29 @@ def estimate_gain(frame: RawFrame, camera: CameraModel) -> GainEstimate:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Patches of a frame, in the camera's DN above black."""
+    """Patches of a frame, in DN above the black level on the scale of the camera model."""
 
     values: Array  # (patch, pixel)
     means: Array  # (patch, channel) mean of each channel
     half: NDArray[np.bool_]  # (patch) whether the patch belongs to the second half of the frame
     channel: NDArray[np.intp]  # (pixel) index into the channels of `means`
     sites: NDArray[np.uint8]  # (channel) channel of the camera
-    black: float  # DN; distance from the value 0, where frames are clipped, to the black level
+    black: float  # DN; black level of the frame, where values below black are clipped at 0
     span: float  # DN; difference between white and black level
 
     @property
     def member(self) -> NDArray[np.bool_]:
-        """Whether each pixel belongs to each channel, (pixel, channel)."""
+        """Mask (pixel, channel) that is True if the pixel belongs to the channel."""
         return np.asarray(self.channel[:, None] == np.arange(len(self.sites)))
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Patches":
-        """Return a selection of the patches."""
+        """Return the selected patches."""
         parts = self.values[which], self.means[which], self.half[which]
         return _Patches(*parts, self.channel, self.sites, self.black, self.span)
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return the patches of a frame that have few clipped pixels. Raises ValueError if the frame is too small."""
+    """Return the patches of a frame that contain few clipped pixels. Raises ValueError if the frame is too small."""
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
     if min(aligned.shape) < PATCH_SIDE_PIXELS:
@@ -135,29 +134,32 @@ class _Plain:
     sites: NDArray[np.uint8]  # (channel) channel of the camera
 
     def chosen(self, which: NDArray[np.bool_]) -> "_Plain":
-        """Return a selection of the patches."""
+        """Return the selected patches."""
         parts = self.level[which], self.measured[which], self.components, self.signal[which], self.weight[which]
         return _Plain(*parts, self.sites)
 
     def predicted(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the predicted variance (patch) at a gain, relative to the assumed variance."""
+        """Return the predicted variance of each patch at a gain, relative to the assumed variance."""
         return np.asarray((_variance(self.signal, self.sites, camera, gain, excess) * self.weight).sum(axis=1))
 
     def slopes(self, camera: CameraModel, gain: float, excess: float) -> Array:
-        """Return the derivatives (2, patch) of the log variance with respect to log gain and to excess."""
+        """Return the derivatives (2, patch) of the log variance with respect to the log gain and to the excess."""
         middle = self.predicted(camera, gain, excess)
         moved = self.predicted(camera, gain * np.exp(SMALL), excess), self.predicted(camera, gain, excess + SMALL)
         return np.stack([np.log(each / middle) / SMALL for each in moved])
 
 
 def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain: float, excess: float) -> Array:
-    """Return the variance (patch, channel), in DN², of noise plus texture. Texture is `excess` times the usual texture."""
+    """Return the variance in DN² of noise and texture, for each patch and channel.
+
+    The variance of texture is `excess` times the expected variance of texture.
+    """
     constant, linear, quadratic = camera.at_gain(gain).noise_terms(channel=sites)
     return np.asarray(constant + (linear + (quadratic + USUAL_EXCESS * excess) * signal) * signal)
 
 
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
-    """Select the uniform patches for an assumed gain. Raises ValueError if there are none."""
+    """Select the uniform patches for an assumed gain. Raises ValueError if no patch is uniform."""
     signal = np.maximum(patches.means, 0.0)
     room = MIN_DEVIATIONS * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
     clear = np.asarray(((patches.means - room > -patches.black) & (patches.means + room < patches.span)).all(axis=1))
@@ -184,7 +186,7 @@ def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -
 
 
 def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
-    """Return the mean squares of the weak and of the strong components (patch), and the number of weak components."""
+    """Return the mean squares of the weak and of the strong components of each patch, and the number of weak components."""
     pixels, channels = patches.member.shape
     every = np.linalg.qr(np.concatenate([patches.member, np.eye(pixels)], axis=1))[0]
     directions = every[:, channels:]  # orthogonal to the channel means
@@ -192,17 +194,17 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
     weak, strong = np.empty(len(whitened)), np.empty(len(whitened))
     for half in (False, True):
         measured, other = patches.half == half, whitened[patches.half != half]
-        components = directions @ np.linalg.eigh(directions.T @ (other.T @ other) @ directions)[1]  # the weakest first
+        components = directions @ np.linalg.eigh(directions.T @ (other.T @ other) @ directions)[1]  # in ascending order
         squares = (whitened[measured] @ components) ** 2
         weak[measured], strong[measured] = squares[:, :count].mean(axis=1), squares[:, count:].mean(axis=1)
     return weak, strong, count
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Keep only the patches of signal ranges that agree about the gain. Raises ValueError if too few ranges agree.
+    """Keep only the patches of signal ranges that are consistent with one gain. Raises ValueError if too few ranges are.
 
-    The gain is the lowest value on which a quarter of the ranges agree. The other ranges have texture in their weak
-    components, such as a grating with a period of two pixels.
+    The gain is the lowest value that is consistent with a quarter of the ranges. The weak components of the other ranges
+    contain texture, for example a grating with a period of two pixels.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]
@@ -216,10 +218,11 @@ def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
 
 
 def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float | None) -> tuple[float, float]:
-    """Return the maximum-likelihood gain and excess for the measured variances, by Fisher scoring from the given values.
+    """Return the maximum-likelihood gain and excess for the measured variances.
 
-    Measured variances are assumed to be gamma distributed about the predicted variances. The excess is assumed to be normal
-    with a standard deviation of 1. If `excess` is None, the excess is fixed at 0.
+    Fisher scoring starts from the given gain and excess. Measured variances are assumed to be gamma distributed about the
+    predicted variances. The excess is assumed to be normal with a standard deviation of 1. If `excess` is None, the excess
+    is fixed at 0.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(MAX_SCORING_STEPS):
@@ -242,5 +245,5 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
 
 
 def _information(slopes: Array, components: int) -> Array:
-    """Return the Fisher information (2, 2) of log gain and excess."""
+    """Return the Fisher information (2, 2) of the log gain and the excess."""
     return np.asarray(components / 2 * slopes @ slopes.T + np.diag([0.0, 1.0]))

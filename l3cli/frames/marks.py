@@ -1,13 +1,13 @@
-"""Conversion of stored values with what their file states about them: the mark of missing data, gain and offset."""
+"""Apply the metadata of stored values: the value that marks missing data, gains and offsets."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDING = 1e-5  # relative tolerance for marks written as text, such as -3.40282e+38
+ROUNDING = 1e-5  # relative tolerance for marks that are written as text, such as -3.40282e+38
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:
-    """Return a mask (row, col) of the pixels with missing data in any good band, or None if there are none.
+    """Return a mask (row, col) of the pixels with missing data in any good band, or None if no pixel has missing data.
 
     Parameters
     ----------
@@ -16,7 +16,7 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
     mark : float
         Stored value that marks missing data. It may be NaN.
     good : ndarray of bool, (band,), optional
-        Bands to examine. [default: all]
+        Mask of the bands to examine. [default: all bands]
     """
     found = np.zeros(values.shape[:2], bool)
     for band in range(values.shape[2]):
@@ -33,7 +33,7 @@ def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None)
 
 
 def scaled(values: NDArray, gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float) -> NDArray:
-    """Multiply values (row, col, band) by a gain and add an offset, per band. Return the same array if nothing changes."""
+    """Multiply values (row, col, band) by a gain and add an offset, per band. Returns `values` if nothing changes."""
     if np.all(gain == 1) and np.all(offset == 0):
         return values
     made = np.empty(values.shape, np.float32)

@@ -1,6 +1,6 @@
 """Lab measurements, which are the input of calibration. They come from a real lab or from the virtual lab.
 
-Frames are read one by one in each pass, so that the memory does not grow with their number.
+Frames are read one by one in each pass, so that memory does not grow with their number.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ PATCH_NAMES = (
     "blue", "green", "red", "yellow", "magenta", "cyan",
     "white 9.5", "neutral 8", "neutral 6.5", "neutral 5", "neutral 3.5", "black 2",
 )  # fmt: skip
-DIODE = {  # columns of a sweep → alternative names
+DIODE = {  # alternative name → name of a column in a sweep
     **dict.fromkeys(("diode", "photodiode", "photodiode light"), "diode light"),
     **dict.fromkeys(("dark", "photodiode dark"), "diode dark"),
 }
@@ -30,7 +30,7 @@ DIODE = {  # columns of a sweep → alternative names
 
 @dataclass(frozen=True)
 class Body:
-    """The properties of a camera that are known without measurement."""
+    """The properties of a camera that are known without a measurement."""
 
     name: str
     rows: int
@@ -44,12 +44,12 @@ class Body:
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
-        """Conversion gain (channel), relative to the camera's."""
+        """Conversion gain of each channel, relative to the gain of the camera."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
     def channel_exposures(self) -> NDArray[np.float64]:
-        """Exposure time (channel), relative to the frame's."""
+        """Exposure time of each channel, relative to the exposure time of the frame."""
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_exposure
 
     @property
@@ -59,7 +59,7 @@ class Body:
 
     @property
     def relative_illumination(self) -> NDArray[np.float64]:
-        """Illumination (row, col) for a uniform scene, relative to the optical axis (docs/method.md#optics)."""
+        """Illumination of each pixel (row, col) by a uniform scene, relative to the axis (docs/method.md#optics)."""
         return relative_illumination(self.optics.image_distance, self.pixel_pitch, (self.rows, self.cols))
 
 
@@ -67,14 +67,14 @@ class Body:
 class Capture:
     """Frames of one scene at one exposure: dark (lens cap on) or white (uniform light)."""
 
-    name: str  # name for messages: the first frame, as in the measurement file
+    name: str  # name in messages: the first frame in the measurement file
     exposure: float  # s
     frames: Iterable[NDArray[np.uint16]]  # each (row, col) in DN; can be iterated repeatedly
-    monitor: float = field(default=1.0, kw_only=True)  # output of the lamp, relative to its measured spectrum
+    monitor: float = field(default=1.0, kw_only=True)  # light of the lamp, relative to its light when it was measured
 
     @property
     def lit(self) -> float:
-        """Exposure time, in s, that would give the same exposure with the lamp as measured."""
+        """Exposure time in s that would give the same exposure if the lamp were as bright as when it was measured."""
         return self.exposure * self.monitor
 
 
@@ -82,12 +82,12 @@ class Capture:
 class MonoCapture(Capture):
     """A uniform field illuminated by one step of a monochromator.
 
-    The measured spectrum includes bandwidth and stray light.
+    The measured spectrum includes the bandwidth and the stray light of the monochromator.
     """
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     radiance: NDArray[np.float64]  # (wavelength) photons/s/sr/m²/nm
-    absolute: bool = field(default=True, kw_only=True)  # whether the scale of the radiance is known
+    absolute: bool = field(default=True, kw_only=True)  # whether the absolute scale of the radiance is known
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,12 @@ class ChartCapture(Capture):
 
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
-    """A ColorChecker behind a narrow-band filter, at one of several exposures. Its radiance may be relative."""
+    """A ColorChecker behind a narrow-band filter, at one of several exposures. The radiance may be relative."""
 
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Mean values of a monochromator sweep, with a photodiode beside the camera and dark readings at every step."""
+    """Mean values of a monochromator sweep. A photodiode next to the camera and dark values are read at every step."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     light: NDArray[np.float64]  # (channel, wavelength) DN
@@ -119,11 +119,11 @@ class SweepTable:
 
 @dataclass(frozen=True)
 class FinishedCurves:
-    """Responsivities that were measured elsewhere, relative and per photon."""
+    """Responsivities from another source, relative and per photon."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     responsivity: NDArray[np.float64]  # (channel, wavelength)
-    note: str | None = None  # lists the columns of the file that are not used
+    note: str | None = None  # message about columns of the file that are not used, if there are any
 
 
 @dataclass(frozen=True)
@@ -156,26 +156,26 @@ class Chart:
 class PhotoCapture:
     """Raw frames of a chart under one illuminant and at one exposure."""
 
-    name: str  # name for messages
+    name: str  # name in messages
     frames: tuple[RawFrame, ...]
     chart: Chart
-    light: str | None  # name of the illuminant; None if it must be estimated
+    light: str | None  # name of the illuminant; None if the illuminant must be estimated
     wavelength: NDArray[np.float64]  # (light_wavelength) nm
     radiance: NDArray[np.float64]  # (light_wavelength) relative photon radiance; not used if the illuminant is estimated
-    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if they must be found
-    darks: tuple[RawFrame, ...] = ()  # frames without light, at the same exposure
-    whites: tuple[RawFrame, ...] = ()  # frames of a uniform white in place of the chart, under the same illuminant
+    corners: NDArray[np.float64] | None  # (4, 2) as in ChartCapture; None if the chart must be found
+    darks: tuple[RawFrame, ...] = ()  # frames without light, with the same exposure
+    whites: tuple[RawFrame, ...] = ()  # frames of a uniform white target in place of the chart, under the same illuminant
 
     def __post_init__(self) -> None:
         first, *others = (*self.frames, *self.darks, *self.whites)
         for frame in others:
             if frame.values.shape != first.values.shape or frame.phase != first.phase:
-                raise ValueError(f"{frame.name} has another size or phase than {first.name}; give frames of one camera")
+                raise ValueError(f"{frame.name} and {first.name} differ in size or phase; use frames of one camera")
 
 
 @dataclass(frozen=True)
 class SensorFigures:
-    """Sensor data of a camera model, measured or from a data sheet."""
+    """Sensor data of a camera model, from a measurement or from a data sheet."""
 
     gain: float  # DN/e-
     black_level: float  # DN
@@ -185,7 +185,7 @@ class SensorFigures:
 
 @dataclass(frozen=True)
 class GainCaptures:
-    """Dark and white frames at another analog gain."""
+    """Dark and white frames at a higher ISO speed."""
 
     iso: float
     darks: tuple[Capture, ...]
@@ -196,9 +196,9 @@ class GainCaptures:
 class Measurements:
     """All measurements of one camera, and the uncertainty of the light sources.
 
-    The responsivity comes from one of `mono`, `bands`, `curve` and `photos`. The sensor data come from `darks` and `whites`
-    if there are any, otherwise from `datasheet`, and without a data sheet from the photos. If there is a `base`, only
-    defects and flat field are measured, and everything else is taken from the base.
+    The responsivity is determined from one of `mono`, `bands`, `curve` and `photos`. The sensor data are determined from
+    `darks` and `whites` if there are any, otherwise from `datasheet` or, without a data sheet, from the photos. If there is
+    a `base`, only defects and flat field are measured, and all other data come from the base.
     """
 
     body: Body
@@ -211,10 +211,10 @@ class Measurements:
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
     photos: tuple[PhotoCapture, ...] = ()
-    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # prior knowledge of curves, for photos
+    cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, for photos
     datasheet: SensorFigures | None = None
     base: CameraModel | None = None  # a known camera, for which only defects and flat field are measured
-    lamp_drift: float = 0.0  # relative standard deviation of a lamp's output since its spectrum was measured
+    lamp_drift: float = 0.0  # relative standard deviation of a lamp's light since its spectrum was measured
     wavelength_uncertainty: float = 0.0  # nm; standard deviation of the spectrometer's wavelength scale
 
 
@@ -223,7 +223,7 @@ class StatedMatrix:
     """A matrix that converts the XYZ of a surface under an illuminant to camera signals."""
 
     light: str  # name of the illuminant
-    assumed: bool  # whether the illuminant is assumed, because the file does not name it
+    assumed: bool  # whether the illuminant is an assumption, because the file does not state it
     rows: dict[int, NDArray[np.float64]]  # colour code → row (3) of the matrix
 
     def of(self, codes: Sequence[int | None]) -> NDArray[np.float64]:
@@ -233,11 +233,11 @@ class StatedMatrix:
 
 @dataclass(frozen=True)
 class Stated:
-    """Properties of a camera as stated in a raw file. They are None or "" if the file does not state them."""
+    """Properties of a camera according to a raw file. A property that the file does not state is None or ""."""
 
     camera: str  # make and model
     matrices: tuple[StatedMatrix, ...]
-    noise: tuple[float, float] | None  # slope and intercept of variance against signal, relative to full scale above black
+    noise: tuple[float, float] | None  # slope and intercept of the variance, on a scale from 0 (black) to 1 (white)
     iso: float | None
     pitch_um: float | None
     focal_length_mm: float | None
@@ -246,21 +246,21 @@ class Stated:
 
 @dataclass(frozen=True)
 class CaptureFolder:
-    """The files of a folder, with paths relative to it."""
+    """The files in a folder. Their paths are relative to the folder."""
 
     folder: Path
     frames: tuple[str, ...]
     tables: tuple[str, ...]
-    notes: tuple[str, ...]  # one line for each kind of file that is ignored
+    notes: tuple[str, ...]  # one line for each type of file that is left out
 
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw frame with the properties that its file states."""
+    """A raw frame, with the properties that its file states."""
 
     values: NDArray[np.uint16]  # (row, col) DN as stored, without any processing
     seconds: float | None
     pattern: NDArray[np.int64] | None  # colour codes of the CFA
     black_level: float | None  # DN
     white_level: float | None  # DN
-    count: int = 1  # number of frames in the file; this is the first
+    count: int = 1  # number of frames in the file, of which this is the first

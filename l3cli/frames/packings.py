@@ -1,7 +1,7 @@
 """Packings of headerless frames: how the bits of the pixels are arranged in the bytes of a file.
 
 Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
-Option help, error messages and the table in docs/raw-files.md are all generated from `PACKINGS`.
+The option help, error messages and the table in docs/raw-files.md are generated from `PACKINGS`.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
 FAMILIES = {
     "words": "one pixel per byte, or one pixel in the lower bits of each 16-bit word",
     "mipi": (
-        "MIPI CSI-2: the upper bytes of a group of pixels, then one byte with the lower bits of all of them; the last "
-        "group of a row is always complete"
+        "MIPI CSI-2: the upper bytes of a group of pixels, then one byte with the lower bits of all pixels in the group; "
+        "the last group of a row is always complete"
     ),
     "p": "PFNC: a stream of bits, lower bits first",
     "pmsb": "PFNC: a stream of bits, upper bits first",
@@ -22,7 +22,7 @@ FAMILIES = {
 
 
 class Piece(NamedTuple):
-    """Adjacent bits of a pixel that are stored in one byte of its group."""
+    """Adjacent bits of a pixel that are stored in one byte of a group."""
 
     byte: int
     shift: int  # position of the piece's lowest bit in the byte
@@ -32,14 +32,14 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class Packing:
-    """Layout of pixels in groups of bytes."""
+    """The layout of pixels in groups of bytes."""
 
     name: str
     family: str  # one of FAMILIES
     bits: int  # bits per pixel
     group_bytes: int
-    pieces: tuple[tuple[Piece, ...], ...]  # for each pixel of a group, the pieces of which it consists
-    pattern: str = ""  # colours of a 2×2 CFA, starting at the first pixel, such as "rggb"; "" if not stated
+    pieces: tuple[tuple[Piece, ...], ...]  # for each pixel of a group, the pieces from which it is assembled
+    pattern: str = ""  # colours of a 2×2 CFA from the first pixel on, such as "rggb"; "" if the packing states none
 
     @property
     def group_pixels(self) -> int:
@@ -48,18 +48,18 @@ class Packing:
 
     @property
     def is_words(self) -> bool:
-        """Whether each pixel is a 16-bit word, for which the caller may specify the byte order."""
+        """Whether each pixel is a 16-bit word, for which the user may set the byte order."""
         return self.family == "words" and self.group_bytes == 2
 
     def bytes_of(self, pixels: int) -> int:
-        """Return the number of bytes for a number of consecutive pixels."""
+        """Return the number of bytes that a number of consecutive pixels occupies."""
         if self.family == "mipi":
             return -(-pixels // self.group_pixels) * self.group_bytes
         return -(-pixels * self.group_bytes * 8 // (8 * self.group_pixels))
 
 
 def _stream(bits: int, lower_first: bool) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
-    """Return the number of bytes and the pieces of the smallest group of pixels in a bit stream that fills whole bytes."""
+    """Return the bytes and the pieces of the smallest group of pixels that fills whole bytes of a bit stream."""
     pixels = next(count for count in (1, 2, 4, 8) if count * bits % 8 == 0)
     groups = []
     for first in range(0, pixels * bits, bits):
@@ -118,6 +118,6 @@ BYTE_ORDERS = ("little", "big")
 
 
 def packing_named(name: str) -> Packing | None:
-    """Return the packing with the given name, or None. Case does not matter. "12p" is short for Mono12p."""
+    """Return the packing with the given name, or None. Letter case is ignored, and "12p" is short for "Mono12p"."""
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)

@@ -1,8 +1,8 @@
-"""Checks the statements of a raw file about CFA phase, CFA and black level against its pixels.
+"""Check whether the CFA, its phase and the black level that a raw file states agree with its pixels.
 
-In a smooth block, all sites of one channel have nearly the same value. If they do not, the stated CFA phase is probably
-wrong. Some phases only exchange channels with equal patterns, such as r and b of a Bayer CFA, which this test cannot detect.
-These are detected from the signals of a grey, which many files state, because the mean over a photo is roughly grey.
+In a smooth block, all sites of one channel have nearly the same value. If they do not, the stated phase is probably wrong.
+Some wrong phases only swap channels with equal patterns, such as r and b of a Bayer CFA. This test cannot detect them. They
+are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
 """
 
 import itertools
@@ -15,42 +15,43 @@ from numpy.typing import NDArray
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
-# Differences of sites are relative to the signal.
-BLOCK_SIDE, MAX_BLOCKS = 8, 32  # largest number of super-pixels along a block, and of blocks along a frame
+# Differences between sites are relative to the signal.
+BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum number of super-pixels along a block, and of blocks along a frame
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
-SITES_DIFFER = 0.02  # difference that indicates a wrong phase; at the right phase it is up to 0.007, otherwise from 0.045 on
-FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey; coloured scenes reach 0.67
-BETTER = 0.4  # another phase is accepted if its difference, relative to that of the stated phase, is below this value
-ALIKE = 1.5  # phases fit about equally well up to this ratio of their differences
+SITES_DIFFER = 0.02  # difference that indicates a wrong phase; correct phases reach 0.007, and wrong phases at least 0.045
+FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey object; coloured scenes reach 0.67
+BETTER = 0.4  # another phase is accepted if its difference is below this fraction of the difference at the stated phase
+ALIKE = 1.5  # maximum ratio of the differences of two phases that fit about equally well
 BLACK_PERCENTILE = 0.1  # percentile of a channel's values that is close to black in most pictures
 MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real cameras, as fractions of the white level
-ROUGH, SMOOTHER = 0.01, 3.0  # roughness of a misread frame: least fraction of full scale; least ratio to the right reading
-MAX_BANDS = 32  # largest number of bands, each two super-pixels high, in which roughness is measured
+# roughness of a misread frame: minimum fraction of full scale, and minimum ratio to the roughness of the correct reading
+ROUGH, SMOOTHER = 0.01, 3.0
+MAX_BANDS = 32  # maximum number of bands, each two super-pixels high, in which roughness is measured
 ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
-TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; largest number of tiles along a frame
-# Mean difference of sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
+TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles along a frame
+# Mean difference between sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
 ARRAYS_DIFFER = 0.05
-MOST_SITES_DIFFER = 0.03  # 30 % of the sites differ more if the CFA is another one; otherwise only autofocus pixels do
-STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction
-SLANTED = 0.03  # the same for a factor per slanted line
+MOST_SITES_DIFFER = 0.03  # with another CFA, 30 % of the sites differ by more; otherwise only autofocus pixels do
+STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction of them
+SLANTED = 0.03  # the same criterion for a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # steps of rows and columns across slanted lines
-TWO_GAINS = 2.0  # smallest ratio of the gains in sensors whose pairs of rows alternate between two gains
-CONTROL = 3.0  # a difference is evidence if it exceeds that of a period that no CFA has by this ratio
-FITS = 0.01  # a CFA fits if the sites of each channel differ by less
+TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
+CONTROL = 3.0  # a difference is evidence if it exceeds this multiple of the difference at a period that no CFA has
+FITS = 0.01  # a CFA fits if the sites of each channel differ by less than this
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
-BELOW = 0.5  # fraction of the black level; with a correct black level, even dark pixels with noise are brighter
-MIN_REPORTED_FRACTION = 0.05  # fraction of the pixels below which nothing is reported
+BELOW = 0.5  # fraction of the black level; if the black level is correct, even noisy dark pixels are brighter
+MIN_REPORTED_FRACTION = 0.05  # minimum fraction of the pixels that is reported
 Phase = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class PhaseDoubt:
-    """Evidence that the CFA phase stated in a file is wrong."""
+    """Evidence that the CFA phase that a file states is wrong."""
 
     stated: float  # difference between sites of one channel at the stated phase, as a fraction of the signal
     least: float  # the same difference at the best phase
     phases: tuple[Phase, ...]  # phases that fit about as well as the best, starting with the most likely
-    by_grey: bool = False  # whether the only evidence is the signals of a grey
+    by_grey: bool = False  # whether the signals of a grey object are the only evidence
 
 
 def phase_doubt(
@@ -65,7 +66,7 @@ def phase_doubt(
     cfa : ndarray, (cfa_row, cfa_col)
         Channel of each site.
     neutral : sequence of float, (channel,), optional
-        Signals of a grey. Without them, only sites of the same channel are compared.
+        Signals of a grey object. If they are missing, only sites of the same channel are compared.
     """
     blocks = block_means(frame, cfa.shape)
     if not blocks.size or not blocks.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
@@ -75,7 +76,7 @@ def phase_doubt(
         arrays.setdefault(shifted_cfa(cfa, phase).tobytes(), phase)
     phases = {phase: shifted_cfa(cfa, phase) for phase in arrays.values()}
     grey = {phase: _far_from_grey(blocks, array, neutral) for phase, array in phases.items()}
-    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks show more colour, the whole frame has less noise
+    for scale in (blocks, blocks.mean(axis=0, keepdims=True)):  # blocks differ more in colour; the frame mean is less noisy
         sites = {phase: _sites_differ(scale, array) for phase, array in phases.items()}
         stated, least = sites[frame.phase], min(sites.values())
         if stated >= SITES_DIFFER and least <= BETTER * stated:
@@ -90,15 +91,15 @@ def phase_doubt(
 
 @dataclass(frozen=True)
 class ArrayDoubt:
-    """Evidence that a mosaic has another CFA than stated."""
+    """Evidence that a mosaic has another CFA than the file states."""
 
-    differ: float  # difference between sites of the same stated colour, as a fraction of the signal
-    means: NDArray[np.float64]  # (row, col) DN; mean signals modulo PERIOD
+    differ: float  # difference between sites of the same stated channel, as a fraction of the signal
+    means: NDArray[np.float64]  # (row, col) DN; mean signal at each position modulo COMMON_PERIOD
 
     def likely(self, arrays: Mapping[str, NDArray[np.uint8]]) -> list[str]:
-        """Return the names of the CFAs (row, col) that fit the pixels best at any phase, starting with the fewest channels.
+        """Return the names of the CFAs (row, col) that fit the pixels best at any phase, with the fewest channels first.
 
-        Large CFAs with a different channel at every site fit any pixels and are left out.
+        Large CFAs with a different channel at every site would fit any pixels, so they are not considered.
         """
         judged = {name: cfa for name, cfa in arrays.items() if len(set(cfa.flat)) < cfa.size or cfa.size <= 4}
         misfits = {
@@ -118,13 +119,13 @@ class ArrayDoubt:
 def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     """Return evidence that a frame has another CFA than `cfa` (row, col), or None.
 
-    If the CFA is right, sites at the same position in the super-pixel have the same mean over a frame. Sites of the same
-    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three kinds of difference are not evidence of
+    If the CFA is correct, sites at the same position in the super-pixel have the same mean over a frame. Sites of the same
+    channel also have the same mean, unless the phase is wrong (`phase_doubt`). Three kinds of difference are no evidence of
     another CFA:
 
-    1. single pixels, such as autofocus pixels,
-    2. differences that are equally large modulo a period that no sensor has,
-    3. stripes of the scene along rows, columns or slanted lines, which change all channels by the same factor.
+    1. differences at single pixels, such as autofocus pixels
+    2. differences that are equally large modulo a period that no sensor has
+    3. stripes in the scene along rows, columns or slanted lines, which change all channels by the same factor
     """
     tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
@@ -163,9 +164,9 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
-    """Return whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
+    """Whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
 
-    Pairs of rows that alternate between two factors do not count as stripes, because they occur in sensors with two gains.
+    Pairs of rows that alternate between two factors are not stripes, because they occur in sensors with two gains.
     """
     rows, cols = period
     blocks = means.reshape(means.shape[0] // rows, rows, means.shape[1] // cols, cols)
@@ -180,9 +181,9 @@ def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
 
 
 def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:
-    """Return whether a factor for each slanted line turns the mean super-pixel `sites` into `means`.
+    """Whether `means` is the mean super-pixel `sites` times a factor for each slanted line.
 
-    The limit is strict, because arrays with a channel on their diagonals, such as RGBW, come close.
+    The limit is strict, because CFAs with one channel along their diagonals, such as RGBW, almost fulfil this condition.
     """
     usual = np.maximum(tiled(sites[0, :, 0], means.shape), MIN_SIGNAL)
     row, col = np.indices(means.shape)
@@ -192,7 +193,7 @@ def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: 
 
 
 def _has_two_gains(factors: NDArray[np.float64]) -> bool:
-    """Return whether the factors of rows alternate, in pairs, between two gains."""
+    """Whether the factors of rows alternate, in pairs, between two gains."""
     pairs = [np.roll(factors, shift).reshape(-1, 2) for shift in (0, 1)]
     return any(
         np.ptp(each, axis=1).max() <= FITS
@@ -205,8 +206,8 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:
     """Return how much sites with the same entry of `array` differ from their median, as a fraction of the signal.
 
-    The first number is the difference that 30 % of the sites exceed. The second is the mean difference. Both are for the
-    entry whose sites differ most.
+    The first number is the difference that 30 % of the sites exceed. The second number is the mean difference. Both are for
+    the entry whose sites differ most.
     """
     entries = tiled(array, means.shape)
     off = [
@@ -219,7 +220,7 @@ def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tupl
 
 
 def _median(values: NDArray[np.float64]) -> float:
-    """Return the median without np.median, which imports numpy.ma in a twentieth of the time of rendering a picture."""
+    """Return the median. np.median would import numpy.ma, which takes a twentieth of the time to render a picture."""
     in_order = np.sort(values)
     return float(in_order[(values.size - 1) // 2] + in_order[values.size // 2]) / 2
 
@@ -227,7 +228,7 @@ def _median(values: NDArray[np.float64]) -> float:
 def block_means(frame: RawFrame, period: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the mean signal (block, row, col) of each site of the super-pixel in evenly spaced blocks.
 
-    Signals are in DN above black and dark current. The first site is the site of the frame's first pixel.
+    Signals are in DN above black and dark current. The first site is the CFA site of the first pixel.
     """
     rows, cols = period
     side = int(np.clip(min(frame.values.shape[0] // rows, frame.values.shape[1] // cols) // BLOCK_SIDE, 1, BLOCK_SIDE))
@@ -252,7 +253,7 @@ def _sites_differ(blocks: NDArray[np.float64], array: NDArray[np.uint8]) -> floa
 
 
 def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Return whether two CFAs group the sites into channels in the same way, regardless of the channels' names."""
+    """Whether two CFAs group the sites into channels in the same way, whatever the names of the channels."""
     pairs = set(zip(one.flat, other.flat, strict=True))
     return len(pairs) == len(set(one.flat))
 
@@ -260,9 +261,9 @@ def _same_sites(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
 def _far_from_grey(
     blocks: NDArray[np.float64], array: NDArray[np.uint8], neutral: Sequence[float] | NDArray[np.floating] | None
 ) -> float:
-    """Return the distance of a frame's mean from a grey, or 0 if no grey is stated.
+    """Return how far the mean of a frame is from grey, or 0 if the file does not state the signals of a grey object.
 
-    It is the range of ln(signal / grey) over the channels.
+    The result is the range of ln(signal / signal of grey) over the channels.
     """
     if neutral is None or min(neutral) <= 0:
         return 0.0
@@ -271,7 +272,10 @@ def _far_from_grey(
 
 
 def share_below_black(frame: RawFrame) -> float:
-    """Return the fraction of pixels that lie farther below the black level than noise explains, or 0 if there are few."""
+    """Return the fraction of pixels below BELOW times the black level, or 0 if it is too small to report.
+
+    Noise does not explain such dark pixels.
+    """
     if frame.black_level < SMALLEST_BLACK:
         return 0.0
     share = float((frame.values < BELOW * frame.black_level).mean())
@@ -281,9 +285,9 @@ def share_below_black(frame: RawFrame) -> float:
 def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     """Return the probable black level, in DN, of a frame that states a black level of 0, or None if 0 is plausible.
 
-    If 0 is wrong, the darkest values of all channels lie at about the same level, far above 0. Relative to this level, they
-    differ less between channels than the medians do. If the dark values were caused by light, they would differ in
-    proportion to the transmittances of the colour filters.
+    If 0 is wrong, the darkest values of all channels are at about the same level, far above 0. In relative terms, they
+    differ less between the channels than the medians. Dark values caused by light would differ in proportion to the
+    transmittances of the colour filters.
     """
     if frame.black_level > 0:
         return None
@@ -296,43 +300,43 @@ def black_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> float | None:
     return float(darkest.mean()) if ratios[0] <= BETTER * ratios[1] else None
 
 
-# ------------------------------------------------------------------------------------- bytes read in a wrong way
+# --------------------------------------------------------------------------- bytes interpreted with a wrong layout
 
 
 def smoother_reading(readings: Iterable[tuple[str, NDArray[np.uint16], int]], cfa: NDArray[np.uint8]) -> str:
-    """Find a way to read the bytes of a frame whose result is far smoother than that of the present way.
+    """Find an interpretation of the bytes of a frame that is far smoother than the interpretation in use.
 
-    If low bits are read as high bits, neighbours of the same channel differ by a large fraction of full scale. A wrong
-    reading can only add such differences, even in uniform, dark and noisy frames.
+    If low bits are mistaken for high bits, neighbouring pixels of the same channel differ by a large fraction of full scale.
+    A wrong interpretation can only add such differences, even to uniform, dark and noisy frames.
 
     Parameters
     ----------
     readings : iterable of (str, ndarray of uint16 (row, col), int)
-        Name, pixels and bits of each way to read the same bytes. The first is the way in use. The others are tried only if
-        its result is rough.
+        Option, pixels and bits of each interpretation of the same bytes. The first is in use. The others are tried only if
+        the first is rough.
     cfa : ndarray of uint8, (row, col)
-        CFA as seen from the first pixel.
+        CFA whose first site is the site of the first pixel.
 
     Returns
     -------
     str
-        Name of the smoother reading, or "" if there is none.
+        Option that selects the smoother interpretation, or "" if there is none.
     """
     each = iter(readings)
     _, values, bits = next(each)
     rough = roughness(values, bits, cfa)
     if rough < ROUGH:
         return ""
-    # If one byte is zero in all 16-bit words, exchanged bytes always look smoother, which is not evidence.
+    # If one byte of every 16-bit word is zero, swapped bytes always look smoother, so they are no evidence.
     found = [(roughness(other, bits, cfa), name) for name, other, bits in each if bits < 16 or other.max() >= 256]
     least, name = min(found, default=(rough, ""))
     return name if least * SMOOTHER < rough else ""
 
 
 def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> float:
-    """Return the mean difference between nearest pixels of the same channel, as a fraction of full scale.
+    """Return the mean difference between the nearest pixels of the same channel, as a fraction of full scale.
 
-    It is 0 if the frame is smaller than two super-pixels.
+    The result is 0 if the frame is smaller than two super-pixels.
     """
     rows, cols = cfa.shape
     bands = len(values) // rows - 1
@@ -351,7 +355,7 @@ def roughness(values: NDArray[np.uint16], bits: int, cfa: NDArray[np.uint8]) -> 
 
 
 def _nearest_of_channel(cfa: NDArray[np.uint8], row: int, col: int) -> Phase:
-    """Return the offset (down, right) from a site to the nearest other site of its channel that does not lie above it."""
+    """Return the offset (down, right) from a site to the nearest site of the same channel in the same or a lower row."""
     rows, cols = cfa.shape
     steps = [
         (down, right)

@@ -1,8 +1,8 @@
 """Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
 
-The mean loss over the channels is corrected by a gain on the outputs, which is possible because transforms are linear. The
-classes are still decided from the original values, whose noise agrees with the noise model at their level. Only the
-deviation of each channel from the mean is corrected in the values themselves, which changes their noise only slightly.
+The loss averaged over the channels is corrected by a gain on the outputs, which is possible because transforms are linear.
+Classes are still determined from the uncorrected values, whose noise agrees with the noise model. Only the deviation of each
+channel from the average is corrected in the values themselves, which changes their noise only slightly.
 """
 
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # not imported at run time, which saves 80 ms in the start of the decoder process
+if TYPE_CHECKING:  # not imported at run time, which saves 80 ms when the decoding process starts
     from l3cli.artifacts.camera import FlatField
 
-CLIPPED = 0.985  # fraction of full scale; brighter pixels are not corrected, because they are clipped
-NODE_SPACING_COLUMNS = 16  # columns between the nodes of the gain
+CLIPPED = 0.985  # fraction of full scale; brighter pixels are clipped, so they are not corrected
+NODE_SPACING_COLUMNS = 16  # distance between the nodes of the gain, in columns
 FRACTION = 15  # number of fractional bits of colour shading
-MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differences between channels are ignored
+MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differences between channels are not corrected
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
     """The correction of lens shading for the frames of a sensor."""
 
-    gain: NDArray[np.float32]  # (row, node) gain on the outputs at every STEP-th column, interpolated linearly
+    gain: NDArray[np.float32]  # (row, node) gain on the outputs at every node; interpolated linearly between nodes
     colour: NDArray[np.int16] | None  # (row, col) gain on the values minus 1, in units of 2^-FRACTION; None means 0
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
-        """Return the gain (row, col) on the outputs."""
+        """Return the gain on the outputs of each pixel (row, col)."""
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -42,7 +42,7 @@ class Shading:
     ) -> "Shading":
         """Return the shading correction for patches instead of a frame.
 
-        It consists of the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch. The
+        It contains the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch. The
         centres are all combinations of `rows` and `cols`.
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
@@ -50,7 +50,7 @@ class Shading:
 
 
 def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8]) -> Shading:
-    """Return the shading correction from a flat field, for frames of a shape (rows, cols) and phase (0, 0)."""
+    """Return the shading correction for a flat field. Frames have the shape (rows, cols) and the phase (0, 0)."""
     rows, cols = shape
     mean = field.shading_gain.mean(axis=0)
     down = interpolation(field.grid_row, np.arange(rows))
@@ -66,7 +66,7 @@ def shading_of(field: "FlatField", shape: tuple[int, int], cfa: NDArray[np.uint8
 
 
 def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shading:
-    """Return the shading correction from gains (row, col) of single pixels, for a CFA with a `period` (rows, cols)."""
+    """Return the shading correction for a gain per pixel (row, col) and a CFA with a period (rows, cols)."""
     (rows, cols), (down, across) = gain.shape, period
     first = np.clip(np.arange(0, cols + NODE_SPACING_COLUMNS, NODE_SPACING_COLUMNS) - across // 2, 0, max(cols - across, 0))
     columns = np.minimum(first[:, None] + np.arange(across), cols - 1)
@@ -80,7 +80,7 @@ def shading_of_gain(gain: NDArray[np.floating], period: tuple[int, ...]) -> Shad
 
 
 def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[Any]:
-    """Return the weights (place, line) of linear interpolation, with linear extrapolation beyond the outermost lines."""
+    """Return the weights (place, line) of linear interpolation. Beyond the outermost lines, values are extrapolated."""
     above = np.clip(np.searchsorted(lines, places, side="right"), 1, lines.size - 1)
     part = (places - lines[above - 1]) / (lines[above] - lines[above - 1])
     weights = np.zeros((places.size, lines.size))
@@ -90,17 +90,17 @@ def interpolation(lines: NDArray[np.floating], places: NDArray[Any]) -> NDArray[
 
 
 def clipped_from(black_level: float, white_level: float) -> int:
-    """Return the lowest DN that counts as clipped."""
+    """Return the lowest DN at which a pixel counts as clipped."""
     return int(np.ceil(black_level + CLIPPED * (white_level - black_level)))
 
 
 def colour_corrected(
     values: NDArray[np.uint16], colour: NDArray[np.int16], black_level: float, white_level: float
 ) -> NDArray[np.uint16]:
-    """Correct colour shading: apply `colour` as a gain about the black level to values of any shape.
+    """Correct colour shading by applying `colour` as a gain about the black level. Values may have any shape.
 
-    The results equal those of opencl/common/shading.cl, bit for bit. Clipped pixels are unchanged, and no other pixel
-    becomes clipped.
+    The results are equal to the results of opencl/common/shading.cl, bit for bit. Clipped pixels are unchanged, and no other
+    pixel becomes clipped.
     """
     black, clipped = round(black_level), clipped_from(black_level, white_level)
     wide = values.astype(np.int32)

@@ -237,19 +237,19 @@ def list_captures(folder: Path) -> CaptureFolder:
             )
         suffix, name = path.suffix.lower(), path.relative_to(folder).as_posix()
         if re.search("[\ud800-\udfff]", name):  # a measurement file cannot contain names that are not UTF-8
-            notes[f"{suffix} left out, because the file names are not UTF-8 text"] += 1
+            notes[f"{suffix}: the file names are not UTF-8 text; left out"] += 1
             continue
         kind = BY_SUFFIX.get(suffix)
         if suffix in SUFFIXES:
             tables.append(name)
         elif suffix in DEVELOPED:
-            notes[f"{suffix} left out, because developed pictures contain no raw values"] += 1
+            notes[f"{suffix}: developed pictures contain no raw values; left out"] += 1
         elif kind is None:
             continue
         elif kind.wants_geometry:
-            notes[f"{suffix} left out, because headerless files do not state their size and packing; save them as TIFF"] += 1
+            notes[f"{suffix}: left out, because headerless files do not state their size and packing; save them as TIFF"] += 1
         elif not kind.holds_frame:
-            notes[f"{suffix} left out, because they are sequences or data files instead of single frames"] += 1
+            notes[f"{suffix}: sequences and data files are not single frames; left out"] += 1
         else:
             frames.append(name)
     return CaptureFolder(
@@ -301,7 +301,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
             if Path(name).suffix.lower() in PROSE and not _has_numbers(folder.folder / name):
                 continue
             reason = str(error).removeprefix(f"{folder.folder / name}: ").removeprefix(f"{folder.folder / name} ")
-            notes.append(f"{name} left out, because it is not a table of spectra ({reason})")
+            notes.append(f"{name} is not a table of spectra ({reason}); left out")
     return found
 
 

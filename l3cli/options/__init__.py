@@ -1,1 +1,1 @@
-"""Options of each command, as frozen dataclasses: the source of the command line, the Python API and keys of runs."""
+"""Options of each command, as frozen dataclasses from which the command line and the Python functions are derived."""

@@ -49,19 +49,19 @@ class CalibrateOptions(ForceOptions, JobsOptions):
     )
     truth: OnePath = option(
         None,
-        "Virtual labs only: the camera that was measured, to compare the model with.",
+        "Virtual labs only: camera that was measured. l3 compares the model with it.",
         Recipe("cameras"),
         metavar="CAMERA",
         bytes=False,
     )
     accept: bool = option(
-        False, "Write the model even if it fails its checks, for example because it predicts the charts badly."
+        False, "Write the model even if it fails its checks, for example because its predictions of the charts are poor."
     )
 
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate, including those for drafting a measurement file."""
+    """Options of l3 calibrate, including the options for drafting a measurement file."""
 
     draft: OnePath = option(
         None, "Do not calibrate: write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
@@ -89,13 +89,13 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
     )
     skip_bad: bool = option(
         False,
-        "Skip scene files that have no readable header or do not fit the sensor. The exit code is 1 if any were skipped.",
+        "Skip scene files that have no readable header or do not fit the sensor. The exit code is 1 if a file is skipped.",
         bytes=False,
     )
 
 
 class Shares(Reader):
-    """Proportions such as 1,0.7,0.4, not all of which are zero."""
+    """Proportions such as 1,0.7,0.4. At least one of them must be above zero."""
 
     number = Number(0, 1e6)
 
@@ -105,7 +105,7 @@ class Shares(Reader):
         except ValueError as error:
             raise ValueError(f"{error}, in a list such as 1,0.7,0.4") from None
         if not any(shares):
-            raise ValueError(f"{shortened(str(given))}: at least one proportion must be above zero")
+            raise ValueError(f"{shortened(str(given))} contains no proportion above zero; set at least one")
         return shares
 
     def _share(self, given: Any) -> Fraction:
@@ -122,67 +122,69 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
 
     classes: OnePath = option(
         None,
-        "Class recipe, or the name of one that comes with l3, such as best [default: default].",
+        "Class recipe, or the name of an included recipe, such as best [default: default].",
         Recipe("classes"),
         metavar="TOML",
     )
     shares: Given[Sequence[float | Fraction] | str | None, tuple[Fraction, ...] | None] = option(
         None,
-        "Several training sets only: proportions of the patches from each set [default: in proportion to its frames].",
+        "Several training sets only: proportion of the patches from each set [default: proportional to its frames].",
         Shares(),
         metavar="A,B…",
     )
     draft: bool = option(
         False,
-        "Train in seconds, to try out a CFA: one layer and a ninth of the samples. 0.7 to 1.4 ΔE00 worse than default.",
+        "Train in seconds, to try a CFA: one layer and a ninth of the samples. Pictures are 0.7 to 1.4 ΔE00 worse than with "
+        "the recipe default.",
     )
 
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train, including those for training in shards."""
+    """Options of l3 train, including the options for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None, "Compute only the partial sums of shard I of N (from 1), for ‹merge›.", Shard(), metavar="I/N", bytes=False
     )
     first: OnePath = option(None, "Shards only: table of the previous pass.", metavar="FIRST.h5")
-    merge: bool = option(False, "Make the table of a pass from the partial sums of all its shards.", bytes=False)
+    merge: bool = option(
+        False, "Combine the partial sums of all shards of a pass, and write the table of the pass.", bytes=False
+    )
 
 
 @options
 class EvaluateOptions(ForceOptions, BackendOptions):
-    """Options of evaluating a table."""
+    """Options for evaluating a table."""
 
     viewing: float = option(
         50.0, "Pixels per degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
     )
     border: int | None = option(
         None,
-        "Pixels ignored at each edge of a frame [default: those whose neighbourhood extends beyond the frame].",
+        "Pixels to ignore at each edge of a frame [default: pixels whose neighbourhood extends beyond the frame].",
         Number(0, 1000, "pixels", whole=True),
         metavar="0…1000",
     )
     pictures: OnePath = option(
         None,
-        "Also write PNGs of every frame to this folder: the picture by the table, the ideal one, the basic "
-        "one, and an error map "
-        "(black: ΔE00 0, white: 10).",
+        "Also write PNG files for every frame to this folder: the rendered, the ideal and the basic picture, and an error "
+        "map (black: ΔE00 0, white: 10).",
         Output(),
         metavar="DIR",
     )
     rivals: Paths = option(
         (),
-        "sRGB pictures of the same frames by another pipeline, in order: a folder, pattern or glob. May be repeated.",
+        "sRGB pictures of the same frames from another pipeline, in order: a folder, pattern or glob. May be repeated.",
         flag="rival",
         metavar="PICTURES",
         several=True,
     )
-    force: bool = option(False, "Write pictures even if their folder is not empty.", bytes=False, shared=True)
+    force: bool = option(False, "Write pictures even if the folder is not empty.", bytes=False, shared=True)
 
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate, including those for evaluating a sequence."""
+    """Options of l3 evaluate, including the options for evaluating a sequence."""
 
     sequence: OnePath = option(
         None,
@@ -190,14 +192,16 @@ class SequenceOptions(EvaluateOptions):
         metavar="PICTURES",
     )
     ideal: OnePath = option(
-        None, 'Sequences only: the ideal pictures, such as the folder of "l3 simulate --pictures".', metavar="PICTURES"
+        None,
+        'Sequences only: ideal pictures, such as the folder that "l3 simulate --pictures" wrote.',
+        metavar="PICTURES",
     )
 
 
 class Brightness(Reader):
-    """An illuminance or luminance with its unit, stored as the luminance of a perfect white in cd/m².
+    """An illuminance or luminance with its unit. It is stored as the luminance of a perfect white in cd/m².
 
-    A Python number is a luminance in cd/m².
+    A number without a unit, which is possible only in Python, is a luminance in cd/m².
     """
 
     number = Number(1e-9, 1e9)
@@ -207,7 +211,7 @@ class Brightness(Reader):
         text = given.strip() if isinstance(given, str) else f"{given} cd/m2"
         unit = next((unit for unit in self.units if text.endswith(unit)), None)
         if unit is None:
-            raise ValueError(f'"{shortened(text)}" has no unit; give it in lux or cd/m2, such as "5 lux"')
+            raise ValueError(f'"{shortened(text)}" has no unit; add lux or cd/m2, as in "5 lux"')
         return float(self.number.read(text.removesuffix(unit).strip())) * self.units[unit]
 
 
@@ -217,7 +221,7 @@ class ReportOptions(ForceOptions, BackendOptions):
 
     at: Given[str | float | None, float | None] = option(
         None,
-        'Show only frames at this illuminance, or luminance of a perfect white, such as "5 lux" or "20 cd/m2".',
+        'Show only frames at this illuminance or at this luminance of a perfect white, such as "5 lux" or "20 cd/m2".',
         Brightness(),
         metavar="LIGHT",
     )
@@ -240,7 +244,7 @@ class CompareOptions(ForceOptions):
 class InfoOptions(Options):
     """Options of l3 info."""
 
-    verify: bool = option(False, "Verify every byte of FILE, and that it was made from the given INPUTs.")
+    verify: bool = option(False, "Verify every byte of FILE, and that FILE was made from the given INPUTs.")
     version: bool = option(
         False, "Without FILE: show the versions of l3, Python and its libraries, the OpenCL devices and the decoder."
     )
@@ -248,7 +252,7 @@ class InfoOptions(Options):
 
 @options
 class ExportOptions(ForceOptions):
-    """Options of l3 export. All except `force` are for transform tables."""
+    """Options of l3 export. All options except `force` apply only to transform tables."""
 
     form: Literal["c", "folder"] | None = option(
         None, "Tables only: write C99 source (c), or arrays with a JSON description (folder) [default: c].", flag="to"
@@ -258,12 +262,12 @@ class ExportOptions(ForceOptions):
     )
     white: str | None = option(
         None,
-        "C source only: scene white that becomes neutral, for which the transforms of several illuminants are blended "
-        "[default: the table's].",
+        "C source only: scene white that becomes neutral; the transforms of several illuminants are interpolated for it "
+        "[default: the white of the table].",
         metavar="LIGHT|X,Y|R,G,B",
     )
     gain: float | None = option(
-        None, "Tables only: analog gain of the transforms, as a multiple of the camera's [default: 1].",
+        None, "Tables only: analog gain of the transforms, as a multiple of the gain of the camera [default: 1].",
         Number(1 / 1024, 1024, "times"),
         metavar="TIMES",
     )  # fmt: skip
@@ -277,7 +281,7 @@ class ExportOptions(ForceOptions):
 class BenchOptions(DeviceOptions):
     """Options of l3 bench."""
 
-    list: bool = option(False, "List the OpenCL devices, or say why there are none, and measure nothing.")
+    list: bool = option(False, "List the OpenCL devices, or say why there are none, without measuring anything.")
 
 
 @options
@@ -285,7 +289,7 @@ class CheckOptions(ForceOptions):
     """Options of l3 check."""
 
     plot: OnePath = option(
-        None, "Cameras only: also plot filter array, curves and noise to this file (.html).", Output(), metavar="FILE"
+        None, "Cameras only: also plot the filter array, curves and noise to this file (.html).", Output(), metavar="FILE"
     )
 
 
@@ -294,13 +298,13 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
     """Options of l3 lab."""
 
     recipe: OnePath = option(
-        None, "Lab recipe, or the name of one that comes with l3 [default: default].", Recipe("lab"), metavar="LAB.toml"
+        None, "Lab recipe, or the name of an included recipe [default: default].", Recipe("lab"), metavar="LAB.toml"
     )
 
 
 @options
 class PartsOptions(ForceOptions, JobsOptions):
-    """Option to continue an earlier run."""
+    """Option for continuing an earlier run."""
 
     resume: bool = option(
         False, "Continue an interrupted run with the finished parts in OUTPUT.parts.", bytes=False, shared=True
@@ -320,14 +324,13 @@ class DesignOptions(PartsOptions, SeedOptions):
 
     truth: int | None = option(
         None,
-        "Train this many of the best arrays and a Bayer array, and evaluate them on the same unseen scenes. "
-        "Takes minutes per "
-        "array.",
+        "Train this many of the best arrays and a Bayer array, and evaluate them on the same unseen scenes. This takes "
+        "minutes per array.",
         Number(1, 100, "arrays", whole=True),
         metavar="1…100",
     )
 
-    moments: OnePath = option(None, 'Moments of scenes, from "l3 design moments".', metavar="SCENES.h5")
+    moments: OnePath = option(None, 'Moments of scenes, which "l3 design moments" wrote.', metavar="SCENES.h5")
 
 
 @options
@@ -336,35 +339,37 @@ class InitOptions(ForceOptions):
 
     photos: Paths = option(
         (),
-        "Derive the camera from a raw file (DNG, CR2, NEF…), a folder of raw files, a design (.h5) or a "
-        "camera recipe (.toml). "
-        "May be repeated.",
+        "Derive the camera from a raw file (DNG, CR2, NEF…), a folder of raw files, a design (.h5) or a camera recipe "
+        "(.toml). May be repeated.",
         flag="from",
         metavar="RAW",
         several=True,
     )
-    named: bool = option(False, "List the cameras known by name; RECIPE is then a word to search for.", flag="list")
+    named: bool = option(False, "List the included cameras. RECIPE is then a word to search for.", flag="list")
     light: str | None = option(
         None,
-        'Raw files only: illuminant of a ColorChecker in them, such as "D65" or "3200K" [default: estimated].',
+        'Raw files only: illuminant of the ColorChecker in them, such as "D65" or "3200K" [default: estimated].',
         metavar="LIGHT",
     )
     phase: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Raw files only: row and column, from 0, of their first pixel in the array that they state. 0,0 confirms the stated "
-        "position.",
+        "Raw files only: row and column, from 0, of the first pixel within the array that the file states. 0,0 confirms the "
+        "stated position.",
         SITE,
         metavar="ROW,COL",
     )
-    black_level: float | None = option(None, "Raw files only: black level, if they state a wrong one.", LEVEL, metavar="DN")
+    black_level: float | None = option(
+        None, "Raw files only: black level, if the file states a wrong one.", LEVEL, metavar="DN"
+    )
     pattern: str | None = option(
         None,
-        'Raw files only: filter array, if they state a wrong one: rows from the first pixel, "gg rr/gg rr/bb '
-        'gg/bb gg", or the '
-        "name of a recipe.",
+        'Raw files only: filter array, if the file states a wrong one: rows from the first pixel on, such as "gg rr/gg rr/'
+        'bb gg/bb gg", or the name of a recipe.',
         metavar="ROWS|RECIPE",
     )
-    white_level: float | None = option(None, "Raw files only: white level, if they state a wrong one.", LEVEL, metavar="DN")
+    white_level: float | None = option(
+        None, "Raw files only: white level, if the file states a wrong one.", LEVEL, metavar="DN"
+    )
     opcodes: Literal["leave"] | None = option(
-        None, "DNG files only: ignore required opcodes that l3 does not apply, such as a lens warp."
+        None, "DNG files only: ignore required opcodes that l3 does not support, such as a lens warp."
     )

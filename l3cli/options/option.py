@@ -1,8 +1,8 @@
 """Declaration of options, and the options that several commands share.
 
-An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. The option of the
-command line (cli/options.py), the keyword of the Python call (api/stages.py) and its part in the key of a run are derived
-from the declaration. Every command imports this module first, so it must not import anything slow.
+An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. The command-line
+option (cli/options.py), the keyword of the Python function (api/stages.py) and the contribution of the option to the key of
+a run are derived from this declaration. Every command imports this module first, so it must not import slow modules.
 """
 
 import hashlib
@@ -30,26 +30,26 @@ T = TypeVar("T")
 class Given(Generic[TypeGiven, TypeHeld]):
     """Annotation of a field that accepts one type and stores another, such as Given[Name | None, Path | None]."""
 
-    if TYPE_CHECKING:  # only type checkers see these; at run time a field is a plain attribute
+    if TYPE_CHECKING:  # only type checkers see these methods; at run time a field is a plain attribute
 
         def __get__(self, options: object, owner: object) -> TypeHeld: ...
         def __set__(self, options: object, value: TypeGiven) -> None: ...
 
 
 class Reader:
-    """Reads the value of an option, from the command line or from Python."""
+    """Converts the value of an option, from the command line or from Python, to the type that is stored."""
 
     def read(self, given: Any) -> Any:
-        """Return the value to store. Raise ValueError, with how to fix it, if it is invalid."""
+        """Return the value to store. Raises ValueError, with advice, if `given` is invalid."""
         raise NotImplementedError
 
     def written(self, held: Any) -> Any:
-        """Return a stored value in a form that JSON can hold."""
+        """Convert a stored value to a JSON type."""
         return str(held) if isinstance(held, Fraction | Path | range) else held
 
 
 class Flag(Reader):
-    """On or off."""
+    """A flag, on or off."""
 
     def read(self, given: Any) -> bool:
         return bool(given)
@@ -60,12 +60,12 @@ class Text(Reader):
 
     def read(self, given: Any) -> str:
         if not isinstance(given, str):
-            raise ValueError(f"{shortened(repr(given))} is not text")
+            raise ValueError(f"{shortened(repr(given))} is not text; pass a string")
         return given
 
 
 class File(Reader):
-    """Path of an input. It is checked when it is opened, where message and exit code can be specific."""
+    """Path of an input file. It is checked when l3 opens the file, because the message is then more specific."""
 
     def read(self, given: Any) -> Path:
         return Path(given)
@@ -77,7 +77,7 @@ class Output(File):
 
 @dataclass(frozen=True)
 class Recipe(File):
-    """A recipe file, or the name of a recipe in the folder `kind` of configs/."""
+    """A recipe file, or the name of an included recipe in the folder `kind` of configs/."""
 
     kind: str
 
@@ -88,7 +88,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several values."""
+    """One of several permitted values."""
 
     def __init__(self, *values: Any) -> None:
         self.values = values
@@ -101,7 +101,7 @@ class Choice(Reader):
 
 
 class Number(Reader):
-    """A number with a unit, within a range that includes its ends."""
+    """A number with a unit, within a range that includes both limits."""
 
     def __init__(self, least: float, most: float, unit: str = "", whole: bool = False) -> None:
         self._quantity = Quantity(least, most, unit, whole)
@@ -118,13 +118,13 @@ class Declaration:
     help: str
     reader: Reader
     metavar: str | None = None
-    flag: str | None = None  # name on the command line, if it differs from the field's
+    flag: str | None = None  # name on the command line, if it differs from the name of the field
     several: bool = False  # whether the option may be repeated
     bytes: bool = True  # whether the bytes of outputs depend on the option
-    shared: bool = False  # whether other commands have it, too: help lists it after the command's own options
+    shared: bool = False  # whether other commands have the option too; --help lists shared options last
 
     def held(self, given: Any) -> Any:
-        """Return the value to store for a given one. None stands for the default."""
+        """Return the value to store. If `given` is None, the result is the default."""
         given = self.default if given is None else given
         if given is None:
             return None
@@ -136,13 +136,13 @@ class Declaration:
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
     """Return a dataclass field that declares an option.
 
-    Without a reader, the type of the field decides. `about` holds the other attributes of Declaration.
+    If `reader` is None, the type of the field determines the reader. `about` are the other attributes of Declaration.
     """
     return field(default=default, metadata={"option": (help, reader, about)})
 
 
 def declarations(cls: "type[Options]") -> dict[str, Declaration]:
-    """Return the declarations of a class by name: its own options first, then shared ones."""
+    """Return the declarations of a class by name, with shared options last."""
     declared = {}
     for each in fields(cls):
         if "option" in each.metadata:
@@ -157,16 +157,16 @@ def _reader_of(type: Any) -> Reader:
         return _reader_of(get_args(type)[1])
     if get_origin(type) is Literal:
         return Choice(*get_args(type))
-    if given := [each for each in get_args(type) if each not in (NoneType, Ellipsis)]:  # one or none, or a tuple
+    if given := [each for each in get_args(type) if each not in (NoneType, Ellipsis)]:  # an optional value or a tuple
         return _reader_of(given[0])
     return {bool: Flag, str: Text, Path: File}[type]()
 
 
 @dataclass_transform(kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Class decorator: make options a frozen dataclass.
+    """Class decorator that turns options into a frozen dataclass.
 
-    Type checkers are not told that it is frozen, because mypy then loses the stored type of inherited fields.
+    Type checkers do not see that the class is frozen, because mypy would then lose the stored types of inherited fields.
     """
     return dataclass(frozen=True, kw_only=True)(cls)
 
@@ -177,9 +177,9 @@ _SILENT = Silent()
 
 @options
 class Options:
-    """Base class of the options of a command. Creating it raises RecipeError if a value is invalid."""
+    """Base class of the options of a command. The constructor raises RecipeError if a value is invalid."""
 
-    console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line by --quiet, --log and --json
+    console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line, set by --quiet, --log and --json
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "console", self.console or _SILENT)
@@ -190,16 +190,16 @@ class Options:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
     def chosen(self) -> dict[str, Any]:
-        """Return the options on which outputs depend, by name and ready for JSON, except those that are None or off.
+        """Return the options that affect outputs, by name and as JSON types. Options that are None or off are left out.
 
-        Input files are not included, because a run is identified by their bytes instead.
+        Input files are also left out, because `run_key` identifies them by their bytes.
         """
         declared = declarations(type(self)).items()
         held = {name: (each, getattr(self, name)) for name, each in declared if each.bytes and not _is_file(each)}
         return {name: each.reader.written(value) for name, (each, value) in held.items() if _is_chosen(value)}
 
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
-        """Return the input files among the options, by name. Without `all`, only those that outputs depend on."""
+        """Return the input files among the options, by name. If `all` is False, only files that affect outputs."""
         read = {
             name: getattr(self, name)
             for name, each in declarations(type(self)).items()
@@ -208,14 +208,14 @@ class Options:
         return {name: held if isinstance(held, tuple) else (held,) for name, held in read.items() if held}
 
     def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
-        """Return a digest that identifies a run: it depends on everything that the bytes of its outputs depend on.
+        """Return a digest of everything that affects the bytes of the outputs of a run.
 
         Parameters
         ----------
         *facts
-            Facts about the inputs, ready for JSON.
+            Facts about the inputs, as JSON types.
         files : callable, optional
-            Returns the files that a path among the options stands for. [default: the files of a sequence of frames]
+            Returns the files to which the path in an option refers. [default: the files of a sequence of frames]
         """
         from l3cli.io.sequences import frame_files
 
@@ -254,8 +254,8 @@ class Pair(Reader):
             if has_separator:
                 return self._number.read(first), self._number.read(second)
         except ValueError as error:
-            raise ValueError(f'"{shortened(text)}" is not {self._shape}: {error}') from None
-        raise ValueError(f'"{shortened(text)}" is not {self._shape}')
+            raise ValueError(f'"{shortened(text)}" does not have the form {self._shape}: {error}') from None
+        raise ValueError(f'"{shortened(text)}" does not have the form {self._shape}')
 
 
 LEVEL = Number(0, 65535, "DN")
@@ -263,7 +263,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """I/N: one of N shards of a run."""
+    """I/N, which is shard I of the N shards of a run."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -272,13 +272,13 @@ class Shard(Pair):
         index, count = super().read(given)
         if not 1 <= index <= count:
             most = max(count, 1)
-            raise ValueError(f"{index}/{count}: shards count from 1/{most} to {most}/{most}")
+            raise ValueError(f"{index}/{count} does not exist; use a shard from 1/{most} to {most}/{most}")
         return index, count
 
 
 @options
 class BackendOptions(Options):
-    """Option for the renderer."""
+    """Option that selects the renderer."""
 
     backend: Literal["opencl", "reference"] = option(
         "opencl", "Render with OpenCL, or with numpy in float64 (slow).", shared=True
@@ -291,7 +291,7 @@ class DeviceOptions(Options):
 
     device: str | None = option(
         None,
-        'OpenCL device: part of its name, or its number in "l3 bench" [default: L3_DEVICE].',
+        'OpenCL device: part of its name, or its number in the list of "l3 bench" [default: L3_DEVICE].',
         metavar="NAME|INDEX",
         shared=True,
     )
@@ -302,7 +302,7 @@ class DeviceOptions(Options):
 
 @options
 class SeedOptions(Options):
-    """Option for the random numbers."""
+    """Option for the seed of the random numbers."""
 
     seed: int = option(0, "Seed of the random numbers.", Number(0, LARGEST_WHOLE, whole=True), metavar="N", shared=True)
 
@@ -316,23 +316,23 @@ class SchedulerOptions(Options):
     )
     tls_ca: OnePath = option(
         None,
-        "tls:// only: certificate of the authority that signed the scheduler's.",
+        "tls:// only: certificate of the authority that signed the certificate of the scheduler.",
         metavar="PEM",
         bytes=False,
         shared=True,
     )
     tls_cert: OnePath = option(
-        None, "tls:// only: certificate to present to the scheduler.", metavar="PEM", bytes=False, shared=True
+        None, "tls:// only: certificate of this machine, for the scheduler.", metavar="PEM", bytes=False, shared=True
     )
     tls_key: OnePath = option(None, "tls:// only: private key of ‹tls_cert›.", metavar="PEM", bytes=False, shared=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is None and (self.tls_ca or self.tls_cert or self.tls_key):
-            raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; give its address")
+            raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set it to the address of the scheduler")
 
     def cluster(self) -> "Scheduler | None":
-        """Return the scheduler, or None if no address is given. Errors are those of Scheduler."""
+        """Return the scheduler, or None if no address is set. Raises the same errors as Scheduler."""
         if self.scheduler is None:
             return None
         from l3cli.parallel.cluster import Scheduler
@@ -354,11 +354,11 @@ class WorkerOptions(JobsOptions, SchedulerOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scheduler is not None and self.jobs > 1:
-            raise RecipeError("‹jobs› is for processes on this machine; leave it out with ‹scheduler›")
+            raise RecipeError("‹jobs› is the number of processes on this machine; remove ‹jobs› if you use ‹scheduler›")
 
 
 @options
 class ForceOptions(Options):
-    """Option to replace outputs."""
+    """Option that permits replacing outputs."""
 
     force: bool = option(False, "Replace the output if it exists.", bytes=False, shared=True)

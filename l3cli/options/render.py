@@ -33,15 +33,15 @@ GAIN = Number(1 / 1024, 1024, "times")
 
 
 class Exposure(NamedTuple):
-    """How bright pictures are made."""
+    """The exposure of rendered pictures."""
 
-    factor: float | None  # multiplies Y; None: automatic
-    stops: float = 0.0  # EV by which pictures are brighter than the automatic exposure
-    stated: bool = False  # whether the factor multiplies the exposure that each file states (BaselineExposure)
+    factor: float | None  # factor of Y; None for automatic exposure
+    stops: float = 0.0  # EV by which pictures are brighter than with the automatic exposure
+    stated: bool = False  # whether `factor` multiplies the exposure that each file states (BaselineExposure)
 
 
 class ExposureReader(Reader):
-    """A factor of Y, "auto", EV relative to auto ("+1EV"), or "camera" for the exposure that each file states."""
+    """A factor of Y, "auto", EV relative to "auto" (such as "+1EV"), or "camera" for the exposure that each file states."""
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
 
@@ -60,33 +60,31 @@ class ExposureReader(Reader):
         except ValueError as error:
             raise ValueError(f"{error}, auto, camera, or EV relative to auto such as -1EV") from None
         if text.startswith("+"):  # a factor has no sign, so EV may be meant
-            raise ValueError(f"{text} is ambiguous; give {text[1:]} (factor of Y) or {text}EV (brighter than auto)")
+            raise ValueError(f"{text} is ambiguous; write {text[1:]} (factor of Y) or {text}EV (brighter than auto)")
         return Exposure(factor)
 
 
 class FrameRange(Reader):
-    """Frame numbers as FROM-TO[xSTEP]."""
+    """A range of frame numbers, FROM-TO[xSTEP]."""
 
-    number, step = (
-        Number(0, 10**18 - 1, whole=True),
-        Number(1, 10**18 - 1, "frames", whole=True),
-    )  # numbers may be timestamps in µs
+    # Frame numbers may be timestamps in µs.
+    number, step = Number(0, 10**18 - 1, whole=True), Number(1, 10**18 - 1, "frames", whole=True)
 
     def read(self, given: Any) -> range:
         if isinstance(given, range):
             return given
         match = re.fullmatch(r"(\d+)(?:-(\d+))?(?:x(\d+))?", str(given), re.ASCII)
         if not match:
-            raise ValueError(f'"{shortened(str(given))}" is not FROM-TO[xSTEP], such as 1-500 or 1-500x2')
+            raise ValueError(f'"{shortened(str(given))}" does not have the form FROM-TO[xSTEP], such as 1-500 or 1-500x2')
         first, last = self.number.read(match[1]), self.number.read(match[2] or match[1])
         step = self.step.read(match[3] or "1")
         if last < first:
-            raise ValueError(f"{given} is an empty range; give the lower number first")
+            raise ValueError(f"{given} is an empty range; write the lower number first")
         return range(first, last + 1, step)
 
 
 class Rate(Reader):
-    """Frame rate in frames/s, a number or a fraction, rounded to one that videos can store."""
+    """Frame rate in frames/s, as a number or a fraction. It is rounded to a rate that videos can store."""
 
     number, part = Number(0.001, 1000, "frames/s"), Number(1, 10**12, whole=True)
 
@@ -102,7 +100,7 @@ class Rate(Reader):
 
 
 class PackingName(Reader):
-    """Name of a packing, in upper or lower case."""
+    """Name of a packing. Letter case is ignored."""
 
     def read(self, given: Any) -> str:
         packing = packing_named(str(given))
@@ -120,18 +118,20 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
 
     format: str = option(
         "png",
-        "Folders only: suffix of the pictures. With a video suffix, each INPUT becomes one video.",
+        "Folders only: suffix of the pictures. With the suffix of a video, each INPUT becomes one video.",
         metavar="SUFFIX",
     )
     frames: Given[range | str | None, range | None] = option(
         None, "Sequences only: numbers of the frames to render [default: all].", FrameRange(), metavar="FROM-TO[xSTEP]"
     )
     dataset: str | None = option(
-        None, "HDF5 files only: name of the data set with the frames [default: the only stack].", metavar="NAME"
+        None,
+        "HDF5 and MATLAB files only: name of the dataset with the frames [default: the only dataset with frames].",
+        metavar="NAME",
     )
     fps: Given[Fraction | float | str | None, Fraction | None] = option(
         None,
-        "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: the input's, otherwise 30].",
+        "Sequences only: frame rate in frames/s, such as 25 or 30000/1001 [default: as the input states, otherwise 30].",
         Rate(),
         metavar="RATE",
     )
@@ -140,7 +140,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     crf: float | None = option(
         None,
-        "h264 and h265 only: constant rate factor; lower is better quality [default: the encoder's].",
+        "h264 and h265 only: constant rate factor; lower values mean better quality [default: as the encoder sets it].",
         Number(0, 51),
         metavar="0…51",
     )
@@ -149,52 +149,50 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     exposure: Given[Exposure | float | str | None, Exposure] = option(
         "auto",
-        "VALUE multiplies Y, and 1 is display white. auto: show the 99th percentile of Y as white. +1EV: twice "
-        "as bright as auto. "
-        "camera: the exposure that the file states.",
+        "VALUE: multiply Y by this number, where 1 is display white. auto: show the 99th percentile of Y as white. "
+        "+1EV: twice as bright as auto. camera: the exposure that the file states.",
         ExposureReader(),
         metavar="auto|camera|VALUE|±NEV",
     )
     deflicker: bool = option(
         False,
-        "Sequences only: remove the flicker of lamps on 50 or 60 Hz mains. The frame rate (‹fps›) must be the camera's.",
+        "Sequences only: remove the flicker of lamps on 50 or 60 Hz mains. ‹fps› must be the frame rate of the camera.",
     )
     tone: Literal["aces"] | None = option(
         None,
         "Tone curve. aces: Narkowicz's fit (2016) of the ACES film curve, which shows up to 2.9 EV above "
-        "white [default: linear, "
-        "clipped at white].",
+        "white [default: linear, clipped at white].",
     )
     white: str | None = option(
         None,
-        "Scene white, to become neutral: an illuminant, a chromaticity, one multiplier per channel, the table's, the file's "
-        "(camera), estimated (auto), from a ColorChecker (chart), or a grey area of the picture [default: the file's if it "
-        "is a camera's raw file and states one, otherwise the table's].",
+        "White of the scene, which becomes neutral: an illuminant, a chromaticity, one multiplier per channel, the white of "
+        "the table or of the file (camera), an estimate (auto), the white of a ColorChecker (chart), or a grey area of the "
+        "picture [default: camera if the file is a camera raw that states a white, otherwise table].",
         metavar="NAME|x,y|R,G,B|table|camera|auto|chart|ROW,COL[,SIZE]",
     )
     space: Literal["srgb", "display-p3", "rec2020", "acescg", "xyz"] | None = option(
-        None, "Colour space [default: srgb; for .exr and 32 bits the table's outputs, unchanged]."
+        None, "Colour space [default: srgb; for .exr files and 32 bits, the outputs of the table, unchanged]."
     )
     remosaic: Literal["bayer"] | None = option(
         None, "DNG output only: write a Bayer mosaic [default: three channels at every pixel]."
     )
     bits: Literal[8, 16, 32] = option(8, "Bits per value of a picture. 32: linear floating point (.tif).")
     black_level: float | None = option(
-        None, "Black level of the inputs [default: the file's, otherwise the table's].", LEVEL, metavar="DN"
+        None, "Black level of the inputs [default: as the file states, otherwise as in the table].", LEVEL, metavar="DN"
     )
     white_level: float | None = option(
-        None, "White level of the inputs [default: the file's, otherwise the table's].", LEVEL, metavar="DN"
+        None, "White level of the inputs [default: as the file states, otherwise as in the table].", LEVEL, metavar="DN"
     )
     exposure_time: float | None = option(
         None,
-        "Exposure time of the inputs, for subtracting dark current [default: the file's, otherwise that of training].",
+        "Exposure time of the inputs, to subtract the dark current [default: as the file states, otherwise as in training].",
         Number(0, 1e5, "s"),
         metavar="SECONDS",
     )
     gain: float | None = option(
         None,
-        "Analog gain of the inputs, as a multiple of the gain of the table's camera [default: from the file's ISO speed, "
-        "otherwise estimated].",
+        "Analog gain of the inputs, as a multiple of the gain of the table's camera [default: from the ISO speed in the "
+        "file, otherwise estimated].",
         GAIN,
         metavar="TIMES",
     )
@@ -205,13 +203,13 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     dark: Given[Name | Sequence[Name], tuple[Path, ...]] = option(
         (),
-        "Dark frames (files or a sequence) of the same exposure time, whose mean is subtracted. May be repeated.",
+        "Dark frames (files or a sequence) with the same exposure time. Their mean is subtracted. May be repeated.",
         metavar="FRAME",
         several=True,
     )
     camera: OnePath = option(
         None,
-        "Camera model, or table that contains one: its defective pixels and flat field are corrected.",
+        "Camera model, or table that contains one. l3 corrects its defective pixels and its shading.",
         metavar="CAMERA.h5",
     )
     hot: Literal["auto", "off"] = option(
@@ -224,18 +222,18 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         metavar="ROW,COL",
     )
     opcodes: Literal["leave"] | None = option(
-        None, "DNG files only: ignore required opcodes that l3 does not apply, such as a lens warp."
+        None, "DNG files only: ignore required opcodes that l3 does not support, such as a lens warp."
     )
     size: Given[PAIR | str | None, PAIR | None] = option(
         None,
-        "Headerless files only: number of rows and columns [default: the table's].",
+        "Headerless files only: number of rows and columns [default: as in the table].",
         Pair("ROWSxCOLS", "x", PIXELS),
         metavar="ROWSxCOLS",
     )
     packing: str | None = option(
         None,
         "Headerless files only: packing: u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, Mono12Packed or "
-        "BayerRG8, whose array is checked [default: MIPI for .raw10 and .raw12, otherwise u16].",
+        "BayerRG8 [default: MIPI for .raw10 and .raw12, otherwise u16].",
         PackingName(),
         metavar="NAME",
     )
@@ -250,14 +248,13 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     stride: int | None = option(
         None,
-        "Headerless files only: bytes from one row to the next [default: rows without padding].",
+        "Headerless files only: bytes from the start of a row to the start of the next [default: rows without padding].",
         Number(1, 100_000_000, "bytes", whole=True),
         metavar="BYTES",
     )
     uncertainty: OnePath = option(
         None,
-        "Single frames only: also write the standard deviation of each output due to noise, and a mask, to "
-        "this file (.exr).",
+        "Single frames only: also write the standard deviation of each output due to noise, and a mask, to this .exr file.",
         Output(),
         metavar="FILE",
         bytes=False,
@@ -272,14 +269,14 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         metavar="I/N",
         bytes=False,
     )
-    skip_bad: bool = option(False, "Skip missing and broken frames. The exit code is 1 if any were skipped.", bytes=False)
+    skip_bad: bool = option(False, "Skip missing and damaged frames. The exit code is 1 if a frame is skipped.", bytes=False)
     resume: bool = option(
         False,
-        "Continue an interrupted run over a sequence of pictures. With several clips, render those that are new or changed.",
+        "Continue an interrupted run over a sequence of pictures. With several clips, render only new or changed clips.",
         bytes=False,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gain is not None and self.gains is not None:
-            raise RecipeError("‹gain› is one gain for all frames, ‹gains› one for each; leave one of them out")
+            raise RecipeError("‹gain› sets one gain for all frames, and ‹gains› one gain per frame; remove one of them")

@@ -1,4 +1,4 @@
-"""Access to worker processes, threads, and workers on other machines.
+"""Pools of worker processes and of workers on other machines.
 
 Results are in the order of the items and do not depend on the workers. Modules that start processes are imported only when
 processes are needed.
@@ -21,27 +21,28 @@ R = TypeVar("R")
 
 
 def one_blas_thread() -> None:
-    """Limit BLAS to one thread in this process and its children. Call it before numpy is first imported.
+    """Limit BLAS to one thread in this process and its children. Must be called before numpy is first imported.
 
-    Small matrix products are faster with one thread, idle threads do not slow down encoders, and the rounding of results
-    does not depend on the number of cores.
+    Small matrix products are faster with one thread, idle threads would slow down video encoders, and rounding would depend
+    on the number of cores.
     """
     os.environ.update(ONE_BLAS_THREAD)
 
 
 def without_plots() -> None:
-    """Keep colour-science from importing matplotlib and pandas if they are installed, because l3 does not use them.
+    """Prevent colour-science from importing matplotlib and pandas, which l3 does not use.
 
-    The import then takes 2.4 instead of 4.8 s of processor time (on a slow core), in each process that simulates or trains.
+    If they are installed, importing colour-science would take 4.8 instead of 2.4 s of processor time (on a slow core) in
+    each process that simulates or trains.
     """
     for name in ("matplotlib", "pandas"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type] # None makes imports fail
 
 
 def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> Iterator[R]:
-    """Yield function(item) for each item, in order, computed by `jobs` processes. If `jobs` is 1, use this process.
+    """Yield function(item) for each item, in order, computed by `jobs` processes. If `jobs` is 1, this process is used.
 
-    At most 2·jobs results are stored, so the memory does not grow with the number of items. Processes are spawned rather
+    At most 2·jobs results are stored, so that memory does not grow with the number of items. Processes are spawned rather
     than forked, because a forked process hangs if an OpenCL context exists. Each process uses one BLAS thread.
     """
     with workers(jobs) as pool:
@@ -50,7 +51,7 @@ def ordered_map(function: Callable[[T], R], items: Iterable[T], jobs: int) -> It
 
 @contextlib.contextmanager
 def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerPool]:
-    """Yield a pool of `jobs` processes or of the workers of a scheduler, which can be called several times."""
+    """Yield a pool that consists of `jobs` processes or, if there is a scheduler, of the workers of the scheduler."""
     if scheduler is not None:
         from l3cli.parallel.cluster import workers_of
 

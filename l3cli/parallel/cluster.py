@@ -28,17 +28,20 @@ from l3cli.system.limits import ONE_BLAS_THREAD
 T = TypeVar("T")
 R = TypeVar("R")
 
-ANSWER_SECONDS = 10.0  # s; time limit for the answer of a scheduler
-WORKERLESS_SECONDS = 60.0  # s; a run fails after this time without any worker
-CHECK_SECONDS = 1.0  # s; interval between checks of the number of workers
+ANSWER_SECONDS = 10.0  # time limit for an answer from the scheduler
+WORKERLESS_SECONDS = 60.0  # time without any worker after which a run fails
+CHECK_SECONDS = 1.0  # interval between checks of the number of workers
 INSTALL = '‹scheduler› needs dask; install it with: pip install "l3cli[cluster]"'
-WITHOUT_TLS = "the scheduler accepts other machines without TLS, so they can run programs as you; use tls:// and ‹tls_ca›"
+WITHOUT_TLS = (
+    "the scheduler accepts connections from other machines without TLS, so other users can run programs under your account; "
+    "use a tls:// address with ‹tls_ca›"
+)
 _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Scheduler:
-    """Address of a dask.distributed scheduler, with PEM files if it uses TLS.
+    """The address of a dask.distributed scheduler, with PEM files if the scheduler uses TLS.
 
     Raises
     ------
@@ -51,35 +54,35 @@ class Scheduler:
     address: str  # tcp://HOST:PORT or tls://HOST:PORT
     ca: Path | None = None  # certificate of the authority that both sides trust
     certificate: Path | None = None  # certificate of this machine
-    key: Path | None = None  # private key of this certificate
+    key: Path | None = None  # private key of the certificate
     warn: Callable[[str], None] = lambda message: None  # called if other machines can reach the scheduler without TLS
 
     def __post_init__(self) -> None:
         match = re.fullmatch(r"(tcp|tls)://\S+:(\d{1,5})", self.address, re.ASCII)
         if not match or not 0 < int(match[2]) < 65536:
-            raise RecipeError(f'"{self.address}" is not a scheduler\'s address; give tcp://HOST:PORT or tls://HOST:PORT')
+            raise RecipeError(f'"{self.address}" is not the address of a scheduler; use tcp://HOST:PORT or tls://HOST:PORT')
         files = (self.ca, self.certificate, self.key)
         if match[1] == "tls" and None in files:
-            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›; give all three")
+            raise RecipeError(f"{self.address} needs ‹tls_ca›, ‹tls_cert› and ‹tls_key›; set all three options")
         if match[1] == "tcp" and files != (None, None, None):
             raise RecipeError(
-                f"{self.address} does not use TLS; give tls://HOST:PORT, or leave ‹tls_ca›, ‹tls_cert›, ‹tls_key› out"
+                f"{self.address} does not use TLS; use tls://HOST:PORT, or remove ‹tls_ca›, ‹tls_cert› and ‹tls_key›"
             )
         for path in filter(None, files):
             if not path.is_file():
-                raise InputFileError(f"{path} does not exist; give a PEM file")
+                raise InputFileError(f"{path} does not exist; use a PEM file")
 
 
 @contextlib.contextmanager
 def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
     """Yield the workers of a scheduler as a pool.
 
-    If the block fails, waiting items are discarded, and each worker finishes its current item.
+    If the block fails, items that have not started are discarded, and each worker finishes its current item.
 
     Raises
     ------
     L3Error
-        If dask is not installed, or if the scheduler or all workers are unreachable.
+        If dask is not installed, if the scheduler does not answer, or if there is no worker.
     """
     try:
         import dask
@@ -90,7 +93,7 @@ def workers_of(scheduler: Scheduler) -> Iterator[WorkerPool]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # l3 reports errors itself, in one line
     settings = {
         "distributed.comm.timeouts.connect": f"{ANSWER_SECONDS} s",
-        # dask recommends scattering large data, but scattered data are lost if their worker dies.
+        # dask recommends scattering large data, but scattered data are lost if the worker that stores them dies.
         "distributed.admin.large-graph-warning-threshold": "1 GiB",
     }
     with dask.config.set(settings):
@@ -113,11 +116,13 @@ def _connected(distributed: Any, scheduler: Scheduler) -> Any:
         try:
             security.get_connection_args("client")
         except OSError as error:
-            raise InputFileError(f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); give PEM files") from error
+            raise InputFileError(
+                f"‹tls_ca›, ‹tls_cert› or ‹tls_key› cannot be used ({error}); use valid PEM files"
+            ) from error
     try:
         return distributed.Client(scheduler.address, security=security, timeout=ANSWER_SECONDS, set_as_default=False)
     except OSError as error:
-        cure = "check the certificates on both sides" if security else "start one with: dask scheduler"
+        cure = "check the certificates on both sides" if security else "start a scheduler with: dask scheduler"
         raise L3Error(f"no scheduler answers at {scheduler.address}; {cure}") from error
 
 
@@ -130,12 +135,12 @@ def _is_loopback(address: str) -> bool:
 
 
 class _Workers:
-    """Number of workers of a scheduler, checked every CHECK_SECONDS."""
+    """The number of workers of a scheduler. It is updated at most every CHECK_SECONDS."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self._checked = -CHECK_SECONDS
-        self._seen = time.monotonic()  # time at which there was last a worker
+        self._seen = time.monotonic()  # last time at which there was a worker
         self._count = 0
 
     def first(self) -> int:
@@ -159,7 +164,7 @@ class _Workers:
             self._seen = self._checked
         elif time.monotonic() - self._seen > WORKERLESS_SECONDS:
             raise L3Error(
-                f"the scheduler has had no worker for {WORKERLESS_SECONDS:.0f} s; start some with: "
+                f"the scheduler has had no worker for {WORKERLESS_SECONDS:.0f} s; start workers with: "
                 "dask worker ADDRESS --nthreads 1"
             )
         return self._count
@@ -171,12 +176,12 @@ _GONE = "the scheduler has stopped; start it and its workers again"
 def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """Send items to the workers, at most two per worker at a time, and yield the results in order.
 
-    Results stay with the workers until they are needed.
+    The workers keep the results until they are needed.
     """
 
     def work(versions: dict[str, str], content: bytes) -> R:
-        # A local function is sent by value and not by name, so that a worker without l3cli can report this. The scheduler
-        # only forwards bytes and does not need l3cli.
+        # A local function is sent by value instead of by name, so that a worker without l3cli can report that l3cli is
+        # missing. The scheduler only forwards bytes and does not need l3cli.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
@@ -195,7 +200,7 @@ def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items:
 
 
 def _result(client: Any, workers: _Workers, future: Any) -> Any:
-    """Return the result of a future, or raise the error of `function`. If a worker dies, dask repeats its item."""
+    """Return the result of a future, or raise the error of the function. If a worker dies, dask repeats its item."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -209,27 +214,29 @@ def _result(client: Any, workers: _Workers, future: Any) -> Any:
     except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
         raise L3Error(_GONE) from error
     except ImportError as error:
-        raise L3Error(f"a worker cannot import what it needs ({error}); install l3cli {__version__} there") from error
+        raise L3Error(f"a worker cannot import a module ({error}); install l3cli {__version__} on all workers") from error
     except KilledWorker as error:
-        raise L3Error("several workers died at the same item, perhaps for lack of memory; give them more memory") from error
+        raise L3Error(
+            "several workers died at the same item, perhaps for lack of memory; use workers with more memory"
+        ) from error
     finally:
         answer.cancel()
 
 
 def _versions() -> dict[str, str]:
-    """Return the versions that must be equal on all machines, so that results have the same bytes."""
+    """Return the versions that must agree on all machines, so that results have the same bytes."""
     python = platform.python_version().rpartition(".")[0]
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
 def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
-    """Compute function(item) in a worker. Only one runs at a time, because not all functions are thread-safe."""
+    """Compute function(item) in a worker. One item is computed at a time, because not all functions are thread-safe."""
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
             raise L3Error(f"a worker has {name} {ours}, but this machine has {theirs}; install the same version on both")
     if any(os.environ.get(name) != number for name, number in ONE_BLAS_THREAD.items()):
         names = " ".join(f"{name}={number}" for name, number in ONE_BLAS_THREAD.items())
-        raise L3Error(f"a worker uses several BLAS threads, which may round differently; start it with {names}")
+        raise L3Error(f"a worker uses several BLAS threads, so its results may differ; start the worker with {names}")
     function, item = pickle.loads(content)
     with _one_at_a_time:
         return function(item)
@@ -237,7 +244,7 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Yield a temporary folder in a worker, in a place that dask cleans up if the worker is killed."""
+    """Yield a temporary folder in a worker. If the worker is killed, dask removes the folder."""
     from distributed import get_worker
 
     with tempfile.TemporaryDirectory(dir=get_worker().local_directory) as folder:

@@ -1,4 +1,4 @@
-"""A pool of workers, whatever they are."""
+"""The common interface of all pools of workers."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class WorkerPool:
-    """Workers that compute function(item) for each item: pool(function, items) yields the results in order."""
+    """Workers that compute function(item) for each item. Calling pool(function, items) yields the results in order."""
 
     size: int  # number of workers
     _map: Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]

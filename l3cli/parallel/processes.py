@@ -25,7 +25,7 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]]:
-    """Yield a `map` that uses `jobs` new processes, with at most two stored results per process.
+    """Yield a `map` function that uses `jobs` new processes and stores at most two results per process.
 
     The processes end at the end of the block, or immediately if the block fails or is interrupted.
     """
@@ -38,10 +38,10 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
             for child in multiprocessing.active_children():
                 if child not in before:
                     child.terminate()
-            # Without this, Ctrl-C would hang if it comes while a worker sends a large result, such as the sums of a
-            # training: half of the result is in the pipe, and the thread of the pool waits for the rest until every writing
-            # end is closed. This process closes its own. Before Python 3.11.5, the thread that sends items waits for
-            # readers in the same way (python/cpython#94777).
+            # Without this, Ctrl-C would hang while a worker sends a large result, such as the sums of a training. Half of
+            # the result is in the pipe, and the thread of the pool waits for the rest until every writing end is closed.
+            # This process closes its own end. Before Python 3.11.5, the thread that sends items waits for readers in the
+            # same way (python/cpython#94777).
             pool._result_queue._writer.close()  # type: ignore[attr-defined]
             if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
@@ -53,8 +53,8 @@ def several(jobs: int) -> Iterator[Callable[[Callable[[Any], Any], Iterable[Any]
 def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "Future[R]":
     """Submit an item to the pool, which may start a process.
 
-    Signals are blocked while the process starts, because a half-started process would print a traceback. SIGINT stays
-    blocked in it, so that only the parent reacts to Ctrl-C, which goes to the whole process group.
+    Signals are blocked while the process starts, because a half-started process would print a traceback. In the new process,
+    SIGINT stays blocked. Ctrl-C reaches the whole process group, but only the parent reacts.
     """
     old = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -68,15 +68,15 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> "
 def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
     """Prevent new processes from importing the running script.
 
-    If a script calls `l3cli` at its top level, every process that imports the script would start all the work again. The
-    import is only needed for functions that the script defines.
+    If a script calls `l3cli` at its top level, every process that imports the script would start the work again. The import
+    is only needed for functions that are defined in the script.
     """
     script = sys.modules["__main__"]
     if getattr(function, "__module__", None) == "__main__":
         yield
         return
     names = {name: value for name, value in vars(script).items() if name in ("__spec__", "__file__")}
-    vars(script).update(dict.fromkeys(names))  # multiprocessing then finds nothing to import
+    vars(script).update(dict.fromkeys(names))  # multiprocessing then finds no script to import
     try:
         yield
     finally:
@@ -91,7 +91,7 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
-    """End the worker as soon as its parent process ends, even if the parent was killed."""
+    """End the worker process as soon as its parent process ends, even if the parent is killed."""
     parent: Any = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -111,4 +111,4 @@ def _pooled(pool: ProcessPoolExecutor, most: int, function: Callable[[T], R], it
         while waiting:
             yield waiting.popleft().result()
     except BrokenProcessPool as error:
-        raise L3Error("a worker process was killed, perhaps for lack of memory; use fewer ‹jobs›") from error
+        raise L3Error("a worker process was killed, perhaps for lack of memory; reduce ‹jobs›") from error

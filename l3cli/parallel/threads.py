@@ -1,4 +1,4 @@
-"""Threads that read ahead, write behind, or run in the background."""
+"""Threads that read in advance, write in the background, or run a task in the background."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0  # time to finish the current item after an interrupt
+READ_SECONDS, WORK_SECONDS, WRITE_SECONDS = 1.0, 5.0, 25.0  # time limits for the current item after an interrupt
 
 
 class _End(Exception):
@@ -19,25 +19,27 @@ class _End(Exception):
 
 @contextlib.contextmanager
 def threaded(count: int) -> Iterator[Callable[[Callable[[T], R], Iterable[T]], Iterable[R]]]:
-    """Yield a `map` that uses up to `count` threads, but not more than there are cores. Results are in order."""
+    """Yield a `map` function that uses up to `count` threads, at most one per core. Results are in order."""
     if (count := min(count, os.cpu_count() or 1)) < 2:
         yield map
         return
-    from concurrent.futures import ThreadPoolExecutor  # imported here because rendering does not need it
+    from concurrent.futures import (
+        ThreadPoolExecutor,
+    )  # imported here, because rendering does not need it
 
     with ThreadPoolExecutor(count) as pool:
         yield pool.map
 
 
 def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
-    """Yield the items of an iterable. Another thread computes up to `depth` items ahead."""
+    """Yield the items of an iterable. Another thread computes up to `depth` items in advance."""
     ready: queue.Queue[Any] = queue.Queue()
-    room = threading.Semaphore(depth)
+    free = threading.Semaphore(depth)  # number of further items that may be computed
     stopped = threading.Event()
 
     def work() -> None:
         try:
-            for item in _while_room(items, room, stopped):
+            for item in _while_free(items, free, stopped):
                 ready.put((item, None))
             ready.put((None, _End()))
         except BaseException as error:
@@ -54,18 +56,18 @@ def prefetched(items: Iterable[T], depth: int) -> Iterator[T]:
             if error is not None:
                 raise error
             yield item
-            room.release()
+            free.release()
     finally:
         stopped.set()
-        room.release()
-        with contextlib.suppress(RuntimeError):  # when Python itself ends, 3.14 waits for no thread any more
-            thread.join(READ_SECONDS)  # as in WriteBehind
+        free.release()
+        with contextlib.suppress(RuntimeError):  # at interpreter exit, Python 3.14 does not permit waiting for threads
+            thread.join(READ_SECONDS)  # a thread inside a C library could crash the program at exit
 
 
-def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
+def _while_free(items: Iterable[T], free: threading.Semaphore, stopped: threading.Event) -> Iterator[T]:
     iterator = iter(items)
     while True:
-        room.acquire()  # acquired before an item is computed, because `depth` includes unfinished items
+        free.acquire()  # before an item is computed, because `depth` includes unfinished items
         if stopped.is_set():
             return
         try:
@@ -78,7 +80,7 @@ def _while_room(items: Iterable[T], room: threading.Semaphore, stopped: threadin
 class BackgroundTask:
     """Context manager that runs `work` in another thread during the block.
 
-    Errors are ignored. `work` only prepares what the main thread does later, where the error occurs again.
+    Errors are ignored. `work` only prepares results that the main thread needs later, and the error occurs again there.
     """
 
     def __init__(self, work: Callable[[], object]) -> None:
@@ -89,8 +91,8 @@ class BackgroundTask:
         self._thread.start()
 
     def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
-        # After an interrupt, the wait keeps a thread inside a C library from crashing the program when it ends. It has a
-        # limit because the thread may wait for a module whose import was interrupted.
+        # After an interrupt, wait for the thread, because a thread inside a C library could crash the program at exit. The
+        # wait has a limit, because the thread may be waiting for a module whose import was interrupted.
         interrupted = kind is not None and not issubclass(kind, Exception)
         try:
             self._thread.join(WORK_SECONDS if interrupted else None)
@@ -104,11 +106,11 @@ class BackgroundTask:
 
 
 class WriteBehind:
-    """Calls function(item) in other threads, at most `depth` items behind. With one thread, the order is preserved.
+    """Calls function(item) in other threads, at most `depth` items later. A single thread preserves the order.
 
-    As a context manager, it waits for the last item, even if the block fails. If an item fails, waiting items are discarded,
-    and the error is raised by the next `put` or at the end. The current item is always finished, except that after an
-    interrupt the wait is limited to WRITE_SECONDS.
+    At the end of the context, WriteBehind waits for the last item, even if the block failed. If an item fails, waiting items
+    are discarded, and the next `put` or the end of the context raises the error. The current item is always finished, but
+    after an interrupt, the wait is limited to WRITE_SECONDS.
     """
 
     def __init__(self, function: Callable[[T], object], depth: int, threads: int = 1) -> None:
@@ -116,7 +118,7 @@ class WriteBehind:
         self._items: queue.Queue[Any] = queue.Queue(depth)
         self._error: BaseException | None = None
         self._complete = False  # whether all items have been put
-        # No Thread.join: in Python 3.11, a thread whose join is interrupted counts as ended although it still works.
+        # Thread.join is not used: in Python 3.11, a thread whose join is interrupted counts as ended while it still works.
         self._ended = [threading.Event() for _ in range(threads)]
         self._threads = [threading.Thread(target=self._run, args=(ended,), daemon=True) for ended in self._ended]
 
@@ -146,10 +148,10 @@ class WriteBehind:
             raise self._error
 
     def _drop(self, interruption: BaseException) -> None:
-        """Drop waiting items, and wait for the current ones.
+        """Discard waiting items, and wait for the current items.
 
-        A thread inside a C library would crash the program when it ends. But writing to a pipe that nobody reads would never
-        end.
+        A thread inside a C library could crash the program at exit. The wait has a limit, because writing to a pipe that
+        nobody reads would never end.
         """
         self._error = self._error or interruption
         self._wake_one()
@@ -158,7 +160,7 @@ class WriteBehind:
             ended.wait(max(end - time.monotonic(), 0))
 
     def _wake_one(self) -> None:
-        with contextlib.suppress(queue.Full):  # then a thread will take the last item and see `_complete`
+        with contextlib.suppress(queue.Full):  # a thread that takes an item from a full queue then notices `_complete`
             self._items.put_nowait(_End)
 
     def _run(self, ended: threading.Event) -> None:

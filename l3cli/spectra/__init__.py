@@ -1,1 +1,1 @@
-"""Tables of numbers over wavelength with their units, as instruments write them."""
+"""Tables of values over wavelength, with their units, in the file formats of instruments."""

@@ -1,10 +1,10 @@
-"""Reads spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and exports of chart-reading programs.
+"""Read spectra from CGATS.17 text files: ArgyllCMS .sp, .ti3, .cie and .ccss, and files of chart-reading programs.
 
 A file contains one or more tables. A table has keywords (`KEYWORD "value"`), the names of its fields between
-BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum is a run of
-fields that are named after their wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds these
-names to whole nanometres, and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. Values are
-divided by SPECTRAL_NORM.
+BEGIN_DATA_FORMAT and END_DATA_FORMAT, and one row per sample between BEGIN_DATA and END_DATA. A spectrum consists of
+consecutive fields that are named after wavelengths: SPEC_380 (ArgyllCMS), SPECTRAL_NM380, nm380, R_380. ArgyllCMS rounds
+these names to whole nanometres, and states the exact grid in SPECTRAL_BANDS, SPECTRAL_START_NM and SPECTRAL_END_NM. Values
+are divided by SPECTRAL_NORM.
 
 References: ANSI CGATS.17; ArgyllCMS documentation, "File formats".
 """
@@ -22,12 +22,12 @@ FIRST_LINE = re.compile(r"\s*(?:CGATS|SPECT\s|CTI[1-4]|CCSS|CIE\b|CMF\b|ISO28178
 TOKEN = re.compile(r'"((?:[^"]|"")*)"|([^\s"]+)')
 COMMENT = re.compile(r'^((?:[^"#]|"[^"]*")*)#.*$')
 BAND = re.compile(r"^(?:(?:SPEC|SPECTRAL|R|NM)_?)?(?:NM_?)?(\d{3,4}(?:\.\d+)?)(?:_?NM)?$", re.I)
-NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the sample's name, in order of preference
+NAMES = ("SAMPLE_NAME", "SAMPLE_LOC", "SAMPLEID", "SAMPLE_ID")  # fields with the name of a sample, in order of preference
 PERCENT_ABOVE = 2.0  # larger values must be percent, because no surface reflects twice the incident light
-MEAS_TYPE_UNITS = {
+MEAS_TYPE_UNITS = {  # value of MEAS_TYPE → unit; all other values mean a light source
     "REFLECTIVE": "reflectance",
     "TRANSMISSIVE": "transmittance",
-}  # MEAS_TYPE → unit; all other types are lights
+}
 
 
 @dataclass
@@ -41,12 +41,12 @@ class CgatsTable:
 
 @dataclass(frozen=True)
 class Spectra:
-    """The spectra of the samples in a file."""
+    """The spectra of the samples in a CGATS file."""
 
     wavelength: NDArray[np.float64]  # (wavelength) nm
     values: NDArray[np.float64]  # (sample, wavelength)
     names: tuple[str, ...]
-    unit: str | None  # unit of all samples, if the file states it
+    unit: str | None  # unit of all samples; None if the file does not state it
 
 
 def is_cgats(text: str) -> bool:
@@ -60,32 +60,32 @@ def read_cgats(text: str, path: Path) -> Spectra:
     Parameters
     ----------
     text : str
-        Content of the file.
+        The content of the file.
     path : Path
-        Name of the file, for messages.
+        The name of the file in messages.
 
     Returns
     -------
     Spectra
-        One spectrum per sample of the table that contains spectra. Other tables, of colours for example, may surround it.
+        One spectrum per sample of the table that contains spectra. Other tables in the file are ignored.
 
     Raises
     ------
     InputFileError
-        If no table or several tables contain spectra, a row is broken, or the stated grid contradicts the fields.
+        If no table or several tables contain spectra, a row is incomplete, or the stated grid contradicts the fields.
     """
     tables = _tables(text, path)
     spectral = [table for table in tables if _bands(table) or "SPECTRAL_NM" in map(str.upper, table.fields)]
     spectral = spectral or [table for table in tables if "SPECTRAL_BANDS" in table.keywords][:1]
     if len(spectral) > 1:
         raise InputFileError(
-            f"{path}: contains {len(spectral)} tables of spectra; save the one to be used in a file of its own"
+            f"{path} contains {len(spectral)} tables of spectra; save the table that you need as a separate file"
         )
     if spectral:
         return _spectra(spectral[0], text.split(None, 1)[0].upper(), path)
     fields = " ".join(dict.fromkeys(name for table in tables for name in table.fields))
     raise InputFileError(
-        f"{path}: contains {fields[:60] or 'no data'}, but no spectra; export spectral data, in fields such as SPEC_380"
+        f"{path} contains {fields[:60] or 'no data'}, but no spectra; export spectral data, in fields such as SPEC_380"
     )
 
 
@@ -118,7 +118,8 @@ def _tables(text: str, path: Path) -> list[CgatsTable]:
             if len(cells) % width:
                 number = next(number for number, row in enumerate(table.rows, 1) if len(row) != width)
                 raise InputFileError(
-                    f"{path}: row {number} has {len(table.rows[number - 1])} values, but there are {width} fields"
+                    f"{path}: row {number} has {len(table.rows[number - 1])} values, but there are {width} fields; "
+                    "export it again"
                 )
             table.rows = [cells[at : at + width] for at in range(0, len(cells), width)]
     return tables
@@ -135,7 +136,7 @@ def _bands(table: CgatsTable) -> list[tuple[int, float]]:
 
 
 def _number(text: str) -> float:
-    """Convert text to a number. The decimal point may be a comma, as programs write it in some countries."""
+    """Convert text to a number. The decimal point may be a comma."""
     return float(text.replace(",", "."))
 
 
@@ -146,7 +147,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         kind = "reflectance"
     norm = 100.0 if identifier.startswith("CTI") else None
     try:
-        if "SPECTRAL_NM" in upper:  # the row consists of pairs of wavelength and value
+        if "SPECTRAL_NM" in upper:  # a row consists of pairs of wavelength and value
             at = [place for place, name in enumerate(upper) if name == "SPECTRAL_NM"]
             wavelength = np.array([_number(table.rows[0][place]) for place in at])
             places = [place + 1 for place in at]
@@ -159,7 +160,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
         if "SPECTRAL_NORM" in table.keywords:
             norm = _number(table.keywords["SPECTRAL_NORM"])
     except (ValueError, IndexError) as error:
-        raise InputFileError(f"{path}: its data are not rows of numbers ({error}); export it again") from error
+        raise InputFileError(f"{path}: the data are not rows of numbers ({error}); export it again") from error
     if norm is None and kind is None and values.max() > PERCENT_ABOVE:
         unit: str | None = "%"
     else:
@@ -170,7 +171,7 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm, from the keywords if there are any, otherwise from the names of the fields."""
+    """Return the wavelengths in nm, from the keywords if they exist, otherwise from the names of the fields."""
     keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
     if not all(key in table.keywords for key in keys):
         return np.array(named)
@@ -178,7 +179,7 @@ def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDAr
     grid = np.linspace(first, last, count)
     if bands != count or (named and np.abs(grid - named).max() > 1.0):
         raise InputFileError(
-            f"{path}: states {bands:g} bands of {first:g}…{last:g} nm, but its fields are {count} bands of "
-            f"{named[0] if named else first:g}…{named[-1] if named else last:g} nm; export it again"
+            f"{path} states {bands:g} bands from {first:g} to {last:g} nm, but its fields are {count} bands from "
+            f"{named[0] if named else first:g} to {named[-1] if named else last:g} nm; export it again"
         )
     return grid

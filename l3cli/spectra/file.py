@@ -1,17 +1,17 @@
 """Read files of spectra. `read_table` reads every format in FORMATS. Most of this module is the reader of text tables.
 
-A text table is delimited text, such as spectrometers, spreadsheets and l3 itself export. Each row has a wavelength followed
-by values, and all rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. If they
-are separated by semicolons or tabs, a comma is a decimal point. The column names are in the first line, or in the last
-comment (#) before the numbers. This heading determines which column contains the wavelengths. The other columns are found by
-name, in any order, and units in brackets are converted. Without a heading, the first column contains the wavelengths in nm,
+A text table is delimited text, as spectrometers, spreadsheets and l3 itself export it. Each row is a wavelength followed by
+values, and all rows have the same number of values. Columns are separated by commas, semicolons, tabs or blanks. If they are
+separated by semicolons or tabs, a comma is a decimal point. The column names are in the first line, or in the last comment
+(#) before the numbers. This heading determines which column contains the wavelengths. The other columns are found by name,
+in any order, and units in brackets are converted. If there is no heading, the first column contains the wavelengths in nm,
 and the other columns are in the order that the caller expects.
 
 CGATS and JCAMP-DX files are recognised by their first line. IES TM-27-14 (Illuminating Engineering Society, Standard
 Format for the Electronic Transfer of Spectral Data) is read with colour-science.
 
-Instruments export text as UTF-8, UTF-16 or Windows-1252. Any lines of text may precede the numbers (`Key: value`, or a
-marker such as
+Instruments export text in UTF-8, UTF-16 or Windows-1252. Any lines of text may precede the numbers, such as `Key: value` or
+the marker `>>>>>Begin Spectral Data<<<<<`.
 """
 
 import codecs
@@ -37,14 +37,14 @@ from l3cli.spectra.jcamp import is_jcamp, read_jcamp
 from l3cli.spectra.table import CurveTable, gaps
 from l3cli.system.limits import read_bounded
 
-CURE = "give a CSV file of spectra"
+CURE = "use a CSV file of spectra"
 MARKER = re.compile(r"^(?:>{3,}|<{3,}|\*{3,}|={3,}|-{3,}|\+{3,})")
 CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that do not occur in Windows-1252 text
 UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
 QUALITY = re.compile(r"\d{5}")  # code that Photo Research instruments write before a measurement
-SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row contains this many wavelengths in this range (nm)
+SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row has this many wavelengths within this range (nm)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
 JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz spectrometer: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
@@ -54,21 +54,21 @@ DigitisedCurve = tuple[str, list[tuple[float, float]]]  # name of the curve, and
 
 @dataclass(frozen=True)
 class TextTable:
-    """The rows of numbers in a text, and the names of the columns."""
+    """The rows of numbers in a text table, and the names of the columns."""
 
-    heading: Cells | None  # name of each column, or None without a heading
+    heading: Cells | None  # name of each column, or None if there is no heading
     rows: list[list[float]]  # all rows have the same length
-    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves; there are then no rows
-    faults: tuple[str, ...] = ()  # faults of the digitised curves
+    pairs: tuple[DigitisedCurve, ...] = ()  # digitised curves; if there are any, `rows` is empty
+    faults: tuple[str, ...] = ()  # faults in the digitised curves
 
 
 def read_text_table(path: Path) -> TextTable:
-    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is not valid."""
+    """Read the table in a text file. Raises InputFileError if there is no table, or if a row is invalid."""
     return _text_table(_text(path), path)
 
 
 def _text_table(text: str, path: Path) -> TextTable:
-    """Return the table in a text, as `read_text_table` does."""
+    """Parse a text table. Raises InputFileError in the same cases as `read_text_table`."""
     lines = [line.strip(" \r") for line in text.splitlines() if line.strip()]
     comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
     lines = [line for line in lines if not line.startswith("#")]
@@ -96,7 +96,7 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Decode a text file. Its encoding may be any that instruments use."""
+    """Read a text file in any encoding that instruments use."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -110,7 +110,7 @@ def _text(path: Path) -> str:
                 raise
             return content.decode("cp1252")
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path}: is not a text file; {CURE}") from error
+        raise InputFileError(f"{path} is not a text file; {CURE}") from error
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
@@ -164,8 +164,8 @@ def _numbers(
 ) -> tuple[list[list[float]], list[Cells]]:
     """Return the rows of numbers at the end of a text, and the lines before them.
 
-    Raises InputFileError if there are no such rows, or if rows of numbers precede the last line of text. In that case, the
-    last line of text is probably a broken row and not the end of the preamble.
+    Raises InputFileError if there are no such rows, or if rows of numbers precede the last line of text. The last line of
+    text is then probably a broken row rather than the end of the preamble.
     """
     numeric = [all(_is_number(cell, decimal_comma) for cell in row) for row in cells]
     start = len(cells)
@@ -184,21 +184,22 @@ def _numbers(
         earlier = [number for number, row in enumerate(before) if re.match(r"[-+.]?\d", row[0])][-1:]
     if earlier:
         wrong = next(row for number, row in enumerate(before) if number >= earlier[0] and not numeric[number])
-        raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers')
+        raise InputFileError(f'{path}: "{(separator or " ").join(wrong)[:40]}" is not a row of numbers; correct it')
     if decimal_comma and {",", "."} <= {letter for row in rows for cell in row for letter in cell if letter in ",."}:
-        raise InputFileError(
-            f"{path}: numbers contain commas and points; use only one of them, as decimal point, and no thousands separator"
-        )
+        raise InputFileError(f"{path}: the numbers contain commas and points; use only one of them, as the decimal point")
     if not rows or len({len(row) for row in rows}) != 1 or len(rows[0]) < 2:
-        raise InputFileError(f"{path}: each row must have a wavelength in nm and the same number of values")
+        raise InputFileError(
+            f"{path} must contain rows with a wavelength in nm and the same number of values; correct the file"
+        )
     return [[_number(cell, decimal_comma) for cell in row] for row in rows], before
 
 
 def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurve, ...], tuple[str, ...]]:
     """Return the digitised curves (pairs of X and Y) in a text, and all their faults. Both are empty for other texts.
 
-    Digitisers write the pairs of columns side by side. Above them is a line of names and a line X, Y, X, Y, …, or a single
-    line with a wavelength and a name for each curve. Alternatively, the curves are below one another, each with a heading.
+    Digitising programs write the column pairs of several curves next to each other. Above them are a line of names and a
+    line X, Y, X, Y, …, or a single line with a wavelength and a name for each curve. Alternatively, the curves follow one
+    another, each with its own heading.
     """
     numeric = [_is_number(row[0], decimal_comma) for row in cells]
     above = [_is_lettered(row) or follows for row, follows in zip(cells, [*numeric, False][1:], strict=True)]
@@ -224,7 +225,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
             wrong = [point for point in points if len(point) < 2 or not _all_numbers(point, decimal_comma)]
             if wrong:
                 more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-                faults.append(f'"{", ".join(wrong[0])[:40]}"{more} of {label} is not a pair of X and Y')
+                faults.append(f'"{", ".join(wrong[0])[:40]}"{more} in {label} is not a pair of X and Y')
             elif not points:
                 faults.append(f"{label} has no points")
             scale = units.length_nm(units.split(x_head)[1] or "nm") or 1.0
@@ -235,7 +236,7 @@ def _pairs(cells: list[Cells], decimal_comma: bool) -> tuple[tuple[DigitisedCurv
 
 
 def _pair_heads(row: Cells) -> list[tuple[str, str]]:
-    """Return the X and Y column headings of each curve, or an empty list if the row does not consist of X, Y pairs."""
+    """Return the headings of the X and Y columns of each curve, or [] if the row does not consist of X, Y pairs."""
     cells = [cell for cell in row if cell]
     pairs = list(zip(cells[::2], cells[1::2], strict=False))
     if not pairs or len(cells) % 2 or any(not (_is_x(x) and not _is_x(y)) for x, y in pairs):
@@ -248,7 +249,7 @@ def _is_x(cell: str) -> bool:
 
 
 def _is_lettered(row: Cells) -> bool:
-    """Whether the column headings are just X, Y, …. The names of the curves are then in the line above."""
+    """Whether the column headings are only X, Y, …. The names of the curves are then in the line above."""
     return [units.split(cell)[0].casefold() for cell in row if cell][:2] == ["x", "y"]
 
 
@@ -273,7 +274,7 @@ def _upright(cells: list[Cells], decimal_comma: bool) -> list[Cells]:
         first = [other[0] for other in spectra]
         named = len(first) > 2 and _all_numbers(first, decimal_comma)
         if named and _is_grid([_number(each, decimal_comma) for each in first]):
-            return cells  # the column names are wavelengths
+            return cells  # the wavelengths are column names, so the table is already upright
         names = [" ".join(filter(None, other[:labels])) for other in spectra]
         return [*cells[:number], ["nm", *names], *map(list, zip(grid, *(other[labels:] for other in spectra), strict=True))]
     return cells
@@ -295,14 +296,14 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the column names. Units in the line below the names are appended to them. None if there is no heading."""
+    """Return the column names, or None if there is no heading. Units in the line below the names are appended to them."""
     if not before:
         return None
     if len(before) == 1 and not QUALITY.fullmatch(before[0][0]) and not MARKER.match(before[0][0]):
         if len(before[0]) == columns:
             return before[0]
         if len(before[0]) == 1 and not is_wavelength(before[0][0]):
-            return None  # the line is a title and not a heading
+            return None  # the line is a title, not a heading
         raise InputFileError(_mismatch(len(before[0]), columns, path))
     fitting = [row for row in before if len(row) == columns]
     named = next((number for number in reversed(range(len(fitting))) if any(map(is_wavelength, fitting[number]))), None)
@@ -314,7 +315,7 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
         return last if len(last) == columns > 2 and not any(_is_number(cell, decimal_comma) for cell in last) else None
     heading = fitting[named]
     below = fitting[named + 1] if named + 1 < len(fitting) else None
-    if named and all(_bare(cell) is not None or not cell for cell in heading):  # only units; names are in the line above
+    if named and all(_bare(cell) is not None or not cell for cell in heading):  # units, with the names in the line above
         heading, below = fitting[named - 1], heading
     if below and all(_bare(cell) is not None or not cell for cell in below):
         return [_with_unit(name, _bare(unit) or "") for name, unit in zip(heading, below, strict=True)]
@@ -323,45 +324,45 @@ def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path)
 
 def _mismatch(named: int, columns: int, path: Path) -> str:
     return (
-        f"{path}: its heading names {named} columns, but its rows have {columns}; "
-        "name each column, and with decimal commas separate columns by semicolons"
+        f"{path}: the heading has {named} columns, but the rows have {columns}; "
+        "name every column, and if commas are decimal points, separate columns by semicolons"
     )
 
 
 def is_wavelength(heading: str) -> bool:
-    """Whether a column heading means wavelengths: it begins with a word for wavelength, or is just a unit of length."""
+    """Whether a column heading means wavelengths: it begins with a word for wavelength, or is only a unit of length."""
     words = [word for word in re.split(SEPARATORS, heading) if word]
     lone = len(words) == 1 and words[0] not in ("m", "A") and units.length_nm(words[0]) is not None
     return bool(words) and (words[0].lower() in WAVELENGTH or lone)
 
 
 def _bare(cell: str) -> str | None:
-    """Return the unit in a cell, without brackets. None if the cell contains anything else."""
+    """Return the unit in a cell without brackets, or None if the cell contains anything else."""
     inside = cell.strip("[]() ")
     known = units.parse(inside) is not None or units.RAW.fullmatch(inside) or inside.lower() == "a.u."
     return inside if inside and (known or re.fullmatch(r"% ?\w+", inside)) else None
 
 
 def _with_unit(name: str, unit: str) -> str:
-    """Append the unit of the values, in brackets, to a column heading. Wavelength columns keep their heading."""
+    """Append the unit of the values, in brackets, to a column heading. Headings of wavelength columns are unchanged."""
     if not unit or (is_wavelength(name) and units.length_nm(unit) is None):
         return name
     return f"{name} ({unit})"
 
 
 def _stated_unit(line: str) -> str | None:
-    """Return the unit of all values if a line of the preamble gives it, as in "Units: µW/cm²/nm"."""
+    """Return the unit of all values if a line of the preamble states it, as in "Units: µW/cm²/nm", otherwise None."""
     found = UNIT_KEY.match(line)
     unit = found[1].strip(' ;,\t[]"') if found else ""
     known = units.RAW.fullmatch(unit) or (units.parse(unit) is not None and units.length_nm(unit) is None)
     return unit if unit and known else None
 
 
-MOST_ROWS = 100_000  # largest number of wavelengths in a text table
-WIDEST_GAP = 20.0  # nm; largest distance between points of a digitised curve
+MOST_ROWS = 100_000  # maximum number of wavelengths in a text table
+WIDEST_GAP = 20.0  # nm; maximum distance between points of a digitised curve
 PLOT_EDGE_NM = 5.0  # nm; a curve that ends this close to the edge of the plot was cut off there
 FOOT = 0.05  # fraction of the peak; a curve may end inside the plot if it has fallen below this value
-JITTER = 0.02  # fraction of the peak by which a digitised curve may fall below zero
+JITTER = 0.02  # fraction of the peak by which a digitised curve may be negative
 METRES, MICROMETRES, ANGSTROMS = 1e-3, 5.0, 2000.0  # limits beyond which wavelengths are probably in these units, not in nm
 SPDX = (".spdx", ".xml")
 SPDX_UNITS = {  # quantity in IES TM-27 → unit
@@ -373,7 +374,7 @@ SPDX_UNITS = {  # quantity in IES TM-27 → unit
     "relative": "relative power",
     "other": None,
 }
-READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # columns of raw counts beside the result
+READINGS = ("dark", "ref", "reference", "sample", "scope", "white")  # names of columns with raw counts
 Array = NDArray[np.float64]
 
 
@@ -384,8 +385,8 @@ class SpectrumFormat:
     name: str
     suffixes: tuple[str, ...]  # in lower case, but file names may use any case
     holds: str  # description of the contents that l3 reads, for the documentation
-    is_of: Callable[[str], bool] | None  # whether a text has this format; None if the suffix decides
-    read: Callable[[str, Path], CurveTable]  # reader for the text and the path of a file
+    is_of: Callable[[str], bool] | None  # whether a text has this format; None if the suffix determines the format
+    read: Callable[[str, Path], CurveTable]  # reads the text of a file, given its path for messages
 
 
 def read_table(path: Path) -> CurveTable:
@@ -394,7 +395,7 @@ def read_table(path: Path) -> CurveTable:
     Parameters
     ----------
     path : Path
-        The file. Its format is recognised from the content, except for XML.
+        The file. Except for XML, the format is recognised from the content.
 
     Returns
     -------
@@ -404,7 +405,7 @@ def read_table(path: Path) -> CurveTable:
     Raises
     ------
     InputFileError
-        If the format is unknown, or if the wavelengths are implausible in the unit given in the file (otherwise nm).
+        If the format is unknown, or if the wavelengths are implausible in the unit stated in the file (otherwise nm).
     """
     if path.suffix.lower() in SPDX:
         return _spdx("", path)
@@ -413,7 +414,7 @@ def read_table(path: Path) -> CurveTable:
 
 
 def names_file(name: str) -> bool:
-    """Whether the name of an illuminant, chart or transmittance ends with a suffix in FORMATS, and is therefore a file."""
+    """Whether the name of an illuminant, chart or transmittance is a file name, because its suffix is in FORMATS."""
     return name.lower().endswith(SUFFIXES)
 
 
@@ -432,7 +433,7 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
     """Return curves (column, wavelength) with a common unit, sorted by wavelength."""
     _require_light(path, wavelength, values)
     if other := other_unit(float(wavelength.min()), float(wavelength.max())):
-        raise InputFileError(f"{path}: {other[0]}; export it over nm")
+        raise InputFileError(f"{path}: {other[0]}; export wavelengths in nm")
     order = np.argsort(wavelength)
     return CurveTable(path, wavelength[order], values[:, order], names, (unit,) * len(values))
 
@@ -440,7 +441,7 @@ def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple
 def _result(table: CurveTable) -> CurveTable:
     """Drop raw readings if the table also contains the result that was computed from them.
 
-    Avantes, for example, writes Sample, Dark and Reference in counts beside Transmittance in percent.
+    Avantes, for example, writes the columns Sample, Dark and Reference in counts in addition to Transmittance in percent.
     """
     if table.names is None or len(table.values) < 2:
         return table
@@ -465,12 +466,12 @@ def _text_curves(content: str, path: Path) -> CurveTable:
         return _digitised(text.pairs, text.faults, path)
     heading, rows = text.heading, text.rows
     if len(rows) > MOST_ROWS:
-        raise InputFileError(f"{path}: use at most {MOST_ROWS} wavelengths, all between 0 and {LONGEST_NM} nm")
+        raise InputFileError(f"{path} has {len(rows)} wavelengths; reduce it to at most {MOST_ROWS}")
     table = np.array(rows)
     at, scale = (0, None) if heading is None else _wavelength_column(heading, path)
     wavelength = table[:, at] * (scale or 1.0)
     if scale in (None, 1.0) and (other := other_unit(float(wavelength.min()), float(wavelength.max()))):
-        raise InputFileError(f'{path}: {other[0]}; name that column "wavelength_{other[1]}"')
+        raise InputFileError(f'{path}: {other[0]}; rename the wavelength column to "wavelength_{other[1]}"')
     column = "" if scale is None or heading is None else f' ("{heading[at]}")'
     _require_light(path, wavelength, table, column)
     if wavelength[0] > wavelength[-1]:
@@ -485,16 +486,16 @@ def _text_curves(content: str, path: Path) -> CurveTable:
 def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Path) -> CurveTable:
     """Interpolate digitised curves to steps of 1 nm. The points of a curve may be in any order.
 
-    Beyond its ends a curve is zero. If it ends at the edge of the plot, it continues with its last value instead. Raises
-    InputFileError with a message that lists the faults of all curves.
+    Beyond its ends, a curve is zero. If a curve ends at the edge of the plot, it continues with its last value instead.
+    Raises InputFileError with a message that lists the faults of all curves.
     """
     wrong = list(faults)
     lines = [np.array(sorted(points), np.float64).reshape(-1, 2).T for _, points in curves]
     every = np.concatenate([x for x, _ in lines])
     if every.size and (other := other_unit(float(every.min()), float(every.max()))):
-        wrong.append(f"{other[0]}; give X in nm")
+        wrong.append(f"{other[0]}; convert X to nm")
     elif not all((np.abs(line) <= MAX_NUMBER).all() for line in lines) or every.max(initial=0.0) > LONGEST_NM:
-        wrong.append(f"every X must lie within 0…{LONGEST_NM} nm, and every Y must be a number within ±{MAX_NUMBER:g}")
+        wrong.append(f"an X is not within 0…{LONGEST_NM} nm, or a Y is not a number within ±{MAX_NUMBER:g}")
     elif every.size:
         grid = np.arange(np.ceil(every.min()), np.floor(every.max()) + 1.0)
         wrong += [fault for (name, _), line in zip(curves, lines, strict=True) for fault in _curve_faults(name, line, grid)]
@@ -510,7 +511,7 @@ def _digitised(curves: Sequence[DigitisedCurve], faults: Sequence[str], path: Pa
 
 
 def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
-    """Yield the faults of a digitised curve (X and Y) from a plot that covers `grid`."""
+    """Yield the faults of a digitised curve (X and Y) in a plot whose wavelengths are `grid`."""
     x, y = line
     if x.size < 2:
         if x.size:
@@ -518,14 +519,14 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
         return
     peak = float(y.max())
     for first, last in gaps(x, y[None], WIDEST_GAP):
-        yield f'"{name}" has a gap between {first:g} and {last:g} nm, and at most {WIDEST_GAP:g} nm are permitted'
+        yield f'"{name}" has a gap from {first:g} to {last:g} nm, wider than the limit of {WIDEST_GAP:g} nm'
     for end, inside in ((0, x[0] > grid[0] + PLOT_EDGE_NM), (-1, x[-1] < grid[-1] - PLOT_EDGE_NM)):
         if inside and y[end] > FOOT * peak:
             yield f'"{name}" ends at {x[end]:g} nm, where it is still at {y[end] / peak:.0%} of its peak'
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum in an IES TM-27-14 file. The unit follows from the spectral quantity in the file."""
+    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit."""
     read_bounded(path, CURE)
     colour = colour_science()
     try:
@@ -535,7 +536,7 @@ def _spdx(_: str, path: Path) -> CurveTable:
         wavelength, values = np.asarray(spectrum.wavelengths, np.float64), np.asarray(spectrum.values, np.float64)
     except (ParseError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); give such a file, or CSV") from error
+        raise InputFileError(f"{path} is not an IES TM-27 spectrum ({reason}); use a valid file, or CSV") from error
     _require_light(path, wavelength, values)
     order = np.argsort(wavelength)
     unit = SPDX_UNITS.get((spectrum.spectral_quantity or "other").lower())
@@ -549,9 +550,11 @@ def _require_light(path: Path, wavelength: Array, values: Array, column: str = "
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
-        raise InputFileError(f"{path}: wavelengths must increase, and every value must be a number within ±{MAX_NUMBER:g}")
+        raise InputFileError(
+            f"{path}: the wavelengths do not increase, or a value is not a number within ±{MAX_NUMBER:g}; correct the file"
+        )
     if not (wavelength.size and wavelength.min() > 0 and METRES < wavelength.max() <= LONGEST_NM):
-        raise InputFileError(f"{path}: use at most {MOST_ROWS} wavelengths, all between 0 and {LONGEST_NM} nm{column}")
+        raise InputFileError(f"{path}: some wavelengths are not within 0…{LONGEST_NM} nm{column}; correct the file")
 
 
 def other_unit(first: float, last: float) -> tuple[str, str] | None:
@@ -571,21 +574,23 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
         return None
     unit, nm = ("m", 1e9) if last < METRES else ("um", 1e3) if last < MICROMETRES else ("A", 0.1)
     return (
-        f"wavelengths {first:g}…{last:g} are not in nm, but perhaps in {unit}, which gives {first * nm:g}…{last * nm:g} nm",
+        f"the wavelengths {first:g}…{last:g} are not plausible in nm, but in {unit} they are "
+        f"{first * nm:g}…{last * nm:g} nm",
         unit,
     )
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column, and the size of its unit in nm, or None if the heading has no unit."""
+    """Return the index of the wavelength column and the size of its unit in nm, or None if its heading has no unit."""
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'
-        raise InputFileError(f'{path}: {which} names the wavelengths; call one column "wavelength_nm"')
+        verb = "mean" if len(named) > 1 else "means"
+        raise InputFileError(f'{path}: {which} {verb} wavelengths; rename exactly one column to "wavelength_nm"')
     words = [word for word in re.split(SEPARATORS, heading[named[0]]) if word]
     scales = [scale for scale in map(units.length_nm, words) if scale is not None]
     if not scales and re.search(r"[(\[/]", heading[named[0]]):
-        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" has no unit of wavelength; give nm, um or A')
+        raise InputFileError(f'{path}: "{heading[named[0]][:40]}" contains no unit of wavelength; use nm, um or A')
     return named[0], scales[0] if scales else None
 
 

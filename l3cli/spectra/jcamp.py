@@ -1,13 +1,13 @@
-"""Reads optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
+"""Read optical spectra from JCAMP-DX files (versions 4.24 and 5) with one block or several linked blocks.
 
 A block is a list of records `##LABEL= value`. Its data are XYDATA or XYPOINTS. In XYDATA, written (X++(Y..Y)), each line is
 an abscissa followed by equally spaced ordinates. In XYPOINTS, written (XY..XY), the data are pairs. Numbers are plain
-decimals (AFFN), or ordinates in the packed form ASDF:
+decimals (AFFN) or ordinates in the packed form ASDF:
 
 =====  ==========================================================================  =======================
 PAC    signs separate numbers: +1-2+3
 SQZ    a letter replaces the sign and the first digit                              @ A…I a…i: 0, 1…9, −1…−9
-DIF    differences; a line begins with the last ordinate of the line above         % J…R j…r: 0, 1…9, −1…−9
+DIF    differences; a line begins with the last ordinate of the previous line      % J…R j…r: 0, 1…9, −1…−9
 DUP    number of times that the preceding number occurs                            S…Z s: 1…8, 9
 =====  ==========================================================================  =======================
 
@@ -27,7 +27,7 @@ from l3cli.spectra import units
 
 RECORD = re.compile(r"^\s*##([^=]*)=(.*)$")
 AFFN = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur in packed numbers only
+PACKED = re.compile(r"[%@A-DF-Za-df-s]")  # characters that occur only in packed numbers
 ASDF = re.compile(r"([@A-Ia-i%J-Rj-rS-Zs]|[-+]|(?=[\d.]))(\d*\.?\d*)")
 SQZ = {letter: digit for digit, letter in enumerate("@ABCDEFGHI")} | {
     letter: -digit for digit, letter in enumerate("abcdefghi", 1)
@@ -36,7 +36,7 @@ DIF = {letter: digit for digit, letter in enumerate("%JKLMNOPQR")} | {
     letter: -digit for digit, letter in enumerate("jklmnopqr", 1)
 }
 DUP = {letter: digit for digit, letter in enumerate("STUVWXYZs", 1)}
-NM = {  # size in nm of each unit of the abscissae
+NM = {  # unit of the abscissae → its size in nm
     "NANOMETERS": 1.0,
     "NANOMETRES": 1.0,
     "NM": 1.0,
@@ -47,26 +47,26 @@ NM = {  # size in nm of each unit of the abscissae
     "ANGSTROMS": 0.1,
     "A": 0.1,
 }
-FRACTION_OF_LETTER = {
+FRACTION_OF_LETTER = {  # first letter of transmittance, transmission, reflectance or reflection → unit
     "T": "transmittance",
     "R": "reflectance",
-}  # first letters of transmittance, transmission, reflectance, reflection
+}
 
 
 @dataclass
 class Block:
-    """One block of a file."""
+    """One block of a JCAMP-DX file."""
 
     records: dict[str, str] = field(default_factory=dict)  # by label without blanks, dashes, slashes and underscores
-    kind: str = ""  # label of the record with the data
-    lines: list[str] = field(default_factory=list)  # lines of the data
+    kind: str = ""  # label of the record that contains the data
+    lines: list[str] = field(default_factory=list)  # lines with the data
 
     def of(self, label: str, default: str = "") -> str:
         return self.records.get(label, default)
 
 
 def is_jcamp(text: str) -> bool:
-    """Whether a text is a JCAMP-DX file, which means that its first record is a title."""
+    """Whether a text is a JCAMP-DX file, whose first record is always a title."""
     return re.match(r"\s*##\s*TITLE\s*=", text, re.I) is not None
 
 
@@ -74,14 +74,14 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     """Read a spectrum from a JCAMP-DX file.
 
     If blocks are linked, as in files of SpectraSuite, the block with the processed spectrum is read. Otherwise the first
-    block with data is read.
+    block that contains data is read.
 
     Parameters
     ----------
     text : str
-        Content of the file.
+        The content of the file.
     path : Path
-        Name of the file, for messages.
+        The name of the file in messages.
 
     Returns
     -------
@@ -97,11 +97,11 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     Raises
     ------
     InputFileError
-        If the file has no spectrum over wavelengths, or if its data contradict its records.
+        If the file contains no spectrum over wavelengths, or if the data contradict the records.
     """
     blocks = [block for block in _blocks(text) if block.kind]
     if not blocks:
-        raise InputFileError(f"{path}: a JCAMP-DX file without XYDATA or XYPOINTS; export the spectrum as one of these")
+        raise InputFileError(f"{path} contains neither XYDATA nor XYPOINTS; export the spectrum in one of these forms")
     block = next((each for each in blocks if "PROCESSED" in each.of("TITLE").upper()), blocks[0])
     xunits = block.of("XUNITS").strip().upper()
     if xunits not in NM:
@@ -112,7 +112,7 @@ def read_jcamp(text: str, path: Path) -> tuple[NDArray[np.float64], NDArray[np.f
     elif block.kind == "XYPOINTS":
         x, y = _pairs(block, comma, path)
     else:
-        raise InputFileError(f"{path}: its data are {block.kind}, not a spectrum; export XYDATA or XYPOINTS")
+        raise InputFileError(f"{path} contains {block.kind}, which is not a spectrum; export XYDATA or XYPOINTS")
     y, unit = _in_unit(y, block.of("YUNITS").strip())
     return x * NM[xunits], y[None], (block.of("TITLE").strip(),), unit
 
@@ -139,7 +139,7 @@ def _blocks(text: str) -> list[Block]:
 
 
 def _figure(block: Block, label: str, comma: bool, path: Path, default: float | None = None) -> float:
-    """Return the number in a record. Raises InputFileError if it is not a number."""
+    """Return the number in a record. Raises InputFileError if the record is not a number."""
     text = block.of(label).strip()
     try:
         return float(text.replace(",", ".") if comma else text)
@@ -153,13 +153,13 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
     """Return the abscissae and ordinates of XYDATA."""
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
-        raise InputFileError(f"{path}: some of its values are missing (?); measure the spectrum again")
+        raise InputFileError(f'{path}: some values are missing ("?"); measure the spectrum again')
     packed = any(PACKED.search(line) for line in lines)
     values = _unpacked(lines, path) if packed else [float(each) for line in lines for each in AFFN.findall(line)[1:]]
     first, last = (_figure(block, label, comma, path) for label in ("FIRSTX", "LASTX"))
     count = _figure(block, "NPOINTS", comma, path)
     if count != len(values):
-        raise InputFileError(f"{path}: contains {len(values)} values, but NPOINTS is {count:g}; copy the file again")
+        raise InputFileError(f"{path} contains {len(values)} values, but NPOINTS is {count:g}; copy the file again")
     return np.linspace(first, last, len(values)), np.array(values) * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
@@ -187,7 +187,7 @@ def _unpacked(lines: list[str], path: Path) -> list[float]:
             if check and first:
                 if last != values[-1]:
                     raise InputFileError(
-                        f"{path}: a line begins with {last:g} instead of the previous {values[-1]:g}; copy the file again"
+                        f"{path}: a line begins with {last:g}, but the previous line ends with {values[-1]:g}; copy it again"
                     )
             else:
                 values.append(last)
@@ -206,13 +206,13 @@ def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], 
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))
     if not numbers or len(numbers) != 2 * count:
-        raise InputFileError(f"{path}: contains {len(numbers) / 2:g} pairs, but NPOINTS is {count}; copy the file again")
+        raise InputFileError(f"{path} contains {len(numbers) / 2:g} pairs, but NPOINTS is {count}; copy the file again")
     x, y = np.array(numbers).reshape(-1, 2).T
     return x * _figure(block, "XFACTOR", comma, path, 1.0), y * _figure(block, "YFACTOR", comma, path, 1.0)
 
 
 def _in_unit(values: NDArray[np.float64], text: str) -> tuple[NDArray[np.float64], str | None]:
-    """Convert values according to the text of YUNITS. Transmittances become 0…1, and relative values have no unit."""
+    """Convert values according to YUNITS. Transmittances become fractions, 0…1, and relative values have no unit."""
     share = re.fullmatch(r"(%?)\s*(?:([TR])|(T)RANSMI\w+|(R)EFLECT\w+)\s*(\(?%\)?)?", text.upper())
     if share:
         percent = bool(share[1] or share[5])

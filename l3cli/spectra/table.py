@@ -13,15 +13,15 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm; no pixel detects less, and no lamp emits more
-RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with unknown scale
-AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}
+DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm; range from the least that a pixel detects to the most that a lamp emits
+RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with an unknown scale
+AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # powers of the unit A/W
 VISIBLE = 400.0, 700.0  # nm
-# A curve is dark below this fraction of its peak, inside and outside the visible range
+# Fraction of its peak below which a curve is dark, inside and outside the visible range
 DARK_FRACTION, DARK_FRACTION_OUTSIDE = 0.01, 0.05
-NOISE = 0.01  # fraction of the peak by which values may be negative because of the spectrometer's dark noise
+NOISE = 0.01  # fraction of the peak by which values may be negative because of the noise of a spectrometer
 COLOURS = {"r": "red", "g": "green", "b": "blue", "c": "cyan", "m": "magenta", "y": "yellow", "w": "white"}
-OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # other spellings of channel names
+OTHER_NAMES = COLOURS | {name: letter for letter, name in COLOURS.items()}  # the other spelling of each channel name
 ELECTRONVOLT_NM = spectra.PLANCK * spectra.LIGHT_SPEED / 1.602176634e-19 * 1e9  # eV nm; photon energy × wavelength
 Array = NDArray[np.float64]
 
@@ -33,36 +33,36 @@ class CurveTable:
     path: Path
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
-    names: tuple[str, ...] | None  # names of the columns without units; None if there is no heading
-    units: tuple[str | None, ...]  # units of the columns as stated in the heading
+    names: tuple[str, ...] | None  # names of the columns without units; None if the file has no heading
+    units: tuple[str | None, ...]  # units of the columns according to the heading
     left_out: tuple[str, ...] = ()  # names of the columns that were not selected
 
     @property
     def note(self) -> str | None:
-        """A line that lists the columns that were not selected, if there are any."""
+        """A message that lists the columns that were not selected, or None if all columns were selected."""
         return f"{self.path}: columns that are not used: {', '.join(self.left_out)}" if self.left_out else None
 
     def counted(self, columns: int) -> "CurveTable":
-        """Check that the table has `columns` columns, and return the table. Raises InputFileError otherwise."""
+        """Return the table if it has `columns` columns. Raises InputFileError otherwise."""
         if len(self.values) != columns:
-            comma = "; with decimal commas separate columns by semicolons" if len(self.values) == 2 * columns else ""
-            raise InputFileError(f"{self.path}: contains {len(self.values)} curves, but {columns} are needed{comma}")
+            cure = "; with decimal commas, separate columns by semicolons" if len(self.values) == 2 * columns else ""
+            raise InputFileError(f"{self.path} contains {len(self.values)} curves, but {columns} are needed{cure}")
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
-        """Return the columns in the order of `wanted`, found by name if there is a heading.
+        """Return the columns in the order of `wanted`. If the file has a heading, they are found by name.
 
         Parameters
         ----------
         wanted : sequence of str
-            Names of all columns. Case matters only if two names differ in nothing else.
+            Names of all columns. Letter case matters only if two names differ in nothing else.
         known_as : callable, optional
             Translates a name in the heading to a name in `wanted`.
 
         Raises
         ------
         InputFileError
-            If the columns are not exactly those in `wanted`.
+            If the columns are not exactly the wanted columns.
         """
         self.counted(len(wanted))
         if self.names is None or len(wanted) == 1:
@@ -85,13 +85,13 @@ class CurveTable:
         channels : sequence of str
             Names of the channels.
         columns : mapping, optional
-            Channel → name of its column, if the two names differ.
+            Channel → name of its column, if they differ.
 
         Returns
         -------
         CurveTable
-            The selected columns. If there is no heading, all columns are returned in their order, and there must be one per
-            channel.
+            The selected columns. If the file has no heading, all columns are returned in their order, and there must be one
+            column per channel.
 
         Raises
         ------
@@ -100,7 +100,7 @@ class CurveTable:
         """
         columns = {known_as(channel, channels): name for channel, name in (columns or {}).items()}
         if self.names is None and columns:
-            raise InputFileError(f"{self.path}: there is no heading that names columns; leave `columns` out")
+            raise InputFileError(f"{self.path} has no heading with column names; remove `columns`")
         if self.names is None or (len(self.values) == len(channels) == 1 and not columns):
             return self.counted(len(channels))
         names = [_plain(name) for name in self.names]
@@ -112,26 +112,26 @@ class CurveTable:
         for channel, name, place in zip(channels, asked, order, strict=True):
             if place is None:
                 if names.count(name) > 1:
-                    raise InputFileError(f'{self.path}: two columns are called "{name}"; name each once')
+                    raise InputFileError(f'{self.path}: two columns are called "{name}"; give each column a different name')
                 wrong = f'no column is called "{name}"; {suggestion(name, names)}'
                 if len(names) == len(asked) and not columns:
                     wrong = _difference(names, asked)
                 example = f"{{{channel} = {json.dumps(left_out[0], ensure_ascii=False)}}}" if left_out else ""
-                raise InputFileError(f"{self.path}: {wrong}{'; name it, columns = ' if example else ''}{example}")
+                raise InputFileError(f"{self.path}: {wrong}{'; select it with columns = ' if example else ''}{example}")
         chosen = [place for place in order if place is not None]
         units = tuple(self.units[place] for place in chosen)
         return CurveTable(self.path, self.wavelength, self.values[chosen], tuple(channels), units, tuple(left_out))
 
     def column(self, which: int | str) -> "CurveTable":
-        """Return one column, by its number from 1 or by its name. Raises InputFileError if it does not exist."""
+        """Return one column, selected by its number from 1 or by its name. Raises InputFileError if it does not exist."""
         if isinstance(which, str):
             names = [_plain(name) for name in self.names or ()]
             if names.count(_plain(which)) != 1:
-                there = suggestion(which, names) if names else "there is no heading that names columns"
+                there = suggestion(which, names) if names else "the file has no heading with column names"
                 raise InputFileError(f'{self.path}: no column is called "{which}"; {there}')
             which = names.index(_plain(which)) + 1
         if not 1 <= which <= len(self.values):
-            raise InputFileError(f"{self.path}: there is no column {which}; give a number from 1 to {len(self.values)}")
+            raise InputFileError(f"{self.path} has no column {which}; use a number from 1 to {len(self.values)}")
         one = slice(which - 1, which)
         return CurveTable(self.path, self.wavelength, self.values[one], self.names and self.names[one], self.units[one])
 
@@ -141,20 +141,20 @@ class CurveTable:
         Parameters
         ----------
         unit : str or None
-            Unit of the values if the heading states no unit. [default: photons/s/sr/m²/nm]
+            Unit of the values if the heading states none. [default: photons/s/sr/m²/nm]
         absolute : bool
-            Whether the absolute scale matters. If it does, other quantities than radiance and implausible values are errors.
+            Whether the absolute scale matters. If so, implausible values and quantities other than radiance are errors.
 
         Raises
         ------
         InputFileError
-            If heading and `unit` differ, if the unit is not a unit of radiance, or if values are implausible.
+            If the heading and `unit` differ, if the unit is not a unit of radiance, or if values are implausible.
         """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             if heading is not None and unit is not None and _conversion(heading) != _conversion(unit):
                 raise InputFileError(
-                    f'{self.path}: its heading says "{heading}", but the measurement file says "{unit}"; correct one of them'
+                    f'{self.path}: the heading says "{heading}", but the measurement file says "{unit}"; correct one of them'
                 )
             rows.append(self._to_photons(values, heading or unit or units.PHOTON_RADIANCE, absolute))
         photons = np.array(rows)
@@ -168,13 +168,13 @@ class CurveTable:
         if other is not None and absolute:
             raise InputFileError(
                 f'{self.path}: "{unit}" is a unit of irradiance or flux, not of spectral radiance; measure the radiance '
-                "that the camera sees"
+                "that the camera records"
             )
         conversion = conversion or other
         if conversion is None:
             raise InputFileError(
-                f'{self.path}: "{unit}" is not a unit of spectral radiance; give "{units.PHOTON_RADIANCE}", '
-                f'"{units.POWER_RADIANCE}", multiples of them, or "relative photons", "relative power"'
+                f'{self.path}: "{unit}" is not a unit of spectral radiance; use "{units.PHOTON_RADIANCE}", '
+                f'"{units.POWER_RADIANCE}", multiples of these units, "relative photons" or "relative power"'
             )
         of, scale = conversion
         scaled = values * scale
@@ -189,10 +189,10 @@ class CurveTable:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # there is no light at all; callers that need light check this themselves
-        cure = "correct the unit that is stated" if stated else f'if they are watts, give unit = "{units.POWER_RADIANCE}"'
+            return  # there is no light at all, which is checked by callers that need light
+        cure = "correct the stated unit" if stated else f'if the values are watts, set unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
-            f"{self.path}: a radiance peaks at {peak:.3g} {units.PHOTON_RADIANCE}, outside the plausible range of "
+            f"{self.path}: a radiance of {peak:.3g} {units.PHOTON_RADIANCE} is outside the plausible range of "
             f"{DIMMEST:.0e} to {BRIGHTEST:.0e}; {cure}"
         )
 
@@ -204,13 +204,15 @@ class CurveTable:
             if heading is not None and heading not in units.RELATIVE_UNITS and not _is_power(unit):
                 raw = units.RAW.fullmatch(heading) is not None
                 why = ", because it includes the response of the instrument" if raw else ""
-                raise InputFileError(f'{self.path}: "{heading}" is not a unit of power per nm{why}; give "W/nm", or photons')
+                raise InputFileError(
+                    f'{self.path}: "{heading}" is not a unit of power per nm{why}; use "W/nm" or a unit with photons'
+                )
             photons = unit is not None and "photon" in unit.powers
             rows.append(values / self.wavelength if photons else values)
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Convert the columns to transmittances or reflectances, 0…1. With "(%)" in the heading, they are divided by 100.
+        """Convert the columns to transmittances or reflectances, 0…1. Columns with "(%)" in the heading are divided by 100.
 
         Values slightly below 0 or above 1 are clipped, because noise explains them. Raises InputFileError if other values
         are out of range.
@@ -219,22 +221,22 @@ class CurveTable:
             unit = units.parse(heading)
             if heading not in (*units.RELATIVE_UNITS, *units.FRACTION_UNITS) and (unit is None or unit.powers):
                 raise InputFileError(
-                    f'{self.path}: "{heading}" is not a fraction of light; give fractions, or percent as "(%)"'
+                    f'{self.path}: "{heading}" is not a fraction of light; use fractions, or "(%)" for percent'
                 )
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
         shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
         if shares.min() < 0 or shares.max() > 1:
-            percent = '; if they are percent, write "(%)" after the column\'s name' if 1 < shares.max() <= 100 else ""
+            percent = 'append "(%)" to the column names' if 1 < shares.max() <= 100 else "correct the values"
             raise InputFileError(
-                f"{self.path}: values of {shares.min():g}…{shares.max():g} are not fractions of light{percent}"
+                f"{self.path} contains values from {shares.min():g} to {shares.max():g}, which are not fractions; {percent}"
             )
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
         """Return the columns as responsivities per energy or per photon.
 
-        Raises InputFileError if the heading contradicts `per_energy`. `key` is the recipe key that sets `per_energy`, for
-        the message.
+        Raises InputFileError if the heading contradicts `per_energy`. Messages name `key`, the recipe key that sets
+        `per_energy`.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -243,12 +245,12 @@ class CurveTable:
             by_energy = None if unit is None else _energy_response(unit)
             if by_energy is None:
                 raise InputFileError(
-                    f'{self.path}: "{heading}" is not a unit of responsivity; give "A/W", "e-/photon" or "%"'
+                    f'{self.path}: "{heading}" is not a unit of responsivity; use "A/W", "e-/photon" or "%"'
                 )
             if by_energy != per_energy:
                 wanted = str(by_energy).lower()
                 raise InputFileError(
-                    f'{self.path}: its heading says "{heading}", which requires {key} = {wanted}; correct one of them'
+                    f'{self.path}: the heading says "{heading}", which requires {key} = {wanted}; correct one of them'
                 )
         return self.values * np.array([[_share(heading)] for heading in self.units])
 
@@ -262,14 +264,14 @@ class CurveTable:
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
             if heading in units.RELATIVE_UNITS or (per_energy and unit is None):
-                what = f'"{heading}"' if heading else "per energy without a unit"
+                what = f'"{heading}"' if heading else "a responsivity per energy without a unit"
                 raise InputFileError(
-                    f'{self.path}: {what} is not a quantum efficiency; write "(A/W)" or "(e-/photon)" after the names of '
-                    "the columns, or give responsivity.peak_efficiency"
+                    f'{self.path}: {what} is not a quantum efficiency; append "(A/W)" or "(e-/photon)" to the column names, '
+                    "or set responsivity.peak_efficiency"
                 )
             if per_energy:
                 if unit is None or unit.powers != AMPERES_PER_WATT:
-                    raise InputFileError(f'{self.path}: "{heading}" is not "A/W"; give responsivity.peak_efficiency')
+                    raise InputFileError(f'{self.path}: "{heading}" is not "A/W"; set responsivity.peak_efficiency')
                 values = values * unit.scale * ELECTRONVOLT_NM / self.wavelength
             rows.append(values)
         return np.array(rows)
@@ -284,7 +286,7 @@ class CurveTable:
 
 
 def without_noise(curves: Array) -> Array:
-    """Set negative values to zero if the noise of a spectrometer (NOISE) explains them.
+    """Set negative values to zero if the noise of a spectrometer explains them (NOISE).
 
     Parameters
     ----------
@@ -294,7 +296,7 @@ def without_noise(curves: Array) -> Array:
     Returns
     -------
     ndarray, (curve, wavelength)
-        The curves. Values farther below zero are unchanged, so that the caller can reject them.
+        The curves. Values farther below zero are unchanged, and the caller can reject them.
     """
     least = -NOISE * curves.max(axis=1, keepdims=True)
     return np.where((curves < 0) & (curves >= least), 0.0, curves)
@@ -303,8 +305,8 @@ def without_noise(curves: Array) -> Array:
 def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest: float) -> list[tuple[float, float]]:
     """Return the wavelength steps that are too wide for interpolation.
 
-    A step is ignored if all curves are dark at both of its ends. Dark means below 1 % of the peak, or below 5 % if the step
-    lies outside 400 to 700 nm.
+    A step is ignored if all curves are dark at both of its ends. A curve is dark below 1 % of its peak or, for steps outside
+    400 to 700 nm, below 5 % of its peak.
 
     Parameters
     ----------
@@ -313,7 +315,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
     curves : ndarray, (curve, wavelength)
         Spectra or responses.
     widest : float
-        Largest step in nm that may be interpolated.
+        Maximum step in nm that may be interpolated.
 
     Returns
     -------
@@ -329,7 +331,7 @@ def gaps(wavelength: NDArray[np.floating], curves: NDArray[np.floating], widest:
 
 
 def _is_power(unit: units.Unit | None) -> bool:
-    """Whether values in a unit are proportional to power or photons. Percent counts as relative power."""
+    """Whether a unit is proportional to power or to photons. Percent counts as relative power."""
     return unit is not None and (not unit.powers or unit.powers.get("J") == 1 or unit.powers.get("photon") == 1)
 
 
@@ -340,7 +342,7 @@ def _share(heading: str | None) -> float:
 
 
 def _energy_response(unit: units.Unit) -> bool | None:
-    """Whether a unit of responsivity is per energy (True) or per photon (False). None for other units."""
+    """Whether a unit of responsivity is per energy (True) or per photon (False), or None for other units."""
     powers = unit.powers
     if powers in ({}, {"electron": 1, "photon": -1}):
         return False
@@ -348,10 +350,9 @@ def _energy_response(unit: units.Unit) -> bool | None:
 
 
 def _conversion(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of spectral radiance.
+    """Parse a unit of spectral radiance, or return None if `unit` is not such a unit.
 
-    The result is the quantity ("J" or "photon") and the factor to W/(sr m² nm) or photons/s/sr/m²/nm. It is None for other
-    units.
+    The result is the quantity ("J" or "photon") and the factor that converts values to W/(sr m² nm) or photons/s/sr/m²/nm.
     """
     if unit in RELATIVE:
         return ("J" if unit == "relative power" else "photon", 1.0)
@@ -362,7 +363,7 @@ def _conversion(unit: str) -> tuple[str, float] | None:
 
 
 def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str, float] | None:
-    """Return the quantity and the factor of a unit if its denominator consists of the powers in `below`, otherwise None."""
+    """Return the quantity and the factor of a unit if its denominator has the powers `below`, otherwise None."""
     for of in ("J", "photon"):
         if parsed is not None and parsed.powers == {of: 1, **below}:
             return of, float(f"{parsed.scale * 1e-9:.9g}")
@@ -370,7 +371,7 @@ def _quantity_per(parsed: units.Unit | None, below: dict[str, int]) -> tuple[str
 
 
 def _without_angle(unit: str) -> tuple[str, float] | None:
-    """Parse a unit of irradiance or flux per wavelength, such as µW/cm²/nm, like `_conversion`."""
+    """Parse a unit of irradiance or flux per wavelength, such as µW/cm²/nm, in the same way as `_conversion`."""
     parsed = units.parse(unit)
     return _quantity_per(parsed, {"s": -1, "m": -3}) or _quantity_per(parsed, {"s": -1, "m": -1})
 
@@ -380,9 +381,9 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column with a name, or None. "red" and "r" count as the same name.
+    """Return the index of the column with the given name, or None. "red" and "r" are treated as the same name.
 
-    Case matters only if two names differ in nothing else.
+    Letter case matters only if two names differ in nothing else.
     """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())
@@ -402,9 +403,9 @@ def known_as(name: str, channels: Sequence[str]) -> str:
 
 
 def _difference(given: Sequence[str], asked: Sequence[str]) -> str:
-    """Say how the names in a heading differ from the expected names, and how to fix it."""
+    """Describe how the names in a heading differ from the expected names, with advice."""
     odd = next((name for name in given if name not in asked), None)
     if odd is None:
         twice = next(name for name in given if given.count(name) > 1)
-        return f'two columns are called "{twice}"; name each once'
-    return f'column "{odd[:40]}" is not expected; {suggestion(odd, asked)} (or leave the heading out)'
+        return f'two columns are called "{twice}"; give each column a different name'
+    return f'the column "{odd[:40]}" is not expected; {suggestion(odd, asked)} (or remove the heading)'

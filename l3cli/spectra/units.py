@@ -1,4 +1,4 @@
-"""Parses units such as "W/(sr m² nm)", "µm" or "ms", and converts them to the units in which l3 computes."""
+"""Parse units such as "W/(sr m² nm)", "µm" or "ms", and convert them to the units in which l3 computes."""
 
 import re
 from dataclasses import dataclass
@@ -33,18 +33,18 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Units of raw readings, which include the response of the instrument.
+# Units of raw readings. Such readings include the response of the instrument.
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
-RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # the same at the end of a name, without brackets
+RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # such a unit at the end of a name, without brackets
 FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
 RELATIVE_UNITS = ("a.u.", "au", "arb. units", "relative", "rel.", "rel")  # "units" of columns in arbitrary units
-MAX_UNIT_CHARACTERS = 80  # characters; a longer text is not a unit
+MAX_UNIT_CHARACTERS = 80  # a longer text is not a unit
 PHOTON_RADIANCE, POWER_RADIANCE = "photons/s/sr/m²/nm", "W/(sr m² nm)"
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit as a factor times powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
+    """A unit, as a factor times powers of base units (J, photon, electron, s, sr, m, A, V, DN)."""
 
     scale: float
     powers: dict[str, int]
@@ -74,7 +74,7 @@ def parse(text: str) -> Unit | None:
 def below_one_slash(text: str) -> str | None:
     """Rewrite a unit such as "W/sr·m²/nm" so that everything after the first slash is in the denominator.
 
-    Returns None if there is nothing to rewrite.
+    The result is None if there is nothing to rewrite.
     """
     above, slash, below = text.partition("/")
     plain = re.sub(r"[/()]", " ", below)
@@ -82,9 +82,9 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to a closing bracket, and return the unit and the remaining tokens.
+    """Parse tokens up to a closing bracket. Returns the unit and the remaining tokens.
 
-    A slash applies only to the next factor.
+    A slash applies only to the factor that follows it.
     """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":
@@ -114,9 +114,10 @@ def length_nm(text: str) -> float | None:
 
 
 def split(heading: str) -> tuple[str, str | None]:
-    """Split a heading such as "name (unit)", "name [unit]" or "name / unit" into name and unit.
+    """Split a column heading such as "name (unit)", "name [unit]" or "name / unit" into name and unit.
 
-    If there are no brackets or their content does not look like a unit, the name is the whole heading and the unit is None.
+    If there are no brackets, or if their content does not look like a unit, the name is the whole heading and the unit is
+    None.
     """
     heading = heading.strip()
     name, slash, rest = heading.partition(" / ")

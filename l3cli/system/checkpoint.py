@@ -1,10 +1,12 @@
-"""What lets an interrupted run continue, even after SIGKILL: the key of the run, and the names of its finished units.
+"""Checkpoints, with which an interrupted run can continue even after SIGKILL.
 
-The key is a digest of everything on which the bytes of the outputs depend. There are two places for finished units:
+A checkpoint contains the key of the run, which is a digest of everything that affects the bytes of the outputs, and the
+names of the finished units. There are two kinds of checkpoint:
 
-* `PartsFolder`: files in a folder of the run's own, such as the frames of a training set, until the output is complete.
-* `Checkpoint`: a list beside outputs in a folder of the user's, such as pictures. A file that is not listed does not belong
-  to the run.
+* `PartsFolder`: finished units are files in a separate folder, such as the frames of a training set, until the output is
+  complete.
+* `Checkpoint`: finished units are outputs in a folder of the user, such as pictures, and a file lists them. A file that is
+  not listed does not belong to the run.
 """
 
 import contextlib
@@ -18,34 +20,34 @@ from typing import Any
 from l3cli.errors import L3Error, RecipeError
 from l3cli.system.files import FINISHED, UNFINISHED, is_ours, refuse_filled_folder, refuse_protected, sweep, write_whole
 
-RUN = "run"  # name of the file in a folder of parts that holds the key of the run
+RUN = "run"  # name of the file with the key of the run, in a folder of parts
 
 
 class Checkpoint:
-    """List of a run's finished units, with facts that identify each of them.
+    """List of the finished units of a run, with facts that identify each unit.
 
-    The first line of the file is the key of the run. Each further line is a unit as JSON. It is on disk before the unit's
-    file gets its final name, and a listed unit whose file is missing is made again.
+    The first line of the file is the key of the run. Each further line is a unit in JSON. The line is on disk before the
+    file of the unit gets its final name. If the file of a listed unit is missing, the unit is computed again.
 
     Parameters
     ----------
     path : Path
-        File of the list.
+        The file that contains the list.
     key : str
         Key of the run.
     """
 
     def __init__(self, path: Path, key: str) -> None:
         self.path, self.key = path, key
-        self.items: dict[str, Any] = {}  # facts of each unit by name
+        self.items: dict[str, Any] = {}  # name of each unit → its facts
 
     def take_over(self, path: Path) -> bool:
-        """Read the units that an earlier run has finished from its list.
+        """Read the units that an earlier run has finished from the list of that run.
 
         Returns
         -------
         bool
-            Whether the list belongs to the same run. If not, nothing is read.
+            Whether the list belongs to the same run. If it does not, no units are read.
         """
         key, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
         if key != self.key:
@@ -57,11 +59,11 @@ class Checkpoint:
         return True
 
     def begin(self) -> None:
-        """Write the list. New units are appended from now on."""
+        """Write the list. From now on, new units are appended."""
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:
-        """Append a unit, from any process. The line is on disk when this returns."""
+        """Append a unit, from any process. The line is on disk when this method returns."""
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
         file = os.open(self.path, os.O_WRONLY | os.O_APPEND)
@@ -78,10 +80,10 @@ class Checkpoint:
 
 
 class PartsFolder:
-    """Folder "NAME.parts" beside an output, in which a run keeps finished parts until the output is complete.
+    """A folder "NAME.parts" next to an output, in which a run stores finished parts until the output is complete.
 
-    The file `run` holds the key of the run. Each part is a file that appears only when it is complete, so a part that exists
-    is finished, whichever process wrote it.
+    The file `run` contains the key of the run. Each part is a file that appears only when it is complete, so every part that
+    exists is finished, whichever process wrote it.
     """
 
     def __init__(self, output: Path, key: str) -> None:
@@ -90,25 +92,25 @@ class PartsFolder:
 
     @contextlib.contextmanager
     def held(self, resume: bool, force: bool, is_whole: Callable[[Path], bool] = Path.is_file) -> Iterator[None]:
-        """Keep the folder during the block, and remove it at the end.
+        """Use the folder during the block, and remove it at the end.
 
-        If the block fails, the folder stays unless it is empty.
+        If the block fails, the folder is kept unless it contains no parts.
 
         Parameters
         ----------
         resume : bool
             Whether to continue with the parts of an earlier run. Otherwise they are removed.
         force : bool
-            Whether to remove them if they belong to another run.
+            Whether to remove the parts even if they belong to another run.
         is_whole : callable
-            Whether a part is undamaged. Others are removed.
+            Whether a part is undamaged. Damaged parts are removed.
 
         Raises
         ------
         RecipeError
             If `resume` is set, `force` is not, and the parts belong to another run.
         L3Error
-            If the folder holds files that l3 did not make.
+            If the folder contains files that l3 did not write.
         """
         if self.folder.exists():
             self._take_over(resume, force, is_whole)
@@ -116,7 +118,7 @@ class PartsFolder:
         try:
             yield
         except BaseException:
-            sweep(self.folder)  # temporary files of worker processes that were killed
+            sweep(self.folder)  # removes temporary files of killed worker processes
             if all(each.name == RUN for each in self.folder.iterdir()):
                 self.remove()
             raise
@@ -127,11 +129,11 @@ class PartsFolder:
         for each in files:
             refuse_protected(each)
         if not self._run.is_file() and not all(is_ours(each.name) for each in files):
-            raise L3Error(f"{self.folder} holds files that l3 did not make; move it elsewhere")
+            raise L3Error(f"{self.folder} contains files that l3 did not write; move the folder elsewhere")
         is_same = self._run.is_file() and self._run.read_bytes() == self.key.encode()
         if resume and not is_same and self._run.is_file() and not force:
             raise RecipeError(
-                f"{self.folder} is of a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
+                f"{self.folder} is from a run with another recipe, camera, seed or version; leave ‹resume› out or add ‹force›"
             )
         if not (resume and is_same):
             self.remove()
@@ -142,7 +144,7 @@ class PartsFolder:
                 each.unlink()
 
     def remove(self) -> None:
-        """Remove the folder, if it exists. The file `run` goes last, because it shows that the folder is l3's."""
+        """Remove the folder if it exists. The file `run` is removed last, because it identifies the folder as l3's."""
         if not self.folder.exists():
             return
         for each in self.folder.iterdir():
@@ -156,12 +158,12 @@ class PartsFolder:
 def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
     """Mark `folder` as incomplete until the block ends without an error, so that the same run can write into it again.
 
-    The marker is a file with the key of the run.
+    The mark is a file that contains the key of the run.
 
     Raises
     ------
     L3Error
-        If the folder holds something else and `force` is not set.
+        If the folder contains other files and `force` is not set.
     """
     refuse_other_run(folder, key, force)
     marker, finished = folder / UNFINISHED, folder / FINISHED
@@ -179,7 +181,7 @@ def incomplete_folder(folder: Path, key: str, force: bool) -> Iterator[None]:
 
 
 def mark_finished(folder: Path, key: str) -> None:
-    """Note in `folder` that the run with this key has finished it."""
+    """Record in `folder` that the run with this key has finished it."""
     write_whole(folder / FINISHED, key)
 
 
@@ -190,7 +192,7 @@ def is_finished(folder: Path, key: str) -> bool:
 
 
 def refuse_other_run(folder: Path, key: str, force: bool) -> None:
-    """Raise L3Error if `folder` holds anything except what an interrupted run with this key left, unless `force` is set."""
+    """Raise L3Error if `folder` contains anything but files of an interrupted run with this key, unless `force` is set."""
     marker = folder / UNFINISHED
     is_same = marker.is_file() and marker.read_bytes() == key.encode()
     refuse_filled_folder(folder, force or is_same)

@@ -1,4 +1,4 @@
-"""Consoles: where a stage sends its progress and messages."""
+"""Consoles, which receive the progress and the messages of a stage."""
 
 import os
 import stat
@@ -13,23 +13,23 @@ from l3cli.errors import L3Error, RecipeError
 from l3cli.system.text import printable
 
 T = TypeVar("T")
-HEADING = b"# l3 log\n"  # first line of a log; l3 appends to no file without it
+HEADING = b"# l3 log\n"  # first line of a log; l3 does not append to a file without this line
 
 
 class Console(Protocol):
-    """Interface of what receives the messages of a stage, such as a terminal or `Silent`."""
+    """Interface of objects that receive the messages of a stage, such as a terminal or `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield `items` and report progress. `total` is their number, if known, and `what` their name in the plural."""
+        """Yield `items` and report progress. `total` is their number, if known, and `what` is their noun in the plural."""
 
     def info(self, message: str) -> None:
-        """Report what was made, or what to do next."""
+        """Report what was made, or what the user can do next."""
 
     def warn(self, message: str) -> None:
         """Warn about something that may make the result worse."""
 
     def report(self, message: str) -> None:
-        """Report that something requested was left out, or a risk that l3 cannot prevent. Shown even with --quiet."""
+        """Report that l3 left out part of the work, or a risk that it cannot prevent. Shown even with --quiet."""
 
 
 class Silent:
@@ -67,7 +67,7 @@ def warn_caller(message: str) -> None:
 
 
 class Passing:
-    """Base of consoles that pass everything on to another console and see each message."""
+    """Base class of consoles that pass messages on to another console and also handle each message."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -88,12 +88,12 @@ class Passing:
         self.heard("warning", message)
 
     def heard(self, level: str, message: str) -> None:
-        """Handle a message that was passed on."""
+        """Handle a message that has been passed on."""
         raise NotImplementedError
 
 
 class Gathering(Passing):
-    """A console that keeps the first `most` warnings."""
+    """A console that also stores the first `most` warnings."""
 
     def __init__(self, console: Console, most: int) -> None:
         super().__init__(console)
@@ -111,12 +111,11 @@ class Logged(Passing):
     Parameters
     ----------
     console : Console
-        Console that receives everything, too.
+        Console that also receives all messages.
     path : Path
         Log file.
     command : str
         Name of the command.
-    wording : callable
         Rewrites each message for the log.
 
     Raises
@@ -132,11 +131,11 @@ class Logged(Passing):
         self._path, self._command, self._wording = path, command, wording
         self._lost = False  # whether writing has failed
         if path.exists() and not (path.is_file() and _is_log(path)):
-            raise RecipeError(f"{path} is not a log of l3's; name another file for ‹log›")
+            raise RecipeError(f"{path} is not a log of l3; choose another file for ‹log›")
         self._append(b"" if path.exists() else HEADING)
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Show progress on the inner console. The log gets only the start and the end."""
+        """Show progress on the other console. Only the start and the end are written to the log."""
         self.heard("info", what if total is None else f"{what}: {total} to do")
         done, start = 0, time.monotonic()
         for item in self._console.progress(items, total, what):
@@ -145,7 +144,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a line. If the log can no longer be written, this is reported once and the command continues."""
+        """Append a line. If the log can no longer be written, report this once, and let the command continue."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return
@@ -164,7 +163,7 @@ class Logged(Passing):
             finally:
                 os.close(file)
         except OSError as error:
-            raise L3Error(f"{self._path} cannot be written: {error.strerror}; name another file for ‹log›") from error
+            raise L3Error(f"{self._path} cannot be written: {error.strerror}; choose another file for ‹log›") from error
 
 
 def _is_log(path: Path) -> bool:

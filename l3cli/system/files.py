@@ -1,7 +1,7 @@
-"""Files: complete outputs, inputs identified by SHA-256, and records of the files that a stage used.
+"""Files: atomic outputs, identification of inputs by SHA-256, and records of the files that a stage used.
 
-A process that writes a temporary file holds a lock (flock) on it, which the kernel releases even after SIGKILL. So a
-temporary file without a lock was left by a killed run. Locks on outputs are in locks.py.
+A process that writes a temporary file holds a lock (flock) on it, which the kernel releases even after SIGKILL. A temporary
+file without a lock was therefore left by a killed run. Locks on outputs are in locks.py.
 """
 
 import contextlib
@@ -19,17 +19,17 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, L3Error, RecipeError
 
-Dated = list[int]  # size in bytes, time of the last change in ns
+Dated = list[int]  # size in bytes, modification time in ns
 
 
 @dataclass(frozen=True)
 class FilesUsed:
-    """Files that a stage has read and written.
+    """The files that a stage has read and written.
 
     Attributes
     ----------
     read : dict
-        For each role, such as "table", its files with their size and time before they were read (None: not a file).
+        For each role, such as "table": the files, with their size and time before they were read, or None if not a file.
     written : tuple of Path
         Finished output files.
     """
@@ -38,17 +38,17 @@ class FilesUsed:
     written: tuple[Path, ...] = ()
 
     def and_wrote(self, *paths: Path) -> "FilesUsed":
-        """Return the same files and further outputs."""
+        """Return the same record with further output files."""
         return replace(self, written=(*self.written, *paths))
 
 
 def files_to_read(roles: Mapping[str, Iterable[Path]]) -> FilesUsed:
-    """Return a record of input files by their role, made before they are read, so that later changes are noticed."""
+    """Return a record of input files by role. It must be made before the files are read, so that it reveals changes."""
     return FilesUsed({role: {path: dated(path) for path in paths} for role, paths in roles.items()})
 
 
 def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
-    """Return the files of several runs together."""
+    """Combine the records of several runs."""
     read: dict[str, dict[Path, Dated | None]] = {}
     written: list[Path] = []
     for part in parts:
@@ -59,7 +59,7 @@ def all_files(parts: Iterable[FilesUsed]) -> FilesUsed:
 
 
 def dated(path: Path) -> Dated | None:
-    """Return size and modification time of a file, or None if it does not exist."""
+    """Return the size and modification time of a file, or None if it does not exist."""
     try:
         state = os.stat(path)
     except OSError:
@@ -70,8 +70,8 @@ def dated(path: Path) -> Dated | None:
 def fingerprint(path: Path) -> tuple[int, ...]:
     """Return size, modification time, change time and inode of a file, which together identify its content across runs.
 
-    The change time cannot be set back, so it also reveals a copy that keeps size and time. Raise OSError if there is no
-    file.
+    The change time cannot be set back, so a copy with the same size and modification time still differs. Raises OSError if
+    there is no file.
     """
     state = path.stat()
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns, state.st_ino
@@ -79,16 +79,16 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-UNFINISHED = ".l3-unfinished"  # file in a folder of pictures that names the run still writing them
-FINISHED = ".l3-finished"  # file that names the run that wrote all of them
+UNFINISHED = ".l3-unfinished"  # file in a folder of pictures that identifies the run that is still writing them
+FINISHED = ".l3-finished"  # file in a folder of pictures that identifies the run that has written all of them
 STDIN = Path("-")
-LONGEST = 255  # bytes in a file name
-LONGEST_SUFFIX = 16  # bytes in a suffix by which writers choose their format
+LONGEST = 255  # maximum length of a file name, in bytes
+LONGEST_SUFFIX = 16  # maximum length of a suffix from which writers derive their format, in bytes
 NAMES = {
     stat.S_IFDIR: "folder",
     stat.S_IFIFO: "pipe",
     stat.S_IFSOCK: "socket",
-}  # what messages call things that are not files
+}  # nouns in messages for things that are not files
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -96,29 +96,30 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Raise L3Error if `path` exists and may not be replaced."""
+    """Raise L3Error if `path` exists and must not be replaced."""
     if path.is_dir():
-        raise L3Error(f"{path} is a folder; name a file as the output")
+        raise L3Error(f"{path} is a folder; choose a file as the output")
     if path.exists() and not path.is_file():
-        raise L3Error(f"{path} is a device or pipe, which cannot be replaced by a whole file; name a file as the output")
+        raise L3Error(f"{path} is a device or pipe, which l3 cannot replace; choose a file as the output")
     if path.exists() and not force:
-        raise L3Error(f"{path} exists; add ‹force› to replace it or name another output")
+        raise L3Error(f"{path} exists; add ‹force› to replace it, or choose another output")
 
 
 def refuse_filled_folder(path: Path, force: bool) -> None:
-    """Raise L3Error if `path` is a file, or a folder that is not empty and may not be written into."""
+    """Raise L3Error if `path` is a file, or is a folder that is not empty and `force` is not set."""
     if path.exists() and not path.is_dir():
-        raise L3Error(f"{path} is a file; name a folder")
+        raise L3Error(f"{path} is a file; choose a folder")
     if path.is_dir() and not force and any(not is_ours(each.name) for each in path.iterdir()):
-        raise L3Error(f"{path} is not empty; add ‹force› to write into it or name another folder")
+        raise L3Error(f"{path} is not empty; add ‹force› to write into it, or choose another folder")
 
 
 @contextlib.contextmanager
 def atomic_output(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`, which is renamed to `path` if the block succeeds and removed otherwise.
+    """Yield a temporary path, which is renamed to `path` if the block succeeds and removed otherwise.
 
-    The content is flushed to disk before the file is renamed. The temporary file keeps the suffix, because writers choose
-    their format by it. Write into it and do not replace it. No two processes share one.
+    The temporary file is in the folder of `path` and has the same suffix, because writers derive their format from it. The
+    content is flushed to disk before the file is renamed. The block must write into the file without replacing it. Every
+    process has its own temporary file.
 
     Raises
     ------
@@ -133,7 +134,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
         with blamed_on(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary, descriptor = _new_temporary(path)
-        with blamed_on(path, FULL):  # only a full disk, because the block may also read inputs
+        with blamed_on(path, FULL):  # other errors may concern inputs that the block reads
             yield temporary
         with blamed_on(path):
             _put_in_place(temporary, path)
@@ -145,41 +146,44 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes | memoryview | str) -> None:
-    """Write `content` (text as UTF-8) to `path`, which appears only when it is complete."""
+    """Write `content` to `path`, which appears only when it is complete. Text is encoded as UTF-8."""
     with atomic_output(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def _new_temporary(path: Path) -> tuple[Path, int]:
-    """Return a new, empty, locked temporary file beside `path`, and the descriptor that holds its lock."""
+    """Return a new, empty, locked temporary file in the folder of `path`, and the descriptor that holds its lock."""
     stem, suffix = _hidden_name(path)
     while True:
         temporary = path.with_name(f".{stem}.{os.urandom(4).hex()}.l3tmp{suffix}")
         descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, initial_mode(path))
-        with contextlib.suppress(OSError):  # without locks, no run removes temporary files of others
+        with contextlib.suppress(OSError):  # if locks are not supported, no run removes temporary files of other runs
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             return temporary, descriptor
-        os.close(descriptor)  # swept between the two calls
+        os.close(descriptor)  # another run removed the file between the two calls
 
 
 def _hidden_name(path: Path) -> tuple[str, str]:
-    """Return the stem and suffix of the temporary files of `path`."""
+    """Return the stem and suffix from which the names of the temporary files of `path` are built."""
     stem, suffix = (path.stem, path.suffix) if len(os.fsencode(path.suffix)) <= LONGEST_SUFFIX else (path.name, "")
     return shortened(stem, len(f"..01234567.l3tmp{suffix}")), suffix
 
 
 def shortened(name: str, more: int) -> str:
-    """Return `name`, or its beginning and a digest if `name` and `more` further bytes are too long for a file name."""
-    coded, room = os.fsencode(name), LONGEST - more
-    if len(coded) <= room:
+    """Return `name` or, if `name` and `more` further bytes are too long for a file name, its beginning and a digest."""
+    coded, longest = os.fsencode(name), LONGEST - more
+    if len(coded) <= longest:
         return name
     digest = hashlib.sha256(coded).hexdigest()[:16]
-    return coded[: room - len(digest)].decode(errors="ignore") + digest
+    return coded[: longest - len(digest)].decode(errors="ignore") + digest
 
 
 def initial_mode(output: Path) -> int:
-    """Return the mode, before the umask, of files created for an output. It grants no more than the replaced output does."""
+    """Return the mode, before the umask, of files that are created for an output.
+
+    It grants no more access than the mode of the file that the output replaces.
+    """
     try:
         return 0o666 & (output.stat().st_mode | 0o600)
     except OSError:
@@ -187,13 +191,13 @@ def initial_mode(output: Path) -> int:
 
 
 def _put_in_place(temporary: Path, path: Path) -> None:
-    """Rename a file, and make sure that content and name are on disk."""
+    """Rename a file, and make sure that the content and the new name are on disk."""
     _flush(temporary)
     os.replace(temporary, path)
     try:
         _flush(path.parent)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage that cannot, a folder that may not be read
+        if error.errno not in (errno.EINVAL, errno.EACCES):  # storage without fsync of folders, or an unreadable folder
             raise
 
 
@@ -208,13 +212,15 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Turn system errors (only those in `numbers`, if given) into an L3Error saying that `path` cannot be written."""
+    """Convert system errors to an L3Error that says that `path` cannot be written. `numbers` restricts the errors."""
     try:
         yield
     except OSError as error:
         if numbers is not None and error.errno not in numbers:
             raise
-        cure = "free some space and run again" if error.errno in FULL else "name another output or make its folder writable"
+        cure = (
+            "free some space and run again" if error.errno in FULL else "choose another output or make its folder writable"
+        )
         raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
 
 
@@ -222,9 +228,9 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """Open a regular file for its lock, or raise OSError.
+    """Open a regular file to lock it. Raises OSError if that is not possible.
 
-    Write access is only needed for locks over NFS, so a file of another user that is read-only is opened for reading.
+    Write access is only needed for locks over NFS, so a read-only file of another user is opened for reading.
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -237,7 +243,7 @@ def open_quietly(path: Path) -> int:
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
-    """Remove temporary files in `folder` (only those of `output`, if given) that no living process holds."""
+    """Remove temporary files in `folder` that no running process holds. If `output` is set, only temporary files for it."""
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
         match = TEMPORARY.fullmatch(name)
@@ -245,7 +251,7 @@ def sweep(folder: Path, output: Path | None = None) -> None:
             continue
         if identity(folder / name) in _protected:
             continue
-        with contextlib.suppress(OSError):  # a living writer's, or gone already, or none of l3's
+        with contextlib.suppress(OSError):  # the file is in use, already removed, or not a file of l3
             descriptor = open_quietly(folder / name)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -255,19 +261,19 @@ def sweep(folder: Path, output: Path | None = None) -> None:
 
 
 def is_ours(name: str) -> bool:
-    """Return whether a file of this name is a lock, a checkpoint or a temporary file of l3."""
+    """Whether a file with this name is a lock, a checkpoint or a temporary file of l3."""
     return name.endswith((LOCK, UNFINISHED, FINISHED)) or TEMPORARY.fullmatch(name) is not None
 
 
 # --------------------------------------------------------------------------------------------------------- inputs
 
-Identity = tuple[int, int]  # device and number on it: the same for every name, symbolic and hard link of a file
-_protected: dict[Identity, Path] = {}  # files that the command reads, with the names under which they were given
+Identity = tuple[int, int]  # device and inode, which are the same for every name, symbolic link and hard link of a file
+_protected: dict[Identity, Path] = {}  # files that the command reads, with the names under which the user specified them
 
 
 @contextlib.contextmanager
 def protecting(paths: Iterable[Path]) -> Iterator[None]:
-    """Keep outputs of this process from replacing these files during the block, under any name. "-" is stdin."""
+    """Keep outputs of this process from replacing these files, by any name, during the block. "-" is stdin."""
     named = ((identity(0 if path == STDIN else path), path) for path in paths)
     added = {key: path for key, path in named if key is not None and key not in _protected}
     _protected.update(added)
@@ -279,18 +285,18 @@ def protecting(paths: Iterable[Path]) -> Iterator[None]:
 
 
 def refuse_protected(output: Path | int) -> None:
-    """Raise RecipeError if an output (a path or a descriptor) is a protected input."""
+    """Raise RecipeError if an output, which is a path or a descriptor, is a protected input."""
     key = identity(output) if _protected else None
     if key is None or key not in _protected:
         return
     source = _protected[key]
     name, other = "stdout" if isinstance(output, int) else str(output), "stdin" if source == STDIN else str(source)
     same = "" if name == other else f" (the same file as {other})"
-    raise RecipeError(f"{name} is an input{same}; name another output")
+    raise RecipeError(f"{name} is an input{same}; choose another output")
 
 
 def identity(file: Path | int) -> Identity | None:
-    """Return the identity of a regular file, following links, or None if there is none."""
+    """Return the identity of a regular file, or None if it does not exist or is not a regular file. Links are followed."""
     try:
         state = os.stat(file)
     except OSError:
@@ -298,10 +304,10 @@ def identity(file: Path | int) -> Identity | None:
     return (state.st_dev, state.st_ino) if stat.S_ISREG(state.st_mode) else None
 
 
-def require_regular(path: Path, cure: str = "give a file") -> None:
-    """Raise InputFileError, which ends with `cure`, unless `path` is a regular file.
+def require_regular(path: Path, cure: str = "use a file") -> None:
+    """Raise InputFileError, ending with `cure`, unless `path` is a regular file.
 
-    The file is not opened, because opening a pipe or device may block for ever.
+    The file is not opened, because opening a pipe or device may block forever.
     """
     try:
         _require_regular(path, path.stat().st_mode, cure)
@@ -316,8 +322,8 @@ def _require_regular(path: Path, mode: int, cure: str) -> None:
         raise InputFileError(f"{path} is a {NAMES.get(stat.S_IFMT(mode), 'device')}; {cure}")
 
 
-def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
-    """Open a regular file for reading. Raise InputFileError, as `require_regular` does, if it is no regular file."""
+def open_regular(path: Path, cure: str = "use a file") -> io.BufferedReader:
+    """Open a regular file for reading. Raises InputFileError, like `require_regular`, if it is not a regular file."""
     require_regular(path, cure)
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -334,7 +340,7 @@ def open_regular(path: Path, cure: str = "give a file") -> io.BufferedReader:
 
 @contextlib.contextmanager
 def naming(path: Path, cure: str = "") -> Iterator[None]:
-    """Turn system errors into InputFileErrors that name the file and end with `cure`."""
+    """Convert system errors to InputFileErrors that name the file and end with `cure`."""
     try:
         yield
     except OSError as error:
@@ -342,7 +348,7 @@ def naming(path: Path, cure: str = "") -> Iterator[None]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal."""
+    """Return the SHA-256 of a file in hexadecimal digits."""
     with naming(path), open_regular(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -357,18 +363,18 @@ def stamp(path: Path) -> tuple[int, ...]:
 
 
 def require_same(path: Path, digest: str) -> None:
-    """Raise InputFileError unless the file has this SHA-256, because another machine may have another file under this name.
+    """Raise InputFileError unless a file has the given SHA-256, because its name may mean another file on another machine.
 
-    An unchanged file is read only once.
+    A file that has not changed is read only once.
     """
     try:
         known = fingerprint(path)
     except OSError as error:
         raise InputFileError(
-            f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all share"
+            f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all workers share"
         ) from error
     if _known_sha256(path, known) != digest:
-        raise InputFileError(f"{path} is another file for a worker; put it on storage that all share")
+        raise InputFileError(f"{path} has another content for a worker; put it on storage that all workers share")
 
 
 @functools.lru_cache(10_000)

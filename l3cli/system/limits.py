@@ -1,4 +1,4 @@
-"""Limits on the size of inputs, checked against their headers before memory is allocated, and whether files are trusted."""
+"""Limits on the size of inputs, which are checked before memory is allocated, and the setting whether files are trusted."""
 
 import contextlib
 import os
@@ -12,104 +12,104 @@ from l3cli.errors import InputFileError, L3Error, RecipeError
 from l3cli.system.files import naming, open_regular
 from l3cli.system.text import NoSuchNumber, Quantity
 
-ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment
-MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: maximum pixels per picture or frame, in millions
+ONE_BLAS_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # environment variables
+MEGAPIXELS = "L3_MEGAPIXELS"  # environment variable: maximum number of pixels of a picture or frame, in millions
 USUAL_MEGAPIXELS = 400.0
 PICTURE = Quantity(0.0001, 1e6, "megapixels")
-VALUES_A_PIXEL = 3  # a file may hold this many 32-bit values for each pixel of the largest picture
+VALUES_A_PIXEL = 3  # maximum number of 32-bit values in a file, per pixel of the largest permitted picture
 VALUE_BYTES = 4
-SECONDS = "L3_DECODE_SECONDS"  # environment variable: maximum processor time for decoding one file, s
+SECONDS = "L3_DECODE_SECONDS"  # environment variable: maximum processor time for decoding a file, in s
 USUAL_SECONDS = 60.0
-TRUST = "L3_TRUST"  # environment variable: decode foreign files in this process, without limits of time and memory
+TRUST = "L3_TRUST"  # environment variable: whether to decode files in this process, without limits of time and memory
 YES, NO = ("1", "true", "yes", "on", "y", "t"), ("", "0", "false", "no", "off", "n", "f")
-LIBRARIES, A_CORE = 1 << 30, 16 << 20  # bytes of address space that libraries need, and their threads for each core
-MOST_TEXT = 64 << 20  # bytes of a recipe, measurement file, CSV table or header
+LIBRARIES, A_CORE = 1 << 30, 16 << 20  # bytes of address space: for libraries, and for their threads per core
+MOST_TEXT = 64 << 20  # maximum size of a recipe, measurement file, CSV table or header, in bytes
 
 
 def most_pixels() -> int:
-    """Return the maximum number of pixels (rows × columns) of a picture or frame."""
+    """Return the maximum number of pixels of a picture or frame."""
     return int(setting(MEGAPIXELS, PICTURE, USUAL_MEGAPIXELS) * 1e6)
 
 
 def decode_seconds() -> float:
-    """Return the maximum processor time (s) for decoding one file."""
+    """Return the maximum processor time for decoding a file, in s."""
     return setting(SECONDS, Quantity(0.1, 1e6, "s"), USUAL_SECONDS)
 
 
 def require_settings() -> None:
-    """Raise RecipeError if one of the environment variables above is invalid, even if the command does not use it."""
+    """Raise RecipeError if an environment variable of this module is invalid, even if the command does not use it."""
     most_pixels(), decode_seconds(), trusted()
 
 
 def setting(name: str, range_: Quantity, usual: float) -> float:
-    """Return the number in an environment variable, or `usual` if it is not set. Raise RecipeError if it is out of range."""
+    """Return the number in an environment variable, or `usual` if it is not set. Raises RecipeError if it is invalid."""
     text = os.environ.get(name, "")
     try:
         return range_.read(text) if text else usual
     except NoSuchNumber as error:
-        raise RecipeError(f"{name}: {error}; unset it for the usual {usual:g}") from None
+        raise RecipeError(f"{name}: {error}; correct or unset the environment variable (default {usual:g})") from None
 
 
 def most_bytes() -> int:
-    """Return the maximum size in memory of the content of one file, in bytes."""
+    """Return the maximum size of the content of a file in memory, in bytes."""
     return VALUES_A_PIXEL * VALUE_BYTES * most_pixels()
 
 
 def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
-    """Raise InputFileError if a picture with this many `values` per pixel is larger than the limit."""
+    """Raise InputFileError if a picture with `values` values per pixel exceeds the limit."""
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
-            f"{name} claims {rows}×{cols} pixels of {values} values, more than {most_pixels() / 1e6:g} megapixels of "
-            f"{VALUES_A_PIXEL}; if they are really there, raise {MEGAPIXELS}"
+            f"{name} has {rows}×{cols} pixels with {values} value{'s' * (values != 1)}, more than {most_pixels() / 1e6:g} "
+            f"megapixels with {VALUES_A_PIXEL}; if this size is correct, raise {MEGAPIXELS}"
         )
 
 
 def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYTES) -> None:
-    """Raise InputFileError if an array is larger than the content of a file may be."""
+    """Raise InputFileError if an array exceeds the maximum size of the content of a file."""
     shape = tuple(int(length) for length in shape)
     if prod(shape) * max(value_bytes, 1) > most_bytes():
-        claimed = "×".join(map(str, shape))
+        lengths = "×".join(map(str, shape))
         raise InputFileError(
-            f"{name} claims {claimed} values of {value_bytes} bytes, more than {most_bytes() / 1e9:.3g} GB; "
-            f"if they are really there, raise {MEGAPIXELS}"
+            f"{name} has {lengths} values of {value_bytes} bytes, more than {most_bytes() / 1e9:.3g} GB; "
+            f"if this size is correct, raise {MEGAPIXELS}"
         )
 
 
 def require_address_space() -> None:
-    """Raise L3Error if the address space (ulimit -v) may be too small. Libraries that get none abort or hang."""
+    """Raise L3Error if the address space (ulimit -v) may be too small, because libraries would then abort or hang."""
     needed = LIBRARIES + A_CORE * (os.cpu_count() or 1)
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < needed:
         raise L3Error(
-            f"the limit of address space (ulimit -v) is {allowed >> 20} MB, but libraries need {needed >> 20} MB; raise it"
+            f"the address space is limited to {allowed >> 20} MB, but libraries need {needed >> 20} MB; raise ulimit -v"
         )
 
 
-def read_bounded(path: Path, cure: str = "give a text file") -> bytes:
-    """Return the bytes of a text file. Raise InputFileError, which ends with `cure`, if it is unreadable or too large."""
+def read_bounded(path: Path, cure: str = "use a text file") -> bytes:
+    """Return the bytes of a text file. Raises InputFileError, ending with `cure`, if it is unreadable or too large."""
     with naming(path, cure), open_regular(path, cure) as stream:
         content = stream.read(MOST_TEXT + 1)
     if len(content) > MOST_TEXT:
-        raise InputFileError(f"{path} is larger than {MOST_TEXT >> 20} MB; give a text file")
+        raise InputFileError(f"{path} is larger than {MOST_TEXT >> 20} MB; use a text file")
     return content
 
 
 def trusted() -> bool:
-    """Return whether foreign files are decoded in this process. Raise RecipeError if L3_TRUST is neither yes nor no."""
+    """Whether untrusted files are decoded in this process. Raises RecipeError if L3_TRUST is invalid."""
     word = os.environ.get(TRUST, "").strip().lower()
     if word not in YES + NO:
-        raise RecipeError(f'{TRUST}="{word}" is neither yes nor no; unset it or give 1 or 0')
+        raise RecipeError(f'{TRUST} is "{word}", which is neither yes nor no; set it to 1 or 0, or unset it')
     return word in YES
 
 
 def trust() -> AbstractContextManager[None]:
-    """Decode foreign files in this process during the block, and in processes that start in it."""
+    """Decode files in this process during the block, and in processes that start during the block."""
     return environment({TRUST: "1"})
 
 
 @contextlib.contextmanager
 def environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables during the block, also for processes that start in it."""
+    """Set environment variables during the block, also for processes that start during the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

@@ -1,7 +1,7 @@
-"""Locks that let only one run at a time write an output.
+"""Locks that allow only one run at a time to write an output.
 
-A run holds a lock (flock) on a hidden file beside the output. The kernel releases it when the process ends, even by SIGKILL.
-The module also has a lock for the threads of a process.
+A run holds a lock (flock) on a hidden file in the folder of the output. The kernel releases the lock when the process ends,
+even after SIGKILL. The module also contains a lock for the threads of a process.
 """
 
 import contextlib
@@ -16,9 +16,9 @@ from l3cli.system.files import LOCK, blamed_on, initial_mode, open_quietly, refu
 
 
 class ThreadLock:
-    """A lock between the threads of a process that is free in a forked child.
+    """A lock between the threads of a process. In a forked child, the lock is free.
 
-    The thread of the parent that held it does not exist in the child, and would never release it.
+    A thread of the parent that holds the lock does not exist in the child and would never release it.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class ThreadLock:
 
 @contextlib.contextmanager
 def sole_writer_of_file(path: Path) -> Iterator[bool]:
-    """Keep other runs from writing `path` during the block, and remove temporary files that killed runs left of it.
+    """Keep other runs from writing `path` during the block, and remove temporary files that killed runs left.
 
     Yields
     ------
@@ -56,10 +56,10 @@ def sole_writer_of_file(path: Path) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def sole_writer_of_folder(folder: Path, name: str = "", inside: tuple[str, ...] = ()) -> Iterator[bool]:
-    """Keep other runs from writing the files of a folder and of its subfolders `inside`, as `sole_writer_of_file` does.
+    """Do the same as `sole_writer_of_file` for the files in a folder and in its subfolders `inside`.
 
-    With `name`, a pattern, only files that match it are locked. The folder is created, and removed if it is empty at the
-    end. Temporary files of killed worker processes are removed, too.
+    If `name` is set to a pattern, only files that match the pattern are locked. The folder is created if necessary, and
+    removed if it is empty at the end. Temporary files of killed worker processes are also removed.
     """
     with _locked(folder / name, folder / (_lock_name(name) if name else LOCK)) as locked:
         swept = [folder, *(folder / each for each in inside)] if locked else []
@@ -78,8 +78,8 @@ def _lock_name(name: str) -> str:
 
 @contextlib.contextmanager
 def _locked(output: Path, lock: Path) -> Iterator[bool]:
-    """Hold `lock` during the block. Folders created for it are removed if they stay empty."""
-    refuse_protected(lock)  # it will be removed
+    """Hold `lock` during the block. Folders that are created for the lock are removed if they stay empty."""
+    refuse_protected(lock)  # the lock file is removed at the end
     made = [folder for folder in (lock.parent, *lock.parent.parents) if not folder.exists()]
     try:
         descriptor = _take(lock, output)
@@ -95,11 +95,11 @@ def _locked(output: Path, lock: Path) -> Iterator[bool]:
 
 
 def _busy(output: Path) -> L3Error:
-    return L3Error(f"{output} is being written by another run; wait until it ends or name another output")
+    return L3Error(f"{output} is being written by another run; wait until that run ends, or choose another output")
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Return the descriptor that holds the lock; None where the storage knows no locks."""
+    """Return the descriptor that holds the lock, or None if the storage does not support locks."""
     while True:
         with blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def _take(lock: Path, output: Path) -> int | None:
             except FileExistsError:
                 descriptor = _existing(lock)
         if descriptor is None:
-            continue  # its holder has just removed it
+            continue  # another run has just removed the lock file
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -121,13 +121,14 @@ def _take(lock: Path, output: Path) -> int | None:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.lstat(lock), os.fstat(descriptor)):
                 return descriptor
-        os.close(descriptor)  # its holder has ended and removed it between the two calls
+        os.close(descriptor)  # another run removed the lock file between the two calls
 
 
 def _existing(lock: Path) -> int | None:
-    """Open an existing lock file, or return None if there is none. Raise L3Error if it is not l3's or not accessible.
+    """Open an existing lock file, or return None if it no longer exists.
 
-    It follows no links, creates nothing and never blocks, because a shared folder may hold anything.
+    Raises L3Error if the file is not a lock file of l3 or is not accessible. Symbolic links are not followed, nothing is
+    created, and opening never blocks, because a shared folder may contain anything.
     """
     try:
         return open_quietly(lock)
@@ -135,13 +136,13 @@ def _existing(lock: Path) -> int | None:
         return None
     except PermissionError as error:
         raise L3Error(
-            f"{lock} belongs to another user; remove it if that user has no run in progress, or name another output"
+            f"{lock} belongs to another user; remove it if that user has no run in progress, or choose another output"
         ) from error
     except OSError as error:
-        raise L3Error(f"{lock} is not a lock file of l3; remove it, or name another output") from error
+        raise L3Error(f"{lock} is not a lock file of l3; remove it, or choose another output") from error
 
 
 def _let_go(lock: Path, descriptor: int) -> None:
-    with contextlib.suppress(FileNotFoundError, PermissionError):  # another user's, where only they may remove it
+    with contextlib.suppress(FileNotFoundError, PermissionError):  # only the owner may be allowed to remove the file
         lock.unlink()
     os.close(descriptor)

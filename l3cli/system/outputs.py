@@ -1,7 +1,7 @@
-"""Check the outputs of a stage before the work begins, and lock them.
+"""Check and lock the outputs of a stage before its work begins.
 
-An output may not replace an input. Outputs that cannot be written are refused. The locks keep other runs from writing the
-same outputs until the stage ends.
+An output that would replace an input or cannot be written is refused. Until the stage ends, locks keep other runs from
+writing the same outputs.
 """
 
 import contextlib
@@ -22,10 +22,10 @@ class OutputGuard(contextlib.ExitStack):
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # outputs; folders with globs of the files written there
+        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # output, and globs of the files that are written in a folder
 
     def protect(self, *inputs: Path) -> None:
-        """Protect input files until the end. No output may replace them, under any name, even with `force`.
+        """Protect input files until the end. No output may replace an input, by any of its names, even with `force`.
 
         Raises
         ------
@@ -37,47 +37,49 @@ class OutputGuard(contextlib.ExitStack):
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """Call `hold_file`, and refuse an output that exists unless `force` is set."""
-        self.hold_file(path, recipe)  # first, because another run may be about to write it
+        """Do the same as `hold_file`, and refuse an output that exists unless `force` is set."""
+        self.hold_file(path, recipe)  # before the check, because another run may be about to write the file
         refuse_existing(path, force)
 
     def hold_file(self, path: Path, recipe: bool = False) -> None:
-        """Refuse an output that is an input, not a file, not writable, or a .toml that is not a `recipe`. Lock it until the
-        end.
+        """Lock an output file until the end.
+
+        Refuses an output that is an input, not a file, not writable, or a .toml file that is not a `recipe`.
         """
         if path.suffix == ".toml" and not recipe:
-            raise RecipeError(f"{path}: .toml is for recipes; name an output that ends otherwise")
+            raise RecipeError(f"{path}: .toml is for recipes; choose an output with another suffix")
         self._remember(path)
-        refuse_existing(path, force=True)  # a folder or device
+        refuse_existing(path, force=True)  # refuses only folders and devices
         refuse_unwritable(path)
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """Call `hold_folder`, and refuse a folder that is not empty unless `force` is set."""
+        """Do the same as `hold_folder`, and refuse a folder that is not empty unless `force` is set."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 
     def hold_folder(self, path: Path, *globs: str) -> None:
-        """Refuse an output folder that is a file, not writable, or whose files that match `globs` are inputs. Lock it until
-        the end.
+        """Lock an output folder until the end.
+
+        Refuses a folder that is a file or not writable, or in which files that match `globs` are inputs.
         """
-        refuse_filled_folder(path, force=True)  # a file
+        refuse_filled_folder(path, force=True)  # refuses only files
         refuse_unwritable(path)
         self._remember(path, *globs)
         self.hold(sole_writer_of_folder(path), path)
 
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
-        """Hold a lock on an output until the end."""
+        """Acquire a lock on an output, and keep it until the end."""
         if not self.enter_context(lock):
             self._console.report(
-                f"warning: {output} is on storage without file locks; make sure that no other run writes it"
+                f"warning: {output} is on storage without file locks; make sure that no other run writes to it"
             )
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Refuse an output that would replace an input or another output, and remember it for inputs named later."""
+        """Refuse an output that would replace an input or another output, and remember it for inputs added later."""
         _refuse_protected(path, globs)
         if any(path.resolve() == other.resolve() for other, _ in self._guarded):
-            raise RecipeError(f"{path} is given for two outputs; give a different file for each")
+            raise RecipeError(f"{path} is set as two outputs; choose a different path for each")
         self._guarded.append((path, globs))
 
 
@@ -87,10 +89,10 @@ def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise L3Error if `path` is in a place where nothing can be written."""
+    """Raise L3Error if no file can be written at `path`."""
     whole = path.absolute()
     folder = whole if whole.is_dir() else next(parent for parent in whole.parents if parent.exists())
     if not folder.is_dir():
-        raise L3Error(f"{folder} is a file, not a folder; name another output than {path}")
+        raise L3Error(f"{folder} is a file, not a folder; choose another output than {path}")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise L3Error(f"{folder} cannot be written to; name an output in a folder of your own")
+        raise L3Error(f"{folder} cannot be written to; choose an output in a folder that you may write to")

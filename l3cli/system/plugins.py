@@ -8,19 +8,19 @@ from importlib.metadata import EntryPoint, entry_points
 from l3cli.errors import L3Error
 
 BASELINES, NOISE = "l3cli.baselines", "l3cli.noise"  # groups of entry points
-NAME = re.compile(r"[\w.-]+")  # characters allowed in file names, of which the name becomes a part
+NAME = re.compile(r"[\w.-]+")  # the name of an entry point becomes a part of file names
 
 
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name, sorted.
+    """Return the entry points of a group, sorted by name.
 
-    If several packages provide the same name, the first that Python finds is used. Raise L3Error for a name that cannot be
-    part of a file name.
+    If several packages provide an entry point of the same name, the first that Python finds is used. Raises L3Error if a
+    name cannot be part of a file name.
     """
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
         if not NAME.fullmatch(entry.name):
-            raise L3Error(f'{described(entry)} may have only letters, digits, "_", "." and "-" in its name; rename it')
+            raise L3Error(f'{described(entry)} may contain only letters, digits, "_", "." and "-"; rename it')
         found.setdefault(entry.name, entry)
     return {name: found[name] for name in sorted(found)}
 
@@ -31,13 +31,13 @@ def package(entry: EntryPoint) -> str:
 
 
 def described(entry: EntryPoint) -> str:
-    """Return how messages name an entry point."""
+    """Describe an entry point for messages."""
     return f'entry point "{entry.name}" ({entry.group}) of {package(entry)}'
 
 
 @contextlib.contextmanager
 def blamed(entry: EntryPoint) -> Iterator[None]:
-    """Turn errors in the code of an entry point into an L3Error that names it."""
+    """Convert exceptions in the code of an entry point to an L3Error that names the entry point."""
     try:
         yield
     except Exception as error:

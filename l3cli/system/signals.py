@@ -1,8 +1,8 @@
-"""SIGINT and SIGTERM as exceptions, after which the program cleans up and reports one line.
+"""Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
 
-Outputs are temporary files that are renamed when they are complete, so an exception may come at any moment. The only code
-that signals must not interrupt are the callbacks through which HDF5 writes: HDF5 forgets their exceptions together with the
-data, so the file would be incomplete and look complete.
+Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. The only code
+that signals must not interrupt are the callbacks through which HDF5 writes. HDF5 would discard both the exception and the
+data, and the file would look complete although it is not.
 """
 
 import signal
@@ -14,17 +14,17 @@ from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # until a signal that came during a callback is sent again
+RETRY_SECONDS = 0.05  # delay before a signal that arrived during a callback is sent again
 
 _callbacks: set[CodeType] = set()
 
 
 class Terminated(BaseException):
-    """Raised on SIGTERM, as KeyboardInterrupt is on SIGINT."""
+    """Raised on SIGTERM, like KeyboardInterrupt on SIGINT."""
 
 
 def heed() -> None:
-    """Make SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless they are ignored."""
+    """Let SIGINT and SIGTERM raise KeyboardInterrupt and Terminated from now on, unless the signals are ignored."""
     sys.unraisablehook = repeat_lost
     for each in SIGNALS:
         if signal.getsignal(each) is not signal.SIG_IGN:  # shells start background jobs with SIGINT ignored
@@ -32,21 +32,21 @@ def heed() -> None:
 
 
 def ignore() -> None:
-    """Ignore further signals while the program reports the first one and ends."""
+    """Ignore further signals while the program reports the first signal and ends."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_IGN)
 
 
 def leave_to_python() -> None:
-    """Restore the default handlers before the program exits, when nothing would catch an exception."""
+    """Restore the default handlers before the program exits, when no code would catch an exception any more."""
     for each in SIGNALS:
         if signal.getsignal(each) is end:
             signal.signal(each, signal.SIG_DFL)
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception, or send it again later if it came during a callback of HDF5."""
+    """Handle a signal: raise its exception or, during a callback of HDF5, send the signal again later."""
     while frame is not None:
         if frame.f_code in _callbacks:
             _send_again(number)
@@ -56,13 +56,13 @@ def end(number: int, frame: FrameType | None) -> None:
 
 
 def held_back_in(callback: F) -> F:
-    """Decorator: signals wait until this function has returned, which calls a C library or is called by one."""
+    """Decorator for functions that call a C library or are called by one: signals wait until the function has returned."""
     _callbacks.add(callback.__code__)
     return callback
 
 
 def repeat_lost(what: Any) -> None:
-    """Send a signal again whose exception Python cannot pass on, as in the finalisers that run during imports."""
+    """Send a signal again if Python cannot pass on its exception, for example in finalisers that run during imports."""
     if what.exc_type in (KeyboardInterrupt, Terminated):
         _send_again(signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM)
     else:

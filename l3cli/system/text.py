@@ -1,6 +1,6 @@
-"""Plain text: numbers, lines and tables for terminals of any width, pipes and pages.
+"""Text output: numbers, lines and tables for terminals of any width, pipes and web pages.
 
-Numbers are parsed more strictly than by Python, which also accepts 1_000, nan and digits of every script.
+The module also parses numbers. It is stricter than Python, which also accepts 1_000, nan and the digits of every script.
 """
 
 import math
@@ -14,13 +14,15 @@ from l3cli.errors import shortened
 GAP = "  "
 DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 WHOLE = re.compile(r"([+-]?)0*(\d+)", re.ASCII)
-MOST_DIGITS = 40  # longer whole numbers are out of every range, and Python refuses very long ones
-LARGEST_WHOLE = 2**63 - 1  # what TOML, HDF5 and numpy can hold
+MOST_DIGITS = 40  # longer whole numbers are out of every range, and Python refuses to convert very long ones
+LARGEST_WHOLE = 2**63 - 1  # maximum that TOML, HDF5 and numpy can store
 
 
 def printable(text: str) -> str:
-    """Return `text` on one line that is safe to print. "?" replaces line ends, control characters, marks of writing
-    direction and undecodable bytes."""
+    """Return `text` on one line that is safe to print.
+
+    A question mark replaces line ends, control characters, marks of writing direction and undecodable bytes.
+    """
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
@@ -30,7 +32,7 @@ def figure(value: float, form: str) -> str:
 
 
 def tidy(value: float, digits: int = 3) -> str:
-    """Return a number with this many significant digits, without an exponent where it is readable without. NaN is a dash."""
+    """Format a number with this many significant digits, without an exponent if that is readable. NaN is a dash."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
@@ -56,17 +58,17 @@ def counted(number: int, what: str) -> str:
 
 
 def a(what: str) -> str:
-    """Return a noun with its article. Plurals such as "partial sums" get none."""
+    """Return a noun with its article "a". Plurals such as "partial sums" have no article."""
     return what if what.endswith("s") else f"a {what}"
 
 
 def size_text(count: int) -> str:
-    """Return a number of bytes in MB or GB."""
+    """Format a number of bytes in MB or GB."""
     return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
 
 
 def seconds_text(value: float) -> str:
-    """Return an exposure in s or ms."""
+    """Format an exposure time in s or ms."""
     return f"{figure(value, '.4g')} s" if value >= 1 else f"{value * 1e3:.3g} ms"
 
 
@@ -82,7 +84,7 @@ def unit(text: str) -> str:
 
 
 def short_names(paths: Iterable[Path]) -> list[str]:
-    """Return the shortest ending of each path that no other path has."""
+    """Return the shortest ending of each path that distinguishes it from all other paths."""
     every = [path.absolute().parts for path in paths]
 
     def distinguished(parts: tuple[str, ...]) -> str:
@@ -93,10 +95,10 @@ def short_names(paths: Iterable[Path]) -> list[str]:
 
 
 def columns(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None) -> list[str]:
-    """Format a table: first column left-aligned, others right-aligned, with headings of one or more lines.
+    """Format a table with headings of one or more lines. The first column is left-aligned, and others are right-aligned.
 
-    A table wider than `width` characters is split into several tables, one below the other, each with the first column.
-    Characters that are not printable are replaced.
+    A table that is wider than `width` characters is split into several tables, one below the other, which all begin with the
+    first column. Characters that are not printable are replaced.
     """
     named = [[printable(line) for line in heading.split("\n")] for heading in headings]
     high = max(map(len, named))
@@ -121,12 +123,12 @@ def _line(cells: Sequence[str], part: Sequence[int], wide: Sequence[int]) -> str
 
 
 class NoSuchNumber(ValueError):
-    """A text that is not a number or is out of range. The message says what is accepted."""
+    """Raised if a text is not a number or is out of range. The message states which numbers are accepted."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A range of numbers, including its ends, with a unit."""
+    """A range of numbers with a unit. The range includes both limits."""
 
     least: float
     most: float
@@ -137,20 +139,20 @@ class Quantity:
         return f"{_written(self.least)}…{_written(self.most)}{' ' if self.unit else ''}{self.unit}"
 
     def read(self, text: str) -> float:
-        """Parse a number, as int if it must be whole. Raise NoSuchNumber if it is invalid or out of range."""
+        """Parse a number, as an int if it must be whole. Raises NoSuchNumber if it is invalid or out of range."""
         spelled = WHOLE if self.whole else DECIMAL
         if not spelled.fullmatch(text):
             what = "whole number" if self.whole and DECIMAL.fullmatch(text) else "number"
-            raise NoSuchNumber(f'"{shortened(text)}" is not a {what}; give one within {self}')
-        number = _whole(text) if self.whole else float(text) + 0.0  # no -0
+            raise NoSuchNumber(f'"{shortened(text)}" is not a {what}; use a {what} within {self}')
+        number = _whole(text) if self.whole else float(text) + 0.0  # adding 0 turns -0 into 0
         if not self.least <= number <= self.most:
             nearest = self.least if number < self.least else self.most
-            raise NoSuchNumber(f"{shortened(text)} is not within {self}; the nearest is {_written(nearest)}")
+            raise NoSuchNumber(f"{shortened(text)} is not within {self}; the nearest valid value is {_written(nearest)}")
         return number
 
 
 def _whole(text: str) -> float:
-    """Return an int, or infinity if it has more digits than Python reads."""
+    """Return an int, or infinity if the number has more digits than Python converts."""
     match = WHOLE.fullmatch(text)
     assert match is not None
     sign, digits = match.groups()

@@ -204,7 +204,7 @@ def test_options_have_names_types_and_ranges(tmp_path: Path) -> None:
     refused: Callable[..., int] = l3.render
     with pytest.raises(TypeError, match=r'did you mean "white"'):
         refused("t.h5", "a", "b", wihte="D65")
-    with pytest.raises(RecipeError, match="‹crf›: 99 is not within 0…51; the nearest is 51"):
+    with pytest.raises(RecipeError, match="‹crf›: 99 is not within 0…51; the nearest valid value is 51"):
         l3.render("t.h5", "a", "b", crf=99)
     with pytest.raises(RecipeError, match="‹bits›"):
         refused("t.h5", "a", "b", bits=12)

@@ -117,7 +117,7 @@ def test_a_file_of_another_array_is_refused(bayer: CameraModel, tmp_path: Path, 
     head = FILE.replace('["r", "g", "b"]', '["c", "m", "y"]').replace('"r g", "g b"', '"c m", "m y"')
     path = measured(tmp_path, '[photo]\nframes = ["chart.dng"]\n', head)
     line = refused(3, "calibrate", path, "-o", tmp_path / "camera.h5")
-    assert "cfa.pattern cm/my" in line
+    assert '"cfa.pattern" has cm/my' in line
 
 
 def test_two_lights_corners_and_a_data_sheet(folder: Path, tmp_path: Path, l3: L3) -> None:
@@ -191,7 +191,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["none.npy"]', 3, "no chart with 4×6 patches"),
         ('frames = ["clipped.npy"]\nCORNERS', 3, "shorten the exposure"),
         ('frames = ["d65.npy"]\nlight = "D66"', 2, '"D66" is unknown'),
-        ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "do not cover 400…700 nm"),
+        ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "from 400 to 700 nm"),
         ('frames = ["d65.npy"]\nchart = "clasic"', 2, 'did you mean "classic"'),
         ('frames = ["d65.npy"]\nlayout = [10, 14]', 2, "layout = [10, 14] has 140"),
         ('frames = ["d65.npy"]\ncorners = [[1, 2], [3, 4]]', 2, "corners has 2 values; the least is 4"),
@@ -199,7 +199,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["d65.npy"]\ncorners = [[10, 10], [20, 20], [30, 30], [40, 40]]', 3, "on a line"),
         ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "do not resemble the patches"),
         ('frames = ["d65.npy"]\nlayout = [6, 4]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "4, 24 and 21"),
-        ('frames = ["d65.npy", "small.npy"]', 3, "another size or phase"),
+        ('frames = ["d65.npy", "small.npy"]', 3, "differ in size or phase"),
         ("frames = []", 2, "frames has 0 values; the least is 1"),
         ('frames = ["missing.npy"]', 3, "missing.npy does not exist"),
         ('frames = ["table.csv"]', 3, "table.csv"),
@@ -240,4 +240,4 @@ def test_a_prior_of_a_folder(folder: Path, tmp_path: Path, l3: L3, refused: Refu
     assert code == 0, err
     assert "prior of the curves" in out
     path = measured(folder, '[photo]\nframes = ["d65.npy"]\n', 'prior = "nowhere"\n' + FILE)
-    assert "a prior needs 8 cameras" in refused(3, "calibrate", path, "-o", tmp_path / "other.h5")
+    assert "use a folder with 8 to" in refused(3, "calibrate", path, "-o", tmp_path / "other.h5")

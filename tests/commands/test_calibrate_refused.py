@@ -49,7 +49,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("[[dark]]", "[[darkness]]", "`darkness`"),
         ("bits = 12", "bits = 99", "sensor.bits is 99; the most is 16"),
         ("rows = 192", "rows = 12", "too few"),
-        ('column = "410nm"', "column = 999", "column 999 of spectra/mono.csv"),
+        ('column = "410nm"', "column = 999", "spectra/mono.csv has no column 999"),
         ('"g b"', '"g x"', '"x" is not a channel'),
         ("[sensor]", "[sensor", "not valid TOML"),
         ("f_number = 2.8", "f_number = 0", "optics.f_number is 0; give more than 0"),
@@ -60,9 +60,9 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         (
             "[sensor]",
             "[datasheet]\nwell_capacity_e = 1\nblack_level_dn = 0\nwhite_level_dn = 1\n[sensor]",
-            "or its [datasheet]",
+            "or by a [datasheet]",
         ),
-        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "given: mono and curves"),
+        ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "contains mono and curves"),
         ("lamp_drift = ", "lamp_drift = -", "lamp_drift is -0.001; the least is 0"),
     ],
 )
@@ -95,10 +95,10 @@ def no_picture(path: Path) -> None:
     ("kind", "spoil", "words"),
     [
         ("mono", Path.unlink, "does not exist"),
-        ("chart", truncate, "not an image that can be read"),
-        ("white", too_small, "100×100 pixels, the sensor 192×256"),
-        ("dark", too_deep, "more than 12 bits"),
-        ("mono", no_picture, "not an image"),
+        ("chart", truncate, "not a picture that l3 can read"),
+        ("white", too_small, "100×100 pixels, but the sensor has 192×256"),
+        ("dark", too_deep, "does not fit in 12 bits"),
+        ("mono", no_picture, "not a picture"),
     ],
 )
 def test_bad_frames_are_named(
@@ -234,7 +234,7 @@ def test_a_band_is_made_of_what_is_stated_or_there_is_none(table: Path, tmp_path
     assert "uncertainty.photodiode is" in refused(2, *command)
     finished = text.replace('[sweep]\ntable = "sweep.csv"\nphotodiode', '[curves]\nfile = "curves.csv"\n#')
     (table / "MEASUREMENTS.toml").write_text(f"{finished}\n[uncertainty]\nphotodiode = 0.01")
-    assert "photodiode of a [sweep]; leave it out" in refused(2, *command)
+    assert "applies only to a [sweep]; remove it" in refused(2, *command)
 
 
 def test_finished_curves_are_columns_of_a_shared_file(table: Path, tmp_path: Path, l3: L3, refused: Refused) -> None:
@@ -272,7 +272,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
     assert l3("calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "one.h5", "--quiet")[0] == 0
     (table / "diode.csv").write_text("nm,response (A/W),u (%)\n390,0.5,3\n710,0.9,2\n")
     line = refused(3, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "two.h5")
-    assert 'name one, photodiode = {file = "diode.csv", column = 1}' in line
+    assert 'select one, for example with photodiode = {file = "diode.csv", column = 1}' in line
     text = (table / "MEASUREMENTS.toml").read_text()
     for column in ("1", '"response"'):
         (table / "MEASUREMENTS.toml").write_text(text.replace('"diode.csv"', f'{{file = "diode.csv", column = {column}}}'))
@@ -285,10 +285,10 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
     ("name", "old", "new", "code", "words"),
     [
         ("sweep.csv", "400,100", "400,text", 3, "not a row of numbers"),
-        ("sweep.csv", "500,100", "500,nan", 3, "every value must be a number"),
+        ("sweep.csv", "500,100", "500,nan", 3, "a value is not a number"),
         ("sweep.csv", ",1\n600", "\n600", 3, "same number of values"),
-        ("diode.csv", "390,", "450,", 3, "do not cover the sweep's 400…700 nm"),
-        ("diode.csv", "0.5", "-0.5", 3, "photodiode responds to"),
+        ("diode.csv", "390,", "450,", 3, "but the sweep covers 400…700 nm"),
+        ("diode.csv", "0.5", "-0.5", 3, "photodiode does not respond"),
         ("sweep.csv", "64,50.0,1", "64,1.0,1", 3, "receives no light at 500 nm"),
         ("MEASUREMENTS.toml", '"diode.csv"', '"none.csv"', 3, "none.csv"),
         ("MEASUREMENTS.toml", '["r", "g", "b"]', '["r", "g", "b", "w"]', 2, "cfa.pattern"),

@@ -118,7 +118,7 @@ column = "500nm"
 frames = ["there.tif"]
 exposure_us = 5
 spectrum = "watts.csv"  # outside the plausible range
-[[mono]]  # needs one of exposure_s
+[[mono]]  # needs exactly one of the keys "exposure_s"
 frames = ["there.tif"]
 spectrum = "light.csv"
 column = "450nm"
@@ -283,7 +283,7 @@ def test_what_a_measurement_file_means(tmp_path: Path, l3: L3) -> None:
     assert "[curves] c.csv" in out
     assert "[datasheet] well of 15000 e-" in out
     (tmp_path / "m.toml").write_text(text.replace("[datasheet]", "[uncertainty]\n[datasheet]").partition("[datasheet]")[0])
-    assert "give either [[white]] frames" in l3("check", tmp_path / "m.toml")[1]  # only the whole file says so
+    assert "either by [[white]] captures" in l3("check", tmp_path / "m.toml")[1]  # only the whole file says so
 
 
 def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
@@ -316,7 +316,7 @@ def test_a_page_shows_the_curves(tmp_path: Path, l3: L3) -> None:
         (b'name = "x"\n[sensor]\n[cfa]\n[optics]\n', 1, "the keys do not show whether this file is"),
         (b"\xff\xfe\x00", 1, "is not a text file"),
         (b'name = "x"\nbase = "none.toml"\nphase = [0, 0]\n', 2, "none.toml does not exist"),
-        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a glob"),
+        (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = 'a**b'\n", 4, "a**b is not a valid glob"),
         (b"exposure_s = [1]\n[[scene]]\nsource = 'rgb'\nfile = '%s'\n" % (b"x" * 300), 4, "File name too long"),
         (b"[[scene]]\r\nsource = 'rgb'\r\n\r\nfile = 'x.png'\r\n", 4, "x.png does not exist"),
     ],
@@ -365,8 +365,8 @@ def test_measurements_of_a_known_camera(tmp_path: Path, l3: L3) -> None:
     [
         ("camera.toml", "none.toml", 1, "none.toml does not exist"),
         ("camera.toml", "dark1.npy", 1, "dark1.npy"),
-        ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; it is named as a frame"),
-        ("exposure_s = 0.02", "", 2, "needs one of exposure_s, exposure_ms and exposure_us"),
+        ("dark2.npy", "dark3.npy", 3, "dark3.npy does not exist; copy the frame there"),
+        ("exposure_s = 0.02", "", 2, "needs exactly one of the keys"),
         ("exposure_ms = 5", "exposure_ms = -5", 7, "white[1].exposure_ms is -5; give more than 0"),
         ("exposure_ms = 5", "exposure_min = 5", 7, "unknown key `exposure_min`"),
         ("[[white]]", "[[whites]]", 5, "unknown key `whites`"),

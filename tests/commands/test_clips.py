@@ -91,7 +91,7 @@ def test_the_exposure_that_is_reported_renders_as_bright_as_the_ideal(
         assert np.array_equal(read_image(path)[0], read_image(tmp_path / f"out/{number:05d}.png")[0])
     (tmp_path / "clip/other_ideal.png").write_bytes(b"of no raw frame")
     code, _, err = l3("render", tmp_path / "table.h5", tmp_path / "clip", "-o", tmp_path / "third", "--quiet")
-    assert (code, "holds .png and .tif files" in err) == (3, True)
+    assert (code, "contains .png and .tif files" in err) == (3, True)
     (tmp_path / "clip/other_ideal.png").unlink()
     light = [np.mean(list(find_pictures(each).pictures())) for each in (tmp_path / "out", tmp_path / "clip")]
     assert light[0] == pytest.approx(light[1], rel=0.02)

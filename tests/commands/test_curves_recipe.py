@@ -87,13 +87,13 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
     (folder / CSV).write_text(text.replace(",r (%)", ",rot (%)"))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    words = 'no column is called "r"; there are b, NIR, rot, G; name it, columns = {r = "NIR"}'
+    words = 'no column is called "r"; there are b, NIR, rot, G; select it with columns = {r = "NIR"}'
     assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
     assert 'responsivity.columns: "ir" is not a channel; did you mean' in refused(2, *simulate, "--force")
     (folder / CSV).write_text(written("nm,r (%),r (%),g (%),b (%)", nm, four))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    assert 'two columns are called "r"; name each once' in refused(3, *simulate, "--force")
+    assert 'two columns are called "r"; give each column' in refused(3, *simulate, "--force")
     (folder / CSV).write_text(written("", nm, four).lstrip())
     assert "contains 4 curves, but 3 are needed" in refused(3, *simulate, "--force")
 
@@ -148,12 +148,12 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "contains negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g is zero"),
     "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps in um, which gives 390…710 nm"),
-    "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
+    "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap from 390 to 430 nm"),
     "gap": (
         lambda nm, percent: written(
             "nm,r (%),g (%),b (%)", np.delete(nm, range(20, 30)), np.delete(percent, range(20, 30), 0)
         ),
-        "a gap between 485 and 540 nm",
+        "a gap from 485 to 540 nm",
     ),
     "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm, where"),
     "not a pair": (
@@ -172,7 +172,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     ),
     "heading": (
         lambda nm, percent: written("nm,r (%),g (%)", nm, percent),
-        "its heading names 3 columns, but its rows have 4",
+        "the heading has 3 columns, but the rows have 4",
     ),
 }
 

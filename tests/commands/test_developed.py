@@ -155,7 +155,7 @@ def test_a_developed_frame_names_its_makers_not_its_camera(l3: L3, desk: Path) -
     ("output", "options", "words"),
     [
         ("x.dng", ("--space", "srgb"), "leave --space out"),
-        ("x.dng", ("--bits", 32), "leave --bits out"),
+        ("x.dng", ("--bits", 32), "remove --bits"),
         ("x.png", ("--remosaic", "bayer"), "write a .dng"),
         ("x.mp4", ("--remosaic", "bayer"), "write a .dng"),
         ("x.dng", ("--remosaic", "xtrans"), "bayer"),

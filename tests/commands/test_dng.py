@@ -198,7 +198,7 @@ def test_the_matrix_meets_white_and_surfaces(recipe: str) -> None:
 def test_what_exists_already_is_refused(refused: Refused, made: Path, tmp_path: Path) -> None:
     call = ("simulate", made / "scenes.toml", "--camera", made / "camera.toml", "-o", tmp_path / "t.h5", "--dng")
     (tmp_path / "file").write_bytes(b"")
-    assert "name a folder" in refused(1, *call, tmp_path / "file")
+    assert "choose a folder" in refused(1, *call, tmp_path / "file")
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.dng").write_bytes(b"")
     assert "not empty" in refused(1, *call, tmp_path / "full")
@@ -282,24 +282,24 @@ READ: dict[str, tuple[Tags, list[bytes] | None, Callable[[RawFrame], bool]]] = {
                     lambda frame: frame.shading is not None),
 }  # fmt: skip
 REFUSED: dict[str, tuple[Tags, str]] = {
-    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "for readers of DNG 1.8, this is one of 1.7"),
-    "NewSubFileType": ({254: (LONG, [16])}, "holds no raw image"),
+    "DNGBackwardVersion": ({50707: (BYTE, [1, 8, 0, 0])}, "requires DNG version 1.8, but l3 supports only up to 1.7"),
+    "NewSubFileType": ({254: (LONG, [16])}, "contains no raw image"),
     "BitsPerSample": ({258: (SHORT, [32])}, "LibRaw"),
-    "Compression": ({259: (SHORT, [52546])}, "compressed by JPEG XL"),
+    "Compression": ({259: (SHORT, [52546])}, "has JPEG XL"),
     "FillOrder": ({266: (SHORT, [2])}, "bits in reverse"),
-    "Orientation": ({274: (SHORT, [9])}, "its orientation is 9, but TIFF defines 1…8"),
+    "Orientation": ({274: (SHORT, [9])}, "the tag Orientation is 9, but TIFF defines only 1…8"),
     "SamplesPerPixel": ({277: (SHORT, [3]), 262: (SHORT, [34892])}, "already demosaicked"),
-    "samples of three": ({277: (SHORT, [3])}, "3 samples a pixel"),
+    "samples of three": ({277: (SHORT, [3])}, "3 samples per pixel"),
     "TileWidth": (tiled(48, 32), "tiles are wider than the image"),
     "Predictor": ({317: (SHORT, [2])}, "stores differences"),
     "SampleFormat": ({339: (SHORT, [3])}, "floating-point"),
     "CFALayout": ({50711: (SHORT, [3])}, "staggered"),
-    "DefaultCropOrigin": ({50719: (LONG, [1, 0])}, r"its crop \(0, 1, 32, 41\) is not within its active area of 32×41"),
-    "ActiveArea": ({50829: (LONG, [0, 0, 33, 41])}, r"its active area \(0, 0, 33, 41\) is not within its 32×41 pixels"),
-    "ColorimetricReference": ({50879: (SHORT, [1])}, "a picture's values, not a scene's"),
+    "DefaultCropOrigin": ({50719: (LONG, [1, 0])}, r"the default crop \(0, 1, 32, 41\) exceeds the active area of 32×41"),
+    "ActiveArea": ({50829: (LONG, [0, 0, 33, 41])}, r"the active area \(0, 0, 33, 41\) exceeds the 32×41 pixels"),
+    "ColorimetricReference": ({50879: (SHORT, [1])}, "the values of a developed picture"),
     "SubTileBlockSize": ({50974: (LONG, [2, 2])}, "pixels in blocks"),
-    "RowInterleaveFactor": ({50975: (LONG, [0])}, "its tags are damaged"),
-    "ColumnInterleaveFactor": ({52547: (LONG, [0])}, "its tags are damaged"),
+    "RowInterleaveFactor": ({50975: (LONG, [0])}, "has damaged tags"),
+    "ColumnInterleaveFactor": ({52547: (LONG, [0])}, "has damaged tags"),
     "OpcodeList3": ({51022: opcode_list((1, 0, b""))}, "WarpRectilinear"),
 }
 OF_OTHERS = {  # tags that lie between those of DNG
@@ -348,7 +348,7 @@ def test_what_is_read_changes_the_frame_as_it_states(tmp_path: Path, name: str) 
     assert frame.notes == (TWO_SAMPLES,) * (name == "SamplesPerPixel")
 
 
-TWO_SAMPLES = "it holds two samples a pixel (dual pixels); the first is taken"
+TWO_SAMPLES = "it has two samples per pixel (dual pixels), and l3 uses only the first"
 BLACK_LEVELS: dict[
     str, tuple[Tags, float | np.ndarray]
 ] = {  # of tags as cameras and apps write them; (row, col) of each site
@@ -360,7 +360,7 @@ BLACK_LEVELS: dict[
     "BlackLevelRepeatDim of one number": ({50713: (SHORT, [2]), 50714: (SHORT, [32] * 4)}, 32),
     "fractions": ({50714: (RATIONAL, [129, 2])}, 64.5),
     "signed fractions": ({50714: (SRATIONAL, [129, 2])}, 64.5),
-    "two samples a pixel": ({277: (SHORT, [2]), 258: (SHORT, [16, 16]), 50714: (SHORT, [32, 40])}, 32),
+    "two samples per pixel": ({277: (SHORT, [2]), 258: (SHORT, [16, 16]), 50714: (SHORT, [32, 40])}, 32),
     "none": ({}, 0),
 }
 
@@ -510,7 +510,7 @@ def test_what_is_not_read_is_refused_in_its_words(tmp_path: Path, name: str) -> 
 @pytest.mark.parametrize("drop", [(), (50706,)])
 def test_a_mosaic_by_another_name_is_refused(tmp_path: Path, drop: tuple[int, ...]) -> None:
     path = dng_files.write_dng(tmp_path / "a.tif", MOSAIC, PATTERN, tags={50975: (LONG, [2])}, drop=drop)
-    with pytest.raises(InputFileError, match=r"a\.tif is a DNG's mosaic"):
+    with pytest.raises(InputFileError, match=r"a\.tif contains a DNG mosaic"):
         read_raw(path, RGGB)
 
 
@@ -626,15 +626,15 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
     render = ("render", tmp_path / "table.h5", tmp_path / "a.dng", "-o", tmp_path / "a.png", "--backend", "reference")
     warp = struct.pack(">I", 1) + struct.pack(">8d", 1, 0, 0, 0, 0, 0, 0.5, 0.5)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 0, warp))})
-    assert "a.dng is to be changed by WarpRectilinear of OpcodeList3, which is not carried out" in refused(3, *render)
+    assert "a.dng requires the correction WarpRectilinear in OpcodeList3, which l3 does not support" in refused(3, *render)
     dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 1, warp), (77, 1, b""))})
     code, _, err = l3(*render)
     assert code == 0
-    assert "a.dng: WarpRectilinear of OpcodeList3 is optional and not carried out" in err
-    assert "a.dng: opcode 77 of OpcodeList3 is optional and not carried out" in err
+    assert "a.dng: the optional correction WarpRectilinear in OpcodeList3 is ignored" in err
+    assert "a.dng: the optional correction opcode 77 in OpcodeList3 is ignored" in err
     for stage, number in ((LIST_1, 9), (LIST_2, 4), (LIST_3, 5), (LIST_2, 8)):
         dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={stage: opcode_list((number, 0, b""))})
-        assert "not carried out" in refused(3, *render, "--force")
+        assert "requires the correction" in refused(3, *render, "--force")
         assert l3(*render, "--force", "--opcodes", "leave")[0] == 0
 
 
@@ -643,12 +643,12 @@ def test_opcodes_are_left_out_where_that_is_asked_for(tmp_path: Path, table: Tra
     vignette, warp = struct.pack(">7d", 0.5, 0, 0, 0, 0, 0.5, 0.5), struct.pack(">I8d", 1, 1, 0, 0, 0, 0, 0, 0.5, 0.5)
     lists = opcode_list((3, 0, vignette), (1, 0, warp), (8, 0, b""))
     path = dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: lists})
-    with pytest.raises(InputFileError, match="WarpRectilinear of OpcodeList3"):
+    with pytest.raises(InputFileError, match="WarpRectilinear in OpcodeList3"):
         read_raw(path, table)
     frame = read_raw(path, table, RawOverrides(opcodes="leave"))
     np.testing.assert_array_equal(frame.values, stored())
     assert frame.shading is not None
-    assert [note.split()[0] for note in frame.notes] == ["WarpRectilinear", "MapPolynomial"]
+    assert [note.split()[3] for note in frame.notes] == ["WarpRectilinear", "MapPolynomial"]
 
 
 @pytest.mark.parametrize(
@@ -666,14 +666,14 @@ def test_opcodes_are_left_out_where_that_is_asked_for(tmp_path: Path, table: Tra
     ],
 )
 def test_damaged_lists_are_refused(tmp_path: Path, table: TransformTable, opcodes: tuple[int, int, bytes]) -> None:
-    with pytest.raises(InputFileError, match="its tags are damaged"):
+    with pytest.raises(InputFileError, match="has damaged tags"):
         with_lists(tmp_path, stored(), table, {LIST_2: opcode_list(opcodes)})
 
 
 def test_lists_that_end_early_or_never_are_refused(tmp_path: Path, table: TransformTable) -> None:
     kind, content = opcode_list((9, 0, gain_map(np.ones((2, 2)), (0, 0, 9, 9))))
     for broken in (content[:-1], content[:6], [0xFF] * 4 + content[4:], [0, 0, 0, 2] + content[4:]):
-        with pytest.raises(InputFileError, match="its tags are damaged"):
+        with pytest.raises(InputFileError, match="has damaged tags"):
             with_lists(tmp_path, stored(), table, {LIST_2: (kind, broken)})
     planes = opcode_list((9, 0, gain_map(np.full((1, 1), 2.0), (0, 0, 1 << 31, 1 << 31), (0, (1 << 32) - 1))))
     for tag in (LIST_2, LIST_3):

@@ -147,7 +147,7 @@ def test_each_frame_of_a_sequence_has_its_gain(gain_tables: Path, l3: L3, refuse
     call = ("render", gain_tables / "several.h5", folder, "-o", tmp_path / "no-%d.exr", *how, "--gains", listed)
     assert "--gain is one gain for all frames, --gains one for each" in refused(2, *call, "--gain", "2")
     for text, words in (
-        ("1\n4\n", "4 frames, and --gains lists 2"),
+        ("1\n4\n", "4 frames, but --gains lists 2"),
         ("1\nx\n2\n2\n", 'gains.txt: gain 2: "x" is not a number'),
         ("", "is empty"),
     ):

@@ -147,7 +147,7 @@ def test_mistakes_are_one_line_on_the_bus(folder: Path) -> None:
         (f"{SOURCE} ! l3render table=table.h5 exposure=1e-12", "exposure 1e-12 is not within"),
         (f"{SOURCE} ! l3render table=table.h5 device=none", 'no OpenCL device is called "none"'),
         (f"{SOURCE} ! l3render table=table.h5 white=D5", 'illuminant "D5" is unknown'),
-        (f"{SOURCE} ! l3render table=table.h5 white-level=3", "do not fit; give black-level and white-level"),
+        (f"{SOURCE} ! l3render table=table.h5 white-level=3", "set black-level and white-level"),
         (f"{other} ! l3render table=table.h5", "frames have 40×14 pixels (rows × columns) instead of 20×28"),
         (f"{short} ! l3render table=table.h5", "a buffer of 1000 bytes is too small for a frame of 20×28 pixels"),
         (f"{colours} ! l3render table=table.h5", "Internal data stream error"),  # caps that are never agreed on

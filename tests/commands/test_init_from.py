@@ -394,7 +394,7 @@ def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: R
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
     assert "--phase applies to one camera" in refused(2, *both)
     assert "specify raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "more")
-    assert "is a file; name a folder" in refused(1, "init", "--from", photo, photo)
+    assert "is a file; choose a folder" in refused(1, "init", "--from", photo, photo)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.txt").write_text("")
     assert "is not empty; add --force" in refused(1, "init", "--from", photo, tmp_path / "full")

@@ -46,11 +46,11 @@ MISTAKES = """
     2 calibrate lab/MEASUREMENTS.toml
         Missing option '-o'
     1 calibrate lab/MEASUREMENTS.toml -o folder
-        folder is a folder; name a file
+        folder is a folder; choose a file
     1 calibrate lab/MEASUREMENTS.toml -o raw.tif/new.h5
-        raw.tif is a file, not a folder; name another output
+        raw.tif is a file, not a folder; choose another output
     2 calibrate lab/MEASUREMENTS.toml -o new.toml
-        .toml is for recipes; name an output
+        .toml is for recipes; choose an output
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
         table.h5 is a transform table; use a file written by
     2 simulate camera.toml --camera scenes.toml -o new.h5
@@ -72,9 +72,9 @@ MISTAKES = """
     2 simulate empty.toml --camera camera.h5 -o new.h5
         empty.toml: scene or pair must have an entry
     2 simulate scenes.toml --camera camera.h5 -o camera.h5 --force
-        camera.h5 is an input; name another output
+        camera.h5 is an input; choose another output
     1 simulate scenes.toml --camera camera.h5 -o new.h5 --pictures raw.tif
-        raw.tif is a file; name a folder
+        raw.tif is a file; choose a folder
     2 simulate sized.toml --camera camera.h5 -o new.h5
         unknown key `size` in [scene[2]] with source = "iset"; there are source, crop, flip
     2 train training.h5 --classes scenes.toml -o new.h5
@@ -90,7 +90,7 @@ MISTAKES = """
     3 train nothing.h5 -o new.h5
         nothing.h5 does not exist; create it with "l3 simulate"
     2 train training.h5 -o training.h5 --force
-        training.h5 is an input; name another output
+        training.h5 is an input; choose another output
     3 train --merge table.h5 -o new.h5
         table.h5 is a transform table; use a file written by
     3 render raw.tif table.h5 -o new.png
@@ -98,31 +98,31 @@ MISTAKES = """
     3 render training.h5 raw.tif -o new.png
         training.h5 is a training set; use a file written by
     3 render table.h5 table.h5 -o new.png
-        table.h5 holds no dataset uint16 (frame, row, col)
+        table.h5 contains no uint16 dataset (frame, row, col)
     3 render table.h5 picture.png -o new.png
         picture.png has 3 channels
     3 render table.h5 camera.toml -o new.png
-        give a camera raw, a one-channel TIFF
+        use a camera raw, a one-channel TIFF
     3 render table.h5 empty.tif -o new.png
-        empty.tif is not an image
+        empty.tif is not a picture
     3 render table.h5 folder -o new.png
-        folder holds no raw frames; give a folder of
+        folder contains no raw frames; use a folder with
     3 render table.h5 nothing.tif -o new.png
-        nothing.tif does not exist; give a raw file
+        nothing.tif does not exist; use a raw file
     3 render table.h5 cut.raw -o new.png
-        give its layout with --size ROWSxCOLS, --packing, --stride and --skip
+        specify the layout with --size ROWSxCOLS, --packing, --stride and --skip
     2 render table.h5 raw.tif
         Missing option '-o'
     2 render table.h5 -o new.png
         Missing argument 'INPUT...'
     2 render table.h5 raw.tif -o new.jp2
-        pictures are written as .png
+        has the unsupported suffix ".jp2"; use .png
     2 render table.h5 raw.tif -o raw.tif --force
-        raw.tif is an input; name another output
+        raw.tif is an input; choose another output
     1 render table.h5 raw.tif -o raw.tif/new.png
         raw.tif is a file, not a folder
     3 render table.h5 raw.tif -o new.png --white-level 5
-        give --black-level and --white-level
+        set --black-level and --white-level
     2 render table.h5 raw.tif -o new.png --white D651
         illuminant "D651" is unknown; did you mean "D65"
     2 render table.h5 raw.tif -o new.png --backend opencll
@@ -132,13 +132,13 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --tone acess
         '--tone': 'acess'; did you mean "aces"?
     2 render table.h5 raw.tif -o new.png --phase 1
-        "1" is not ROW,COL
+        "1" does not have the form ROW,COL
     3 evaluate training.h5 table.h5
         training.h5 is a training set; use a file written by
     3 evaluate table.h5 camera.h5
         camera.h5 is a camera model; use a file written by
     1 evaluate table.h5 unseen.h5 --pictures raw.tif
-        raw.tif is a file; name a folder
+        raw.tif is a file; choose a folder
     3 report table.h5 raw.tif -o new.html
         raw.tif is not an HDF5 file; use a file written by
     2 report table.h5 -o new.pdf
@@ -174,11 +174,11 @@ MISTAKES = """
     2 report table.h5 unseen.h5 --at 5 -o new.html
         "5" has no unit; give it in lux or cd/m2, such as "5 lux"
     2 report table.h5 unseen.h5 --at "dim lux" -o new.html
-        "dim" is not a number; give one within
+        "dim" is not a number; use a number within
     2 init byer new
         no recipe "byer"; did you mean "bayer"?
     1 init bayer raw.tif
-        raw.tif is a file; name a folder
+        raw.tif is a file; choose a folder
     4 bench --device nvdia --quiet
         no OpenCL device is called "nvdia"
 """
@@ -231,7 +231,7 @@ def test_a_folder_that_may_not_be_written_is_named_before_any_work(
         ("lab", pipeline / "camera.toml", "-o", locked / "new"),
         ("render", pipeline / "table.h5", pipeline / "picture.png", "-o", locked / "new.png"),
     ):
-        assert f"{locked} cannot be written to; name an output" in refused(1, *call)
+        assert f"{locked} cannot be written to; choose an output" in refused(1, *call)
 
 
 SHAPE = (64, 100)

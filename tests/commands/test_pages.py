@@ -124,12 +124,12 @@ ODD: dict[str, tuple[Callable[[Path], object], str]] = {
     "another size": (lambda path: write_pages(path, [*frames()[:2], frames()[2][:-2]]), "page 3 "),
     "another depth": (lambda path: write_pages(path, [frames()[0], (frames()[1] >> 4).astype(np.uint8)]), "page 2 "),
     "colours": (with_colours, "page 2 "),
-    "a subfile": (with_full_subfile, "beside its pages"),
+    "a subfile": (with_full_subfile, "images that are not pages"),
     "ImageJ without pages": (
-        lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "5 frames but has 1 page"
+        lambda path: tifffile.imwrite(path, frames(), imagej=True, truncate=True), "but only 1 page"
     ),
     "tifffile without pages": (
-        lambda path: tifffile.imwrite(path, frames(), photometric="minisblack", truncate=True), "5 frames but has 1 page"
+        lambda path: tifffile.imwrite(path, frames(), photometric="minisblack", truncate=True), "but only 1 page"
     ),
     "cut": (cut_chain, "damaged"),
     "round": (round_chain, "damaged"),
@@ -171,7 +171,7 @@ def test_elsewhere_a_file_has_one_picture(refused: Refused, tmp_path: Path, tabl
             read(stack)
     hidden = tmp_path / "in/hidden.tif"
     tifffile.imwrite(hidden, frames(), imagej=True, truncate=True)
-    with pytest.raises(InputFileError, match="5 frames but has 1 page"):
+    with pytest.raises(InputFileError, match="but only 1 page"):
         read_image(hidden)
 
 
@@ -243,7 +243,7 @@ def test_an_orientation_that_tiff_does_not_know_is_refused(refused: Refused, des
         for number in range(count):
             file.write(np.load(desk / "stack.npy")[number], extratags=[(274, 3, 1, 9 - 3 * (number < count - 1), True)])
     words = refused(3, "render", desk / "table.h5", desk / "a.tif", "-o", desk / "a.png" if count == 1 else desk / "out")
-    assert "a.tif: its orientation is 9, but TIFF defines 1…8; correct the tag Orientation" in words
+    assert "a.tif: the tag Orientation is 9, but TIFF defines only 1…8" in words
 
 
 def test_pages_state_what_they_are(l3: L3, desk: Path) -> None:

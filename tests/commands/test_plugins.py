@@ -106,7 +106,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     for name, words in {
         "basic": "has the name of a baseline of l3",
         "ideal": '"ideal" is already in use',
-        "a/b": "may have only letters",
+        "a/b": "may contain only letters",
     }.items():
         entries.write_text(text.replace("boxes =", f"{name} ="))
         code = 2 if name == "ideal" else 1

@@ -78,11 +78,11 @@ def test_what_another_writer_calls_infrared() -> None:
 @pytest.mark.parametrize(
     ("channels", "cfa", "pattern", "word"),
     [
-        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, the table rg/gb.*‹phase›"),
-        (RGB, QUAD, PATTERN, r"rg/gb, the table rrgg"),
-        (RGB, X_TRANS, PATTERN, r"rg/gb, the table gb"),
+        (RGB, PATTERN, QUAD, r"rrgg/rrgg/ggbb/ggbb, but the table has rg/gb.*‹phase›"),
+        (RGB, QUAD, PATTERN, r"rg/gb, but the table has rrgg"),
+        (RGB, X_TRANS, PATTERN, r"rg/gb, but the table has gb"),
         (RGB, PATTERN, np.array([[0, 1], [2, 1]]), r"rg/bg"),
-        (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table rg/wb"),
+        (("r", "g", "b", "w"), np.array([[0, 1], [3, 2]]), PATTERN, r"the table has rg/wb"),
         (("one", "two"), np.array([[0, 1], [1, 0]]), np.array([[0, 1], [1, 0]]), r"several positions.*‹phase›"),
         (RGB, PATTERN, np.zeros((17, 2), int), r"17×2"),
     ],
@@ -190,16 +190,16 @@ def test_saturation_survives_levelling() -> None:
 @pytest.mark.parametrize(
     ("tags", "word"),
     [
-        ({33421: (SHORT, [4, 4]), 33422: (BYTE, QUAD.ravel().tolist())}, "rrgg/rrgg/ggbb/ggbb, the table rg/gb"),
-        ({50829: (SHORT, [8, 0, 33, 40])}, "active area (8, 0, 33, 40) is not within its 32×40 pixels"),
+        ({33421: (SHORT, [4, 4]), 33422: (BYTE, QUAD.ravel().tolist())}, "rrgg/rrgg/ggbb/ggbb, but the table has rg/gb"),
+        ({50829: (SHORT, [8, 0, 33, 40])}, "active area (8, 0, 33, 40) exceeds the 32×40 pixels"),
         ({50720: (SHORT, [41, 24])}, "crop"),
-        ({50714: (SHORT, [4000])}, "states a black level of 4000 DN, not between 0 and its white level"),
+        ({50714: (SHORT, [4000])}, "states a black level of 4000 DN, which is not between 0 and the white level"),
         ({50715: (SRATIONAL, [1, 1])}, "instead of 40"),
         ({50714: (RATIONAL, [1, 0])}, "damaged black level"),
         ({50711: (SHORT, [2])}, "staggered"),
-        ({33421: (SHORT, [0, 4])}, "tags are damaged"),
-        ({33421: (SHORT, [65535, 65535])}, "tags are damaged"),
-        ({274: (SHORT, [99])}, "its orientation is 99, but TIFF defines 1…8"),
+        ({33421: (SHORT, [0, 4])}, "damaged tags"),
+        ({33421: (SHORT, [65535, 65535])}, "damaged tags"),
+        ({274: (SHORT, [99])}, "the tag Orientation is 99, but TIFF defines only 1…8"),
     ],
 )
 def test_a_dng_that_does_not_fit_is_refused(
@@ -232,7 +232,7 @@ def test_a_sensor_without_filters(tmp_path: Path, mosaic: np.ndarray, name: str)
     path = write_dng(tmp_path / name, mosaic, one, tags={262: (SHORT, [34892])}, drop=(33421, 33422, 50710))
     frame = read_raw(path, sensor(("clear",), np.array([[0]])))
     np.testing.assert_array_equal(frame.values, mosaic)
-    with pytest.raises(InputFileError, match="array w, the table rg/gb"):
+    with pytest.raises(InputFileError, match="array w, but the table has rg/gb"):
         read_bayer(path)
 
 

@@ -131,9 +131,9 @@ def test_headers_and_byte_orders_of_files_and_stacks(tmp_path: Path) -> None:
     frames = all_frames(tmp_path / "a.bin", known)
     np.testing.assert_array_equal([frame.values for frame in frames if frame], values)
     for cut in (177, 179):
-        with pytest.raises(InputFileError, match=r"bytes|within frame"):
+        with pytest.raises(InputFileError, match=r"bytes|in the middle of frame"):
             all_frames(tmp_path / "a.bin", RawOverrides(skip=cut))
-    with pytest.raises(RecipeError, match="Mono10p has none"):
+    with pytest.raises(RecipeError, match="not to the packing Mono10p"):
         make_layout((4, 4), "Mono10p", byte_order="little")
 
 
@@ -244,16 +244,16 @@ def test_a_packed_stream_renders(tmp_path: Path, raw_table: Path, mosaic: np.nda
 def test_dumps_of_another_size_are_refused(refused: Refused, tmp_path: Path, raw_table: Path) -> None:
     (tmp_path / "a.raw12").write_bytes(bytes(1925))
     line = refused(3, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png")
-    assert "1925 bytes, 32×40 raw12 values have 1920" in line
+    assert "1925 bytes, but 32×40 raw12 values need 1920" in line
     assert "--stride" in line
     short = refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--stride", 59)
-    assert "40 raw12 values has 60 bytes" in short
+    assert "40 raw12 values per row; set at least 60 bytes" in short
     (tmp_path / "b.raw").write_bytes(bytes(1600))
-    assert "--packing raw10, Mono10p, Mono10pmsb have 1600" in refused(
+    assert "would fit with --packing raw10, Mono10p, Mono10pmsb" in refused(
         3, "render", raw_table, tmp_path / "b.raw", "-o", tmp_path / "a.png"
     )
     assert "raw14" in refused(2, "render", raw_table, tmp_path / "a.raw12", "-o", tmp_path / "a.png", "--packing", "raw14")
-    with pytest.raises(RecipeError, match="no pixels"):
+    with pytest.raises(RecipeError, match="without pixels"):
         make_layout((0, 4), "raw10", None)
 
 
@@ -277,9 +277,9 @@ def test_graymaps_keep_their_values(
 def test_a_lab_may_write_graymaps(tmp_path: Path, mosaic: np.ndarray) -> None:
     (tmp_path / "a.pgm").write_bytes(b"P5 40 32 4095\n" + mosaic.astype(">u2").tobytes())
     np.testing.assert_array_equal(read_frame(tmp_path / "a.pgm", (32, 40), 12), mosaic)
-    with pytest.raises(InputFileError, match="more than 11 bits"):
+    with pytest.raises(InputFileError, match="does not fit in 11 bits"):
         read_frame(tmp_path / "a.pgm", (32, 40), 11)
-    with pytest.raises(InputFileError, match="32×40 pixels, the sensor 40×32"):
+    with pytest.raises(InputFileError, match="32×40 pixels, but the sensor has 40×32"):
         read_frame(tmp_path / "a.pgm", (40, 32), 12)
     (tmp_path / "b.pgm").write_bytes(b"P5 2 1 255\nab")
     with pytest.raises(InputFileError, match="uint8"):
@@ -289,14 +289,14 @@ def test_a_lab_may_write_graymaps(tmp_path: Path, mosaic: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"P2\n2 1\n9\n1 2\n", "in text"),
-        (b"P6 1 1 255\nabc", "no binary PGM"),
-        (b"", "no binary PGM"),
+        (b"P2\n2 1\n9\n1 2\n", "in text form"),
+        (b"P6 1 1 255\nabc", "not a binary PGM"),
+        (b"", "not a binary PGM"),
         (b"P5 2 2 255\nabc", "truncated"),
-        (b"P5 2 2 255\nabcde", "more than one"),
-        (b"P5 0 2 255\n", "damaged"),
-        (b"P5 1 1 70000\naa", "damaged"),
-        (b"P5 2 1 9\n\x01\x0a", "at most 9"),
+        (b"P5 2 2 255\nabcde", "too long"),
+        (b"P5 0 2 255\n", "invalid header"),
+        (b"P5 1 1 70000\naa", "invalid header"),
+        (b"P5 2 1 9\n\x01\x0a", "maximum of 9"),
         (b"P5 999999999 999999999 65535\n", "truncated"),
     ],
 )
@@ -341,13 +341,13 @@ def test_packed_fits_and_its_header(tmp_path: Path, mosaic: np.ndarray) -> None:
     assert read_raw(tmp_path / "a.fits", RGGB, RawOverrides(phase=(1, 1))).phase == (1, 1)
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="RGB", ext=1)
     (note,) = read_raw(tmp_path / "a.fits", RGGB).notes
-    assert 'BAYERPAT "RGB" is not an array of 2×2 or 6×6 colours' in note
+    assert 'BAYERPAT "RGB" is not a 2×2 or 6×6 pattern' in note
     fits.setval(tmp_path / "a.fits", "ROWORDER", value="BOTTOM", ext=1)
-    with pytest.raises(InputFileError, match='ROWORDER is "BOTTOM"; correct the header to TOP-DOWN or BOTTOM-UP'):
+    with pytest.raises(InputFileError, match='ROWORDER is "BOTTOM"; set it to TOP-DOWN or BOTTOM-UP'):
         read_raw(tmp_path / "a.fits", RGGB)
     fits.setval(tmp_path / "a.fits", "ROWORDER", value="TOP-DOWN", ext=1)
     fits.setval(tmp_path / "a.fits", "BAYERPAT", value="CMYG", ext=1)
-    with pytest.raises(InputFileError, match="colour filter array mc/gy, the table rg/gb"):
+    with pytest.raises(InputFileError, match="colour filter array mc/gy, but the table has rg/gb"):
         read_raw(tmp_path / "a.fits", RGGB)
 
 
@@ -405,7 +405,11 @@ def test_broken_fits_is_refused(
     fits.writeto(path, mosaic, overwrite=True)
     path.write_bytes(path.read_bytes()[:3000])
     assert "damaged" in refused(3, "render", raw_table, path, "-o", output)
-    for values, word in ((mosaic / 2, "float64"), (mosaic.astype(np.int16) - 9, "int16 from -"), (mosaic + 1e6, "float64")):
+    for values, word in (
+        (mosaic / 2, "float64"),
+        (mosaic.astype(np.int16) - 9, "int16 values from -"),
+        (mosaic + 1e6, "float64"),
+    ):
         fits.writeto(path, values, overwrite=True)
         assert word in refused(3, "render", raw_table, path, "-o", output)
     fits.HDUList([fits.PrimaryHDU()]).writeto(path, overwrite=True)

@@ -243,7 +243,7 @@ def test_broken_inputs_are_refused_in_one_line(
     whole = write_mono(tmp_path / "whole.png", mosaic).read_bytes()
     files = {
         "short.raw": (b"\0" * 10, "--size"),
-        "text.dng": (b"not a raw file", "no DNG file"),
+        "text.dng": (b"not a raw file", "not a DNG file"),
         "text.tif": (b"not an image", "not an image"),
         "text.npy": (b"not an array", "numpy.save"),
         "cut.npy": (raw.read_bytes()[:500], "numpy.save"),

@@ -123,7 +123,7 @@ def test_another_exposure_is_reported(ideal: Path, tmp_path: Path, l3: L3) -> No
 def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, refused: Refused) -> None:
     call = ("evaluate", "--ideal", ideal, "--sequence")
     few = folder_of(tmp_path / "few", pictures(3))
-    assert "hold 3 and 4 pictures" in refused(3, *call, few)
+    assert "contain 3 and 4 pictures" in refused(3, *call, few)
     other = folder_of(tmp_path / "other", [picture[:16] for picture in pictures()])
     assert "16×32 and 24×32" in refused(3, *call, other)
     write_picture(few / "0003.png", pictures()[0][:16])
@@ -139,20 +139,20 @@ def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, re
         assert f"{option[0]} is for a table" in refused(2, *call, ideal, *option)
     assert "ends after 3" in refused(3, "evaluate", "--sequence", ideal, "--ideal", tmp_path / "short.mkv")
     write_picture(ideal / "00002_x_motion.exr", np.zeros((8, 8, 3), np.float32), ("down", "right", "seen"))
-    assert "not a motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
+    assert "the motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
 
 
 @pytest.mark.parametrize(
     ("given", "code", "words"),
     [
         ("none", 3, "does not exist"),
-        ("empty", 3, "holds no pictures"),
+        ("empty", 3, "contains no pictures"),
         ("one.png", 3, "single file"),
-        ("*.png", 3, "holds one picture"),
-        ("*.txt", 3, "is not a picture"),
-        ("?.nothing", 3, "holds no pictures"),
-        ("broken.mkv", 3, "is not a video that can be read"),
-        ("grey.mkv", 3, "holds gray pixels"),
+        ("*.png", 3, "contains only one picture"),
+        ("*.txt", 3, "is not a supported picture"),
+        ("?.nothing", 3, "contains no pictures"),
+        ("broken.mkv", 3, "is not a video that FFmpeg can read"),
+        ("grey.mkv", 3, "has the pixel format gray"),
     ],
 )
 def test_what_is_no_sequence_is_refused(given: str, code: int, words: str, tmp_path: Path, refused: Refused) -> None:

@@ -72,7 +72,7 @@ def test_stdin_is_a_stream_of_frames(tmp_path: Path, table: Path, folder: Path, 
     np.testing.assert_array_equal(list(rendered.values()), [truth[1], truth[4]])
     cut = subprocess.run([*command, "--force"], input=given[:-1], capture_output=True)
     assert (cut.returncode, cut.stderr.count(b"\n")) == (3, 1)
-    assert b"frame 4: stdin ends within the frame" in cut.stderr
+    assert b"frame 4: stdin ends in the middle of a frame" in cut.stderr
 
 
 def test_ranges_choose_by_number(l3: L3, tmp_path: Path, table: Path, folder: Path) -> None:
@@ -149,7 +149,7 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
         (2, "not a number", (folder, *out, "--fps", "fast")),
         (2, "within 0.001…1000", (folder, *out, "--fps", 0)),
         (2, "--size", ("-", *out)),
-        (2, "holds one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),
+        (2, "can store only one picture", (folder / "*.tif", "-o", tmp_path / "a.png")),
         (2, "a.gif", (folder / "*.tif", "-o", tmp_path / "a.gif")),
         (2, "--codec", (folder / "*.tif", *out, "--codec", "h264")),
         (2, "--dataset", (folder / "*.tif", *out, "--dataset", "x")),
@@ -158,8 +158,8 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
         (3, "no raw frames", (tmp_path / "empty", *out)),
         (3, ".npy and .tif", (folder, *out)),
         (3, "2 datasets of frames (a, b)", (tmp_path / "two.h5", *out)),
-        (3, "floats is float64", (tmp_path / "two.h5", *out, "--dataset", "floats")),
-        (3, "c is no dataset", (tmp_path / "two.h5", *out, "--dataset", "c")),
+        (3, '"floats" is float64', (tmp_path / "two.h5", *out, "--dataset", "floats")),
+        (3, 'contains no dataset "c"', (tmp_path / "two.h5", *out, "--dataset", "c")),
         (3, "does not exist", (tmp_path / "none.h5", *out)),
         (3, "frame 12 is not in", (folder / "*.tif", *out, "--frames", "11-12")),
         (3, "frame 5 is not in", (tmp_path / "mixed.npy", *out, "--frames", "4-5")),

@@ -182,7 +182,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD + '[[scene]]\nsource = "iset"\nfile = "no/such/*.mat"\n', 3, "does not exist"),
         (HEAD.replace("D65", "daylight") + LEAVES, 2, "daylight"),
         (HEAD.replace("D65", "scene") + LEAVES, 2, "light of its own"),
-        (HEAD.replace("D65", "3K") + LEAVES, 2, "3 is not within 500…100000 K; the nearest is 500"),
+        (HEAD.replace("D65", "3K") + LEAVES, 2, "3 is not within 500…100000 K; the nearest valid value is 500"),
         (HEAD + "exposure_s = [0.1]\n" + LEAVES, 2, "give exactly one of exposure_share"),
         (HEAD.replace("0.9", "-1") + LEAVES, 2, "is -1; give more than 0"),
         ("exposure_saturated = [1.0]\n" + LEAVES, 2, "exposure_saturated[1] is 1.0; give less than 1"),

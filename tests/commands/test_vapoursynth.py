@@ -186,7 +186,7 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({}, {"size": (30, 28)}, "frames have 20×28 pixels .* not 30×28 as expected; .* give size 20x28"),
         ({}, {"size": "30x28"}, "frames have 20×28 pixels .* not 30×28 as expected; .* give size 20x28"),
         ({}, {"size": "30"}, 'size is "30"; write two whole numbers'),
-        ({}, {"white_level": 3.0}, "black level 64 and white level 3 do not fit; give black_level and white_level"),
+        ({}, {"white_level": 3.0}, "set black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),
         ({}, {"table": "/"}, "/ is a folder"),
         ({"format": "RGB24"}, {}, "the clip is RGB24; give a mosaic in DN, GRAY8 to GRAY16"),

@@ -154,7 +154,7 @@ READERS = ("a folder of .raw", "a stack .npy")  # whose like, a folder and a sta
 
 
 @pytest.fixture(
-    params=["a folder of .tif", "a stack .h5", *(pytest.param(each, marks=pytest.mark.soak) for each in READERS)]
+    params=["a folder with .tif", "a stack .h5", *(pytest.param(each, marks=pytest.mark.soak) for each in READERS)]
 )
 def clip(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[int], tuple[str, Path]]:
     """Makes a sequence of so many frames."""

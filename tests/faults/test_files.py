@@ -185,7 +185,7 @@ def test_a_full_disk_names_the_output(tmp_path: Path) -> None:
         with atomic_output(tmp_path / "b.txt"):
             (tmp_path / "b.txt").mkdir()
 
-    with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; name another output"):
+    with pytest.raises(L3Error, match=r"b\.txt cannot be written: Is a directory; choose another output"):
         block_disk()
     assert names(tmp_path) == ["b.txt"]
 

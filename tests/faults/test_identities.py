@@ -97,7 +97,7 @@ def test_a_stream_from_a_file_is_not_replaced(desk: Path, output: str) -> None:
 def test_a_stream_is_not_written_behind_what_is_read(desk: Path) -> None:
     stored = contents(desk)
     code, answer = streamed("render table.h5 clip.raw --size 20x28", "-o - >> clip.raw")
-    assert (code, answer) == (2, "l3: stdout is an input (the same file as clip.raw); name another output\n")
+    assert (code, answer) == (2, "l3: stdout is an input (the same file as clip.raw); choose another output\n")
     assert contents(desk) == stored
 
 

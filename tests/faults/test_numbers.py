@@ -58,17 +58,17 @@ ODD = ["nan", "inf", "-inf", "", " ", "3 ", "0x10", "1_000", "٣", "²", "3²", 
 @pytest.mark.parametrize("text", ODD)
 def test_what_is_no_plain_number_is_refused(text: str) -> None:
     for whole in (False, True):
-        with pytest.raises(NoSuchNumber, match=r"is not a number; give one within 2…1000 samples/degree"):
+        with pytest.raises(NoSuchNumber, match=r"is not a number; use a number within 2…1000 samples/degree"):
             Quantity(2, 1000, "samples/degree", whole).read(text)
 
 
 def test_the_nearest_number_is_named() -> None:
     fine, whole = Quantity(2, 1000, "DN"), Quantity(0, 2**63 - 1, whole=True)
     for text, nearest in (("1e999", "1000"), ("1.9", "2"), ("-1e308", "2"), (LONG, "1000"), ("1e999999999", "1000")):
-        with pytest.raises(NoSuchNumber, match=f"is not within 2…1000 DN; the nearest is {nearest}$"):
+        with pytest.raises(NoSuchNumber, match=f"is not within 2…1000 DN; the nearest valid value is {nearest}$"):
             fine.read(text)
     for text, nearest in (("-1", "0"), (FAR, str(2**63 - 1)), (LONG, str(2**63 - 1)), (f"-{LONG}", "0")):
-        with pytest.raises(NoSuchNumber, match=f"the nearest is {nearest}$") as caught:
+        with pytest.raises(NoSuchNumber, match=f"the nearest valid value is {nearest}$") as caught:
             whole.read(text)
         assert len(str(caught.value)) < 150
     assert whole.read(str(2**63 - 1)) == 2**63 - 1
@@ -80,35 +80,35 @@ def test_the_nearest_number_is_named() -> None:
 
 REFUSED = f"""
     evaluate a b --viewing nan
-        "nan" is not a number; give one within 2…1000 samples/degree
+        "nan" is not a number; use a number within 2…1000 samples/degree
     train a -o b --shard 1/10²³
-        "10²³" is not a number; give one within 0…1000000 shards
+        "10²³" is not a number; use a number within 0…1000000 shards
     train a -o b --shard 1/{LONG}
-        the nearest is 1000000
+        the nearest valid value is 1000000
     train a -o b --shard 0/3
-        shards count from 1/3 to 3/3
+        use a shard from 1/3 to 3/3
     train a -o b --shares 1,1e308
-        the nearest is 1e+06
+        the nearest valid value is 1e+06
     train a -o b --seed {FAR}
-        the nearest is 9223372036854775807
+        the nearest valid value is 9223372036854775807
     simulate a.toml --camera b.toml -o c --seed ٣
         "٣" is not a number
     render a b -o c.png --exposure 1e308
-        1e308 is not within 1e-09…1e+09 times Y; the nearest is 1e+09
+        1e308 is not within 1e-09…1e+09 times Y; the nearest valid value is 1e+09
     render a b -o c.png --exposure bright
-        "bright" is not a number; give one within 1e-09…1e+09 times Y, auto, camera, or EV relative to auto such as -1EV
+        "bright" is not a number; use a number within 1e-09…1e+09 times Y, auto, camera, or EV relative to auto such as -1EV
     render a b -o c.mp4 --fps 1e999999999
-        1e999999999 is not within 0.001…1000 frames/s; the nearest is 1000
+        1e999999999 is not within 0.001…1000 frames/s; the nearest valid value is 1000
     render a b -o c.mp4 --fps 1/3000000000
-        the nearest is 0.001
+        the nearest valid value is 0.001
     render a b -o c.mp4 --crf nan
-        "nan" is not a number; give one within 0…51
+        "nan" is not a number; use a number within 0…51
     render a b -o c.png --black-level nan
-        "nan" is not a number; give one within 0…65535 DN
+        "nan" is not a number; use a number within 0…65535 DN
     render a b -o c.png --size {FAR}x24
-        the nearest is 1000000
+        the nearest valid value is 1000000
     render a b -o c --frames 0-{LONG}
-        the nearest is 999999999999999999
+        the nearest valid value is 999999999999999999
 """
 
 

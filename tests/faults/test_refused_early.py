@@ -111,7 +111,7 @@ def test_endless_and_nested_texts_are_refused(
     recipe = 'illuminants = ["{}"]\nexposure_share = [0.9]\n[[scene]]\nsource = "grey ramp"\nsize = [16, 16]\n'
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "fifo.toml").write_text(recipe.format("pipe.csv"))
-    assert "pipe.csv is a pipe; give a CSV file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
+    assert "pipe.csv is a pipe; use a CSV file" in refused(3, "simulate", tmp_path / "fifo.toml", *call)
 
 
 def test_hdf5_reaches_nowhere_else(refused: Refused, tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ def test_only_regular_files_are_opened(places: Path, kind: str) -> None:
             reader(path)
         assert isinstance(caught.value, InputFileError)
         assert KINDS[kind] in str(caught.value)
-        assert "; give " in str(caught.value)
+        assert "; use " in str(caught.value)
 
 
 def test_a_file_is_opened_without_waiting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -237,10 +237,10 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
     assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "plain.h5")
     save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
     assert (
-        "0.npy of 24×32 pixels, first site 0,0, is not a whole frame of camera random of 48×32; give the --camera"
+        "0.npy has 24×32 pixels from site 0,0, but a full frame of camera random has 48×32 from site 0,0; set --camera"
         in refused(3, *call, flawed / "large.h5")
     )
-    assert "first site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
+    assert "from site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
     assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "table.h5")
     assert "not an HDF5 file" in refused(3, *call, frame)
     assert "nowhere.h5 does not exist" in refused(3, *call, flawed / "nowhere.h5")
@@ -443,7 +443,7 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
         ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped"),
         ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "evenly lit white target"),
         ('[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10', "deep.npy contains 4096 DN, more than 12 bits"),
-        ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "whole raw frames"),
+        ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "uncropped raw frames"),
         ('[[white]]\nframes = ["nowhere.npy"]\nexposure_ms = 10', "nowhere.npy"),
         ('[[grey]]\nframes = ["white0.npy"]\nexposure_ms = 10', "`grey`"),
     ],

@@ -140,7 +140,7 @@ def test_calibration_measures_gain_and_read_noise_at_each_iso_speed(
     path.write_text(path.read_text().replace("iso = 800", "iso = 1600"))
     assert "is 8.02 times the gain at ISO 100" in refused(3, "calibrate", path, "-o", tmp_path / "no.h5")
     path.write_text(path.read_text().replace("iso = 100\n", ""))
-    assert "some [[dark]] and [[white]] captures state their iso" in refused(2, "calibrate", path, "-o", tmp_path / "no.h5")
+    assert "some [[dark]] and [[white]] captures state" in refused(2, "calibrate", path, "-o", tmp_path / "no.h5")
 
 
 def test_transforms_at_a_gain_are_those_of_as_much_noise_beside_the_signal(several: TransformTable) -> None:

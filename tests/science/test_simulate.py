@@ -471,5 +471,5 @@ def test_what_has_no_spectra_is_refused(codes: np.ndarray, tmp_path: Path, refus
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
 def test_a_signal_is_a_number(value: float) -> None:
-    with pytest.raises(ValueError, match="not finite, or above"):
+    with pytest.raises(ValueError, match="not finite or exceed"):
         ChannelPicture("picture", np.full((16, 16, 3), value, np.float32))

@@ -210,7 +210,7 @@ def test_both_read_the_same_from_a_header_of_other_writers(tmp_path: Path) -> No
 @pytest.mark.parametrize("dtype", ["c8", "c16"])
 def test_complex_values_are_refused(tmp_path: Path, dtype: str) -> None:
     save(tmp_path / "scene.hdr", a_cube().astype(dtype))
-    with pytest.raises(InputFileError, match=r"scene\.hdr: .* of no known kind"):
+    with pytest.raises(InputFileError, match=r"scene\.hdr: .* which l3 does not support"):
         envi.read(tmp_path / "scene.hdr")
 
 

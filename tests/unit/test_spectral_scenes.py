@@ -211,7 +211,7 @@ z plot titles = {{Wavelength, Value}}
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, more: str, drop: str, field: str) -> None:
     path = written(tmp_path, TRUTH.astype("<f4"), more, drop)
-    with pytest.raises(InputFileError, match=rf"scene\.hdr: {field}"):
+    with pytest.raises(InputFileError, match=rf'scene\.hdr: the field "{field}"'):
         envi.read(path)
 
 
@@ -652,11 +652,11 @@ def make_large(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "cure"),
     [
-        (lambda folder: (folder / "scene.img").unlink(), "beside the header"),
-        (lambda folder: (folder / "scene.img").write_bytes(b"x"), "give the whole file"),
-        (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "give the .hdr file"),
-        (lambda folder: make_large(folder / "scene.hdr"), "give the .hdr file"),
-        (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "give a whole ENVI header"),
+        (lambda folder: (folder / "scene.img").unlink(), "in the folder of the header"),
+        (lambda folder: (folder / "scene.img").write_bytes(b"x"), "copy the complete file"),
+        (lambda folder: (folder / "scene.hdr").write_text("#?RADIANCE"), "use the .hdr file"),
+        (lambda folder: make_large(folder / "scene.hdr"), "use the .hdr file"),
+        (lambda folder: written(folder, TRUTH.astype("<f4"), drop="lines"), "use a complete ENVI header"),
     ],
 )
 def test_a_readers_own_fix_is_what_is_said(

@@ -274,7 +274,7 @@ def test_all_faults_of_digitised_curves_at_once(tmp_path: Path) -> None:
     )
     with pytest.raises(InputFileError) as caught:
         read_table(tmp_path / "plot.csv")
-    for culprit in ("450, nine", '"Red" has a gap between 400 and 460', '"Blue" ends at 420'):
+    for culprit in ("450, nine", '"Red" has a gap from 400 to 460', '"Blue" ends at 420'):
         assert culprit in str(caught.value)
 
 

@@ -372,8 +372,8 @@ def test_an_option_is_one_field(copy: Path, tmp_path: Path) -> None:
     """On the command line, in Python and in what tells runs apart, with its range."""
     output = run(copy, tmp_path, "-c", OPTION)
     assert re.search(r"^  --grain DN +Grain of pictures\.$", output, re.MULTILINE)
-    assert "Invalid value for '--grain': 10 is not within 0…9 DN; the nearest is 9" in output
-    assert "in Python: ‹grain›: 10 is not within 0…9 DN; the nearest is 9" in output
+    assert "Invalid value for '--grain': 10 is not within 0…9 DN; the nearest valid value is 9" in output
+    assert "in Python: ‹grain›: 10 is not within 0…9 DN; the nearest valid value is 9" in output
 
 
 def test_all_work_jointly(copy: Path, tmp_path: Path) -> None:

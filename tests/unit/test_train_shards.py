@@ -176,8 +176,8 @@ def test_same_bytes_for_jobs_and_shards(
     assert l3("train", *run[:-1], 6, "--shard", "1/3", "-o", tmp_path / "foreign.h5")[0] == 0
     assert "different runs or passes" in refused(3, "train", "--merge", tmp_path / "foreign.h5", a[1], a[2], "-o", out)
     for wrong, why in (
-        ("0/3", "shards count from"),
-        ("4/3", "shards count from"),
+        ("0/3", "use a shard from"),
+        ("4/3", "use a shard from"),
         ("3", "is not I/N"),
         ("a/b", "is not I/N"),
     ):
@@ -293,11 +293,11 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
     [
         ("1", "--shares contains 1 value, but there are 2 training sets"),
         ("1,2,3", "--shares contains 3 values, but there are 2 training sets"),
-        ("1,-2", "-2 is not within 0…1e+06; the nearest is 0"),
-        ("0,0", "at least one proportion must be above zero"),
+        ("1,-2", "-2 is not within 0…1e+06; the nearest valid value is 0"),
+        ("0,0", "contains no proportion above zero"),
         ("1,x", "is not a number"),
         ("1,nan", "is not a number"),
-        ("1,1e999", "the nearest is 1e+06"),
+        ("1,1e999", "the nearest valid value is 1e+06"),
         ("", "in a list such as 1,0.7,0.4"),
     ],
 )
