@@ -149,7 +149,9 @@ class Chart:
     def __post_init__(self) -> None:
         patches, (rows, cols) = len(self.reflectance), self.grid
         if patches != rows * cols:
-            raise ValueError(f"{self.name} has {patches} patches, but layout = [{rows}, {cols}] has {rows * cols}")
+            raise ValueError(
+                f"{self.name} has {patches} patches, but layout = [{rows}, {cols}] has {rows * cols}; correct the layout"
+            )
 
 
 @dataclass(frozen=True)

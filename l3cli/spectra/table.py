@@ -45,8 +45,9 @@ class CurveTable:
     def counted(self, columns: int) -> "CurveTable":
         """Return the table if it has `columns` columns. Raises InputFileError otherwise."""
         if len(self.values) != columns:
-            cure = "; with decimal commas, separate columns by semicolons" if len(self.values) == 2 * columns else ""
-            raise InputFileError(f"{self.path} contains {len(self.values)} curves, but {columns} are needed{cure}")
+            has_commas = len(self.values) == 2 * columns
+            cure = "with decimal commas, separate columns by semicolons" if has_commas else "add or remove columns"
+            raise InputFileError(f"{self.path} contains {len(self.values)} curves, but {columns} are needed; {cure}")
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":

@@ -59,8 +59,8 @@ def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
     """Raise InputFileError if a picture with `values` values per pixel exceeds the limit."""
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
-            f"{name} has {rows}×{cols} pixels with {values} value{'s' * (values != 1)}, more than {most_pixels() / 1e6:g} "
-            f"megapixels with {VALUES_A_PIXEL}; if this size is correct, raise {MEGAPIXELS}"
+            f"{name} has {rows}×{cols} pixels with {values} value{'s' * (values != 1)} each, but the limit is "
+            f"{most_pixels() / 1e6:g} megapixels with {VALUES_A_PIXEL} values each; if the size is correct, raise {MEGAPIXELS}"
         )
 
 
@@ -71,7 +71,7 @@ def require_values(name: str, shape: Iterable[int], value_bytes: int = VALUE_BYT
         lengths = "×".join(map(str, shape))
         raise InputFileError(
             f"{name} has {lengths} values of {value_bytes} bytes, more than {most_bytes() / 1e9:.3g} GB; "
-            f"if this size is correct, raise {MEGAPIXELS}"
+            f"if the size is correct, raise {MEGAPIXELS}"
         )
 
 

@@ -67,7 +67,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     if meanings[:1] == ["frame"]:
         return STACK
     if shape[2] <= MOST_CHANNELS and usual is None:
-        raise InputFileError(f"{array}, like a picture with {shape[2]} channels; {GIVE}")
+        raise InputFileError(f"{array}, which looks like a picture with {shape[2]} channels; {GIVE}")
     if usual is None and FRAMES_LAST * shape[2] <= min(shape[:2]):
         raise InputFileError(f"{array} whose last axis seems to count frames; save it as {COUNTED}")
     return usual or STACK

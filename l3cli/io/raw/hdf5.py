@@ -90,7 +90,7 @@ def _axes(path: Path, frames: Any) -> Axes:
         usual = Axes(0, 2, 1) if frames.ndim == 3 else Axes(None, 1, 0)
         if frames.ndim == 3 and frames.shape[0] == 3:
             raise InputFileError(
-                f"{name} has shape {frames.shape}, like a MATLAB picture with 3 channels; use the raw mosaic"
+                f"{name} has shape {frames.shape}, which looks like a MATLAB picture with 3 channels; use the raw mosaic"
             )
     return frame_axes(name, frames.shape, _axis_names(frames), usual)
 

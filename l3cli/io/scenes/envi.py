@@ -401,6 +401,8 @@ def _linear(header: Header, kind: str, bands: int) -> tuple[NDArray[np.float64],
     gain, offset = np.ones(bands) if gain is None else gain, np.zeros(bands) if offset is None else offset
     if not (np.isfinite(gain).all() and np.isfinite(offset).all() and gain.all()):
         raise header.wrong(
-            f"{kind} gain values", "or the field of the offsets contains zero gains or infinite values", "correct the values"
+            f"{kind} gain values",
+            f'contains a gain of zero or a value that is not finite, or the field "{kind} offset values" does',
+            "correct the values",
         )
     return None if (gain == 1).all() and (offset == 0).all() else (gain, offset)

@@ -106,7 +106,7 @@ def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | Non
         photons = np.asarray(_decoded(data["photons"], data, "min", "max"), float).ravel()
         grid = _numbers(stored["spectrum"]["wave"]) if isinstance(stored.get("spectrum"), dict) else wavelength
     elif "data" not in stored:
-        raise KeyError("data of its illuminant")
+        raise KeyError("data of the illuminant")
     else:
         grid = _numbers(stored["wavelength"])
         photons = spectra.photons_from_energy(grid, np.asarray(stored["data"], float).ravel())
