@@ -247,7 +247,7 @@ def list_captures(folder: Path) -> CaptureFolder:
         elif kind is None:
             continue
         elif kind.wants_geometry:
-            notes[f"{suffix}: left out, because headerless files do not state their size and packing; save them as TIFF"] += 1
+            notes[f"{suffix}: left out, because headerless files state no size or packing; save them as TIFF"] += 1
         elif not kind.holds_frame:
             notes[f"{suffix}: sequences and data files are not single frames; left out"] += 1
         else:

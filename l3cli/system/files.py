@@ -374,9 +374,7 @@ def require_same(path: Path, digest: str) -> None:
             f"{path} cannot be read by a worker ({error.strerror}); put it on storage that all workers share"
         ) from error
     if _known_sha256(path, known) != digest:
-        raise InputFileError(
-            f"{path} has different content on the machine of a worker; put it on storage that all workers share"
-        )
+        raise InputFileError(f"{path} differs on the machine of a worker; put it on storage that all workers share")
 
 
 @functools.lru_cache(10_000)

@@ -59,8 +59,8 @@ def require_picture(name: str, rows: int, cols: int, values: int = 1) -> None:
     """Raise InputFileError if a picture with `values` values per pixel exceeds the limit."""
     if rows * cols > most_pixels() or rows * cols * values > VALUES_A_PIXEL * most_pixels():
         raise InputFileError(
-            f"{name} has {rows}×{cols} pixels with {values} value{'s' * (values != 1)} each, but the limit is "
-            f"{most_pixels() / 1e6:g} megapixels with {VALUES_A_PIXEL} values each; if the size is correct, raise {MEGAPIXELS}"
+            f"{name} has {rows}×{cols} pixels of {values} value{'s' * (values != 1)}, but the limit is "
+            f"{most_pixels() / 1e6:g} megapixels of {VALUES_A_PIXEL} values; if the size is correct, raise {MEGAPIXELS}"
         )
 
 

@@ -42,8 +42,8 @@ def stack(path: Path) -> MultiFrameFile | None:
         )
     if shape[0] == PLANES and not has_pattern and MEANING.get(names[0].lower()) != "frame":
         raise InputFileError(
-            f"{path} contains {PLANES} planes of {shape[1]}×{shape[2]} pixels, which look like a picture with {PLANES} channels; use "
-            f"the raw mosaic, or set CTYPE3 = 'FRAME' if they are {PLANES} frames"
+            f"{path} contains {PLANES} planes of {shape[1]}×{shape[2]} pixels, which look like a picture with {PLANES} "
+            f"channels; use the raw mosaic, or set CTYPE3 = 'FRAME' if they are {PLANES} frames"
         )
     return MultiFrameFile(shape[0], lambda number: read(path, number))
 

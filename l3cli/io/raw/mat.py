@@ -81,7 +81,7 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axe
         return frame_axes(f"{path}: {name}", shape)
     if shape[2] == 3:
         raise InputFileError(
-            f'{path}: the variable "{name}" has shape {shape}, which looks like a picture with 3 channels; use the raw mosaic'
+            f'{path}: the variable "{name}" has shape {shape}, which looks like a picture with 3 channels; use the mosaic'
         )
     return Axes(2, 0, 1)
 
