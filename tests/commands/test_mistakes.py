@@ -172,7 +172,7 @@ MISTAKES = """
     2 report table.h5 unseen.h5 --at "5 lux" -o new.html
         unseen.h5 has no frame at --at 5 lux; choose one of its illuminances: 314 lux
     2 report table.h5 unseen.h5 --at 5 -o new.html
-        "5" has no unit; give it in lux or cd/m2, such as "5 lux"
+        "5" has no unit; add lux or cd/m2, as in "5 lux"
     2 report table.h5 unseen.h5 --at "dim lux" -o new.html
         "dim" is not a number; use a number within
     2 init byer new
