@@ -66,6 +66,12 @@ class Pipeline(click.Group):
             raise click.UsageError(f'no command "{args[0]}"; {suggestion(args[0], COMMANDS)}', ctx)
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Terminated as stop:
+            raise click.Abort from stop  # click begins a new line after Ctrl-C, which is shown as ^C, but not after this
+
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list["CompletionItem"]:
         """Complete the names of commands without importing the commands."""
         from click.shell_completion import CompletionItem
@@ -128,7 +134,12 @@ def _called(arguments: list[str], record: Record, results: list[Result]) -> int:
 
     The result is appended to `results`. It is printed unless it will be part of the JSON record.
     """
-    result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
+    try:
+        result: Any = l3.main(arguments, prog_name="l3", standalone_mode=False, obj=record)
+    except Exception as error:
+        if (stop := signals.behind(error)) is not None:
+            raise stop from None
+        raise
     if not isinstance(result, Result):
         return result if isinstance(result, int) else 0
     results.append(result)
@@ -162,12 +173,12 @@ def _guarded(work: Callable[[], int | None], record: Record) -> int:
     except BrokenPipeError:
         drop(sys.stdout)  # the program at the other end of the pipe has closed it
         return 1
-    except (KeyboardInterrupt, click.Abort):
-        signals.ignore()
-        return fail("interrupted", 130)
     except Terminated:
         signals.ignore()
         return fail("terminated", 143)
+    except (KeyboardInterrupt, click.Abort):
+        signals.ignore()
+        return fail("interrupted", 130)
     except MemoryError:
         return fail("out of memory; use fewer --jobs or smaller frames", 1)
     except ImportError as error:

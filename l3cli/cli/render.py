@@ -11,7 +11,6 @@ from l3cli.cli.terminal import show_table, with_options
 from l3cli.errors import L3Error
 from l3cli.options.render import RenderOptions
 from l3cli.system.files import all_files
-from l3cli.system.signals import Terminated
 
 if TYPE_CHECKING:
     from l3cli.stages.rendering.clips import Summary
@@ -67,7 +66,7 @@ def render(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderO
     summary = Summary()
     try:
         render_clips(table, clips, output, options, summary)
-    except (L3Error, KeyboardInterrupt, Terminated) as ended:
+    except (L3Error, KeyboardInterrupt) as ended:
         if not summary.clips:
             raise
         return clips_result(summary, ended)

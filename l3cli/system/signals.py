@@ -1,26 +1,34 @@
 """Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
 
-Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. The only code
-that signals must not interrupt are the callbacks through which HDF5 writes. HDF5 would discard both the exception and the
-data, and the file would look complete although it is not.
+Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. Signals must not
+interrupt only two kinds of code:
+
+* The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
+  complete although it is not.
+* The initialisation of extension modules. Modules in C++, such as pyopencl, would abort the process.
 """
 
 import signal
 import sys
 import threading
 from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
 from types import CodeType, FrameType
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-RETRY_SECONDS = 0.05  # delay before a signal that arrived during a callback is sent again
+RETRY_SECONDS = 0.05  # delay before a signal that was held back is sent again
 
-_callbacks: set[CodeType] = set()
+_held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
 
 
-class Terminated(BaseException):
-    """Raised on SIGTERM, like KeyboardInterrupt on SIGINT."""
+class Terminated(KeyboardInterrupt):
+    """Raised on SIGTERM, like KeyboardInterrupt on SIGINT.
+
+    It is a KeyboardInterrupt because Python's compiler, which runs when a module without a .pyc file is imported, discards
+    other exceptions.
+    """
 
 
 def heed() -> None:
@@ -46,25 +54,36 @@ def leave_to_python() -> None:
 
 
 def end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise its exception or, during a callback of HDF5, send the signal again later."""
+    """Handle a signal: raise its exception or, while signals are held back, send the signal again later."""
     while frame is not None:
-        if frame.f_code in _callbacks:
+        if frame.f_code in _held_back:
             _send_again(number)
             return
         frame = frame.f_back
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
+def behind(error: BaseException) -> KeyboardInterrupt | None:
+    """Return the exception of the signal that caused another exception, or None.
+
+    Python 3.11 turns an exception in `__set_name__` into a RuntimeError, and libraries may turn it into errors of their own.
+    """
+    cause: BaseException | None = error
+    while not (cause is None or isinstance(cause, KeyboardInterrupt)):
+        cause = cause.__cause__
+    return cause
+
+
 def held_back_in(callback: F) -> F:
     """Decorator for functions that call a C library or are called by one: signals wait until the function has returned."""
-    _callbacks.add(callback.__code__)
+    _held_back.add(callback.__code__)
     return callback
 
 
 def repeat_lost(what: Any) -> None:
     """Send a signal again if Python cannot pass on its exception, for example in finalisers that run during imports."""
     if what.exc_type in (KeyboardInterrupt, Terminated):
-        _send_again(signal.SIGINT if what.exc_type is KeyboardInterrupt else signal.SIGTERM)
+        _send_again(signal.SIGTERM if what.exc_type is Terminated else signal.SIGINT)
     else:
         sys.__unraisablehook__(what)
 

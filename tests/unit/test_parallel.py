@@ -121,6 +121,34 @@ cli.main()
     assert (ended.returncode, ended.stderr) == (143, "l3: terminated\n")
 
 
+SET_UP = {
+    "a class": "class Named:\n    def __set_name__(self, *_):\n        {}\nclass Owner:\n    mine = Named()\n",
+    "a library": "try:\n    {}\nexcept BaseException as error:\n    raise ImportError('initialization failed') from error\n",
+}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("place", ["a class", "a library"])
+def test_a_signal_that_an_import_makes_another_error_of_is_one_line(number: int, place: str, tmp_path: Path) -> None:
+    (tmp_path / "module.py").write_text(SET_UP[place].format(f"__import__('signal').raise_signal({int(number)})"))
+    program = """
+from l3cli import cli
+
+@cli.l3.command
+def work():
+    import module
+
+cli.COMMANDS["work"] = ""
+cli.Pipeline.get_command = lambda *_: work
+cli.main()
+"""
+    place_of = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    call = [sys.executable, "-c", program, "work"]
+    ended = subprocess.run(call, capture_output=True, text=True, timeout=PATIENCE, env=place_of)
+    code, word = (130, "interrupted") if number == signal.SIGINT else (143, "terminated")
+    assert (ended.returncode, ended.stderr.strip()) == (code, f"l3: {word}")
+
+
 @pytest.mark.parametrize(
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
