@@ -53,7 +53,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ('"g b"', '"g x"', '"x" is not a channel'),
         ("[sensor]", "[sensor", "not valid TOML"),
         ("f_number = 2.8", "f_number = 0", "optics.f_number is 0; give more than 0"),
-        ("object_distance_m = 0.0", "object_distance_m = 0.01", "less than the focal length"),
+        ("object_distance_m = 0.0", "object_distance_m = 0.01", "not larger than the focal length"),
         ("exposure_s = ", "exposure_s = -", "exposure_s is -0.0528; give more than 0"),
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
@@ -326,7 +326,7 @@ def test_a_table_of_other_channels_is_refused(table: Path, tmp_path: Path, refus
     path = table / "sweep.csv"
     path.write_text("\n".join(line.rpartition(",")[0] for line in path.read_text().splitlines()))
     line = refused(3, "calibrate", table / "MEASUREMENTS.toml", "-o", tmp_path / "camera.h5")
-    assert "sweep.csv: contains 7 curves, but 8 are needed" in line
+    assert "sweep.csv contains 7 curves, but 8 are needed" in line
 
 
 def corners_of(folder: Path) -> str:

@@ -126,7 +126,7 @@ def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
 
 
 MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
-    "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "must increase"),
+    "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "do not increase"),
     "names": (
         lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
         'column "leaf" is not expected',
@@ -137,7 +137,7 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
         '"W/nm" is not a unit of responsivity',
     ),
     "energy": (lambda nm, percent: written("nm,r (A/W),g (A/W),b (A/W)", nm, percent / 200), "per_energy = true"),
-    "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "give responsivity.peak"),
+    "relative": (lambda nm, percent: written("nm,r (a.u.),g (a.u.),b (a.u.)", nm, percent / 100), "set responsivity.peak"),
     "percent": (percent_without_unit, 'is 55.93, but cannot exceed 1; write "(%)"'),
     "peak": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * 3), "quantum efficiency is 1.678"),
     "share": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent / 1000), "quantum efficiency is 0.0005593"),
@@ -147,18 +147,18 @@ MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
     ),
     "below": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent - 5), "contains negative values"),
     "dark": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm, percent * [1, 0, 1]), "channel g is zero"),
-    "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "perhaps in um, which gives 390…710 nm"),
-    "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap from 390 to 430 nm"),
+    "metres": (lambda nm, percent: written("wavelength,r,g,b", nm / 1000, percent), "in um they are 390…710 nm"),
+    "coarse": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[::8], percent[::8]), "a gap between 390 and 430 nm"),
     "gap": (
         lambda nm, percent: written(
             "nm,r (%),g (%),b (%)", np.delete(nm, range(20, 30)), np.delete(percent, range(20, 30), 0)
         ),
-        "a gap from 485 to 540 nm",
+        "a gap between 485 and 540 nm",
     ),
     "cut": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[:44], percent[:44]), "ends at 605 nm, where"),
     "not a pair": (
         lambda nm, percent: digitised(nm, percent) + "400,text,,,,\n",
-        '"400, text" of curve 1 (r (%)) is not a pair of X and Y',
+        '"400, text" in curve 1 (r (%)) is not a pair of X and Y',
     ),
     "no foot": (
         lambda nm, percent: "\n".join(

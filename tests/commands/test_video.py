@@ -231,7 +231,7 @@ def test_wrong_calls_are_refused_in_one_line(refused: Refused, tmp_path: Path, t
     for code, word, arguments in (
         (1, "--force", ("there.mp4",)),
         (2, "--codec h265", ("a.mp4", "--bits", 16)),
-        (2, "ffv1 needs a file that ends in .mkv", ("a.mp4", "--codec", "ffv1")),
+        (2, "use a file name that ends in .mkv", ("a.mp4", "--codec", "ffv1")),
         (2, "--crf", ("a.mkv", "--crf", 20)),
         (2, "not compressed", ("a.y4m", "--codec", "h264")),
         (2, "--preset", ("a.mp4", "--preset", "best")),

@@ -307,7 +307,7 @@ def test_a_worker_notices_another_file_of_the_same_size_and_time(tmp_path: Path)
     require_same(path, digest)
     path.write_bytes(b"two")
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
-    with pytest.raises(InputFileError, match="another file for a worker"):
+    with pytest.raises(InputFileError, match="differs on the machine of a worker"):
         require_same(path, digest)
     with pytest.raises(InputFileError, match="cannot be read by a worker"):
         require_same(tmp_path / "absent", digest)
