@@ -1,7 +1,7 @@
 """Check whether the CFA, its phase and the black level that a raw file states agree with its pixels.
 
-In a smooth block, all sites of one channel have nearly the same value. If they do not, the stated phase is probably wrong.
-Some wrong phases only swap channels with equal patterns, such as r and b of a Bayer CFA. This test cannot detect them. They
+In a smooth block, all sites of one channel have nearly the same value. If their values differ, the stated phase is probably
+wrong. This test cannot detect phases that only swap channels with equal patterns, such as r and b of a Bayer CFA. Such phases
 are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
 """
 

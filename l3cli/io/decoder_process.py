@@ -191,7 +191,7 @@ def _import(module: str, name: str) -> None:
 
 
 class _Worker:
-    """A forked process that decodes one file and can read no other."""
+    """A forked process that decodes one file and cannot read any other input."""
 
     def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
         """Fork the worker. It closes the `inherited` sockets. Raises OSError if the process cannot be started."""

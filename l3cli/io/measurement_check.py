@@ -1,4 +1,4 @@
-"""Check a measurement file and the files that it names, and summarise its contents."""
+"""Check a measurement file and the files that it lists, and summarise its contents."""
 
 import functools
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Re
             sections[section]["illuminants"] = [each.illuminant for each in getattr(recipe, section)]
     if recipe.photos:
         frames = sum(len(photo.frames) for photo in recipe.photos)
-        lights = [photo.light or "to be guessed" for photo in recipe.photos]
+        lights = [photo.light or "illuminant to be estimated" for photo in recipe.photos]
         sections["photo"] = {"captures": len(recipe.photos), "frames": frames, "illuminants": lights}
     named = {"sweep": recipe.sweep and recipe.sweep.table, "curves": recipe.curves and recipe.curves.file}
     sections |= {section: {"file": name} for section, name in named.items() if name}
@@ -76,6 +76,6 @@ def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
             texts.append("{:g}…{:g} nm".format(*section["wavelength_nm"]))
         texts += [", ".join(section["illuminants"])] if "illuminants" in section else []
         texts += [section["file"]] if "file" in section else []
-        texts += [f"well of {section['well_capacity_e']:g} e-"] if "well_capacity_e" in section else []
+        texts += [f"full-well capacity {section['well_capacity_e']:g} e-"] if "well_capacity_e" in section else []
         lines.append(f"[{name}] {', '.join(texts)}")
     return lines

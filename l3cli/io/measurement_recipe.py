@@ -2,7 +2,7 @@
 
 A measurement file contains exactly one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]). [[chart]]
 captures determine its scale. [[dark]] and [[white]] frames or a [datasheet] describe the sensor. A file that contains only
-[[dark]] and [[white]] frames takes all other facts from its `base`, a camera model or camera recipe. File names are relative
+[[dark]] and [[white]] frames uses all other facts from its `base`, which is a camera model or camera recipe. File names are relative
 to the folder of the measurement file.
 """
 

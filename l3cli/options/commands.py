@@ -95,7 +95,7 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 
 class Shares(Reader):
-    """Proportions such as 1,0.7,0.4. At least one of them must be above zero."""
+    """Proportions such as 1,0.7,0.4. At least one proportion must be above zero."""
 
     number = Number(0, 1e6)
 

@@ -23,8 +23,8 @@ R = TypeVar("R")
 def one_blas_thread() -> None:
     """Limit BLAS to one thread in this process and its children. Must be called before numpy is first imported.
 
-    Small matrix products are faster with one thread, idle threads would slow down video encoders, and rounding would depend
-    on the number of cores.
+    With several threads, small matrix products are slower, idle threads slow down video encoders, and the rounding of
+    results depends on the number of cores.
     """
     os.environ.update(ONE_BLAS_THREAD)
 

@@ -1,1 +1,1 @@
-"""Files, locks, signals, limits: what any program on this system needs, nothing of cameras."""
+"""Files, locks, signals, limits and text output. Nothing here depends on cameras or pictures."""

@@ -281,7 +281,7 @@ def test_what_a_measurement_file_means(tmp_path: Path, l3: L3) -> None:
     assert (code, err) == (0, "")
     assert out.splitlines()[0] == f"{tmp_path}/m.toml: a measurement file"
     assert "[curves] c.csv" in out
-    assert "[datasheet] well of 15000 e-" in out
+    assert "[datasheet] full-well capacity 15000 e-" in out
     (tmp_path / "m.toml").write_text(text.replace("[datasheet]", "[uncertainty]\n[datasheet]").partition("[datasheet]")[0])
     assert "either by [[white]] captures" in l3("check", tmp_path / "m.toml")[1]  # only the whole file says so
 

@@ -126,7 +126,10 @@ def percent_without_unit(nm: np.ndarray, percent: np.ndarray) -> str:
 
 
 MISTAKES: dict[str, tuple[Callable[[np.ndarray, np.ndarray], str], str]] = {
-    "order": (lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent), "do not increase"),
+    "order": (
+        lambda nm, percent: written("nm,r (%),g (%),b (%)", nm[[1, 0, *range(2, nm.size)]], percent),
+        "do not increase",
+    ),
     "names": (
         lambda nm, percent: written("nm,r (%),leaf (%),b (%)", nm, percent),
         'column "leaf" is not expected',

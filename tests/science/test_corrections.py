@@ -442,7 +442,10 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
         ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is too dark"),
         ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped"),
         ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "evenly lit white target"),
-        ('[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10', "deep.npy contains the value 4096 DN, which does not fit in 12 bits"),
+        (
+            '[[white]]\nframes = ["deep.npy"]\nexposure_ms = 10',
+            "deep.npy contains the value 4096 DN, which does not fit in 12 bits",
+        ),
         ('[[white]]\nframes = ["small.npy"]\nexposure_ms = 10', "uncropped raw frames"),
         ('[[white]]\nframes = ["nowhere.npy"]\nexposure_ms = 10', "nowhere.npy"),
         ('[[grey]]\nframes = ["white0.npy"]\nexposure_ms = 10', "`grey`"),

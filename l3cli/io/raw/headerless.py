@@ -155,7 +155,7 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read the frame of a file that contains one frame."""
+    """Read the frame of a file that contains a single frame."""
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -201,7 +201,7 @@ def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) ->
 def stack(path: Path, layout: Layout) -> MultiFrameFile | None:
     """Return the frames of a file, or None if it contains only one.
 
-    The last frame may be truncated. `read_frame` reports that.
+    If the last frame is truncated, `read_frame` raises an error when that frame is read.
     """
     size = path.stat().st_size - layout.skip
     if size < 2 * layout.frame_bytes:

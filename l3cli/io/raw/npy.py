@@ -33,7 +33,7 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame of a file that contains one frame."""
+    """Read the frame of a file that contains a single frame."""
     shape = map_array(path).shape
     if len(shape) == 3:
         raise InputFileError(f"{path} contains {shape[0]} frames; pass it alone, or use files with one frame each")

@@ -265,7 +265,7 @@ def _fields(path: Path) -> dict[str, str]:
 
 
 def _goes_on(value: str, following: str) -> bool:
-    """Whether a value continues in the following line: its brace is still open, or the brace opens in that line."""
+    """Whether a value continues in the following line, because its brace is still open or opens in that line."""
     return "}" not in value if value.startswith("{") else not value and following.lstrip().startswith("{")
 
 
