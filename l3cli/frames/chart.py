@@ -229,8 +229,8 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon transfer line.
 
-    The line is fitted to the patches and channels of all shots. The result is None if the line has no positive slope or too few points, for example
-    because the files were processed or contain almost no noise.
+    The line is fitted to the patches and channels of all shots. The result is None if the line has too few points or no
+    positive slope, for example because the files were processed or contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])

@@ -201,10 +201,10 @@ def _energies(whitened: Array, patches: _Patches) -> tuple[Array, Array, int]:
 
 
 def _consistent(plain: _Plain, camera: CameraModel, gain: float) -> _Plain:
-    """Keep only the patches of signal ranges that are consistent with one gain. Raises ValueError if fewer than a quarter of the ranges are.
+    """Keep only the patches of signal ranges that are consistent with one gain.
 
     The gain is the lowest value that is consistent with a quarter of the ranges. The weak components of the other ranges
-    contain texture, for example a grating with a period of two pixels.
+    contain texture, for example a grating with a period of two pixels. Raises ValueError if there is no such gain.
     """
     count = int(plain.level.max()) + 1
     alone = [_most_likely(plain.chosen(plain.level == each), camera, gain, None)[0] for each in range(count)]

@@ -1,8 +1,8 @@
 """Check whether the CFA, its phase and the black level that a raw file states agree with its pixels.
 
 In a smooth block, all sites of one channel have nearly the same value. If their values differ, the stated phase is probably
-wrong. This test cannot detect phases that only swap channels with equal patterns, such as r and b of a Bayer CFA. Such phases
-are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
+wrong. This test cannot detect phases that only swap channels with equal patterns, such as r and b of a Bayer CFA. Such
+phases are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
 """
 
 import itertools

@@ -2,8 +2,8 @@
 
 A measurement file contains exactly one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]). [[chart]]
 captures determine its scale. [[dark]] and [[white]] frames or a [datasheet] describe the sensor. A file that contains only
-[[dark]] and [[white]] frames uses all other facts from its `base`, which is a camera model or camera recipe. File names are relative
-to the folder of the measurement file.
+[[dark]] and [[white]] frames uses all other facts from its `base`, which is a camera model or camera recipe. File names are
+relative to the folder of the measurement file.
 """
 
 from collections.abc import Iterator

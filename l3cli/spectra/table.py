@@ -227,7 +227,9 @@ class CurveTable:
         shares = self.values * np.array([[_share(heading)] for heading in self.units])
         shares = np.where((shares >= -NOISE) & (shares <= 1 + NOISE), shares.clip(0, 1), shares)
         if shares.min() < 0 or shares.max() > 1:
-            percent = 'append "(%)" to the column names' if 1 < shares.max() <= 100 else "correct the values"
+            percent = (
+                'if they are percent, append "(%)" to the column names' if 1 < shares.max() <= 100 else "correct the values"
+            )
             raise InputFileError(
                 f"{self.path} contains values from {shares.min():g} to {shares.max():g}, which are not fractions; {percent}"
             )

@@ -119,12 +119,12 @@ def test_tables_that_state_the_same(text: str, tmp_path: Path) -> None:
         ("wavelength_nm,a,b\n4000,1,2\n7000,1,2\n", "in A they are 400…700 nm"),
         ("4e-7,1,2\n7e-7,1,2\n", "in m they are"),
         ("wavelength_um,a,b\n400,1,2\n700,1,2\n", '"wavelength_um"'),
-        ("nm,a,b\n400,5,1,0\n", "decimal commas"),
+        ("nm,a,b\n400,5,1,0\n", "if commas are decimal points"),
         ("400,1,1\n400,2,2\n", "wavelengths do not increase"),
         ("400,1,1\n410,nan,1\n", "wavelengths do not increase, or a value is not a number"),
         ("400,1,1\n410\n", "same number of values"),
         ("400,1\n410,1\n", "contains 1 curves, but 2 are needed"),
-        ("", "each row must have"),
+        ("", "must contain rows"),
         ("nm;a;b\n400;1.234,5;1\n", "not a row of numbers"),
         ("nm;a;b\n400;1,5;1.5\n", "commas and points"),
     ],
@@ -290,7 +290,7 @@ def test_inputs_replaced_during_it_are_refused(
         ("pixel_pitch_um", "0.004", "did you mean 4?"),
         ("pixel_pitch_um", "4e-6", "did you mean 4?"),
         ("focal_length_mm", "0.025", "did you mean 25?"),
-        ("f_number", "0.28", "no lens"),
+        ("f_number", "0.28", "at least 0.5"),
     ],
 )
 def test_figures_of_another_unit_are_refused(key: str, wrong: str, words: str, bayer_recipe: Path, tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_bands_of_a_cube_in_micrometres_are_refused(bayer_recipe: Path, tmp_path
         "wavelengths_nm = [0.4, 0.55, 0.7]\n"
     )
     line = refused(2, "simulate", scenes, "--camera", bayer_recipe, "-o", tmp_path / "t.h5")
-    assert "perhaps in um, which gives 400…700 nm" in line
+    assert "in um they are 400…700 nm" in line
 
 
 def test_reflectances_in_percent_are_refused(bayer_recipe: Path, tmp_path: Path, l3: L3) -> None:

@@ -39,7 +39,7 @@ def stack(path: Path, dataset: str | None) -> MultiFrameFile:
 
 @isolated("h5py", "hdf5plugin")
 def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
-    """Return the name of a dataset with frames, and its number of frames. If `dataset` is None, the only such dataset is used.
+    """Return the name of a dataset with frames, and its number of frames. If `dataset` is None, the only one is used.
 
     Raises InputFileError if the dataset does not exist or contains a picture with several channels.
     """

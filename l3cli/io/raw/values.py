@@ -1,7 +1,8 @@
 """Convert pixel values of any number type to 16-bit DN.
 
 Integers from 0 to 65535 are DN, whatever type stores them. For other values, such as floating-point values from 0 to 1 or
-negative values, the scale is unknown. The user must state the scale by setting the black and the white level in the units of the file.
+negative values, the scale is unknown. The user must state the scale by setting the black and the white level in the units of
+the file.
 """
 
 import numpy as np
