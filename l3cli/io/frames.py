@@ -247,7 +247,7 @@ def list_captures(folder: Path) -> CaptureFolder:
         elif kind is None:
             continue
         elif kind.wants_geometry:
-            notes[f"{suffix}: left out, because headerless files state no size or packing; save them as TIFF"] += 1
+            notes[f"{suffix}: headerless files state no size or packing (save them as TIFF); left out"] += 1
         elif not kind.holds_frame:
             notes[f"{suffix}: sequences and data files are not single frames; left out"] += 1
         else:
@@ -301,7 +301,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
             if Path(name).suffix.lower() in PROSE and not _has_numbers(folder.folder / name):
                 continue
             reason = str(error).removeprefix(f"{folder.folder / name}: ").removeprefix(f"{folder.folder / name} ")
-            notes.append(f"{name} is not a table of spectra ({reason}); left out")
+            notes.append(f"{name}: not a table of spectra ({reason}); left out")
     return found
 
 

@@ -122,7 +122,7 @@ def test_files_read_in_turn_keep_their_processes(limited: None) -> None:
 
 
 def test_a_decoder_that_sleeps_is_ended_by_the_clock(limited: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(isolated, "PATIENCE", 1)
+    monkeypatch.setattr(isolated, "WALL_PER_CPU_TIME", 1)
     with pytest.raises(InputFileError, match="takes longer"):
         sleep(Path("bad.dng"))
 
