@@ -77,5 +77,7 @@ def suggestion(name: str, known: Iterable[str]) -> str:
         return close
     named = ", ".join(known)
     return (
-        f"there are {named}" if len(named) <= MAX_CHARACTERS else f"there are {named[:MAX_CHARACTERS].rpartition(',')[0]} …"
+        f"use one of {named}"
+        if len(named) <= MAX_CHARACTERS
+        else f"use one of {named[:MAX_CHARACTERS].rpartition(',')[0]} …"
     )

@@ -64,7 +64,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
         if cls.kind == kind:
             return store.load(cls, Path(path))  # type: ignore[return-value]
     raise InputFileError(
-        f"{path} is {a(kind)}, which can only be used with l3 train --merge; use a camera model, training set or table"
+        f"{path} contains {a(kind)}, which can only be used with l3 train --merge; use a camera model, training set or table"
     )
 
 

@@ -15,12 +15,8 @@ from l3cli.physics import lens, spectra
 from l3cli.physics.mosaic import tiled
 from l3cli.system.limits import most_pixels
 
-DEFECTS = (
-    "hot",
-    "dead",
-    "row",
-    "column",
-)  # types of defective pixels; "row" and "column" mean that a whole line is defective
+# Types of defective pixels. "row" and "column" mean that a whole line is defective.
+DEFECTS = ("hot", "dead", "row", "column")
 MAX_SHADING = 16.0  # largest gain of a flat field
 MAX_COLOUR_SHADING = 0.5  # largest relative difference between the gain of a channel and the mean gain of all channels
 MIN_EXPOSURE, MAX_GAIN = 1e-4, 1e3  # smallest exposure time and largest gain of a channel, relative to the camera

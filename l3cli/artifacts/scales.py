@@ -21,9 +21,8 @@ import numpy as np
 from l3cli.artifacts.container import ENCODING, encoded
 from l3cli.artifacts.schema import Group, Spec, declared, instances
 
-LENGTH_ALONE = (
-    "This is a netCDF dimension but not a netCDF variable.%10d"  # attribute NAME of axes without values in netCDF-4
-)
+# In netCDF-4, this is the attribute NAME of an axis without values.
+LENGTH_ALONE = "This is a netCDF dimension but not a netCDF variable.%10d"
 REFERENCES = np.dtype([("dataset", h5py.ref_dtype), ("dimension", "<i4")])
 Coordinates = Mapping[str, tuple[Any, Spec]]  # values along each axis, and their declaration, by the name of the axis
 

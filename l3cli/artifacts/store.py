@@ -148,7 +148,7 @@ def open_artifact(path: Path, *expected: type[Artifact], unchanged: bool = False
             ) from error
         makers = {each.kind: each.made_by for each in expected}
         if expected and kind not in makers:
-            raise InputFileError(f"{path} is {a(kind)}; use a file written by {made_by}")
+            raise InputFileError(f"{path} contains {a(kind)}; use a file written by {made_by}")
         if version != FORMAT_VERSION:
             again = f"create the file again with {makers.get(kind, 'the l3 command that wrote it')}"
             raise InputFileError(

@@ -131,7 +131,7 @@ class TransformTable(Artifact):
         check_sensor(self.rows, self.cols, self.bits, self.black_level, self.white_level)
         check_cfa(self.cfa, self.channels)
         if self.camera and not (self.camera.channels == self.channels and np.array_equal(self.camera.cfa, self.cfa)):
-            raise ValueError("the channels or the CFA of the camera differ from those of the table")
+            raise ValueError("the channels or the CFA of the camera differ from the channels or the CFA of the table")
         if not self.outputs or not self.output_unit > 0:
             raise ValueError("a table must have at least one output, and output_unit must be positive")
         if not self.exposure >= 0:
@@ -173,9 +173,9 @@ class TransformTable(Artifact):
         taps = layer.window_taps
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
             raise ValueError(
-                f"weights has {layer.weights.shape[2]} taps and windows with side {layer.side}, but the side must be "
-                "odd, and "
-                f"{PLANES} such windows have {taps} taps plus at most {max(RATIO_TAPS)}"
+                f"weights has {layer.weights.shape[2]} taps, but {PLANES} windows with side {layer.side}, which must be "
+                "odd, "
+                f"have {taps} taps"
             )
 
     @property

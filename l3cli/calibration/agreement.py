@@ -15,9 +15,8 @@ from l3cli.errors import InputFileError
 from l3cli.frames.measurement import BandCapture, Capture, ChartCapture, MonoCapture
 
 FACTOR = 1.5  # largest ratio between signals per second under the same illuminant
-SCALE = (
-    3.0  # largest ratio between the scales of chart captures and monochromatic captures, which fill the frame differently
-)
+# Largest ratio between the scales of chart captures and monochromatic captures, which fill the frame differently.
+SCALE = 3.0
 STEP = 3.0  # largest ratio between the response at a monochromator step and at both neighbouring steps
 END = 20.0  # largest ratio between the response at the first or last step and the response that the next two steps predict
 LEAST = 0.02  # fraction of the largest response or signal below which differences are ignored

@@ -380,7 +380,7 @@ def check_gains(measured: Array, error: Array, body: Body) -> None:
     for channel in np.flatnonzero(certain & (np.abs(relative / usual - 1.0) > TOLERANCE)).tolist():
         name, seen = body.channels[channel], measured[channel] / usual
         raise InputFileError(
-            f"channel {name}: in the white frames, the gain is {seen:.3g} times that of the other channels, but the "
+            f"channel {name}: in the white frames, the gain is {seen:.3g} times the gain of other channels, but the "
             f'measurement file states {body.channel_gains[channel]:.3g} times; correct "channel.{name}.gain"'
         )
 

@@ -125,13 +125,18 @@ def _strength_edges(
 def check(feature: Feature, rule: ClassRule) -> None:
     """Raise ValueError if the stored constants do not fit the formula of the feature."""
     if len(feature.constants) < HEAD or feature.sums != 4:
-        raise ValueError(f"{len(feature.constants)} constants and {feature.sums} window sums")
+        raise ValueError(
+            f"the direction has {len(feature.constants)} constants and {feature.sums} window sums, but must have at least "
+            f"{HEAD} constants and 4 window sums"
+        )
     straight, diagonal, orientations, strengths, coherence = feature.constants[:HEAD].tolist()
     if not (1 <= straight <= SCALE and 1 <= diagonal <= SCALE and orientations in (4, 8) and 0 <= coherence <= SHARES):
-        raise ValueError("constants out of range")
+        raise ValueError("a constant of the direction is out of range")
     size = 1 + strengths * (2 if coherence else 1) * orientations
     if strengths < 1 or size != feature.size or len(feature.constants) != HEAD + strengths * rule.levels:
-        raise ValueError(f"{len(feature.constants)} constants for {feature.size} values")
+        raise ValueError(
+            f"the direction has {len(feature.constants)} constants and {feature.size} values, which contradict each other"
+        )
 
 
 def observe(feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:

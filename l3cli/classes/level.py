@@ -45,10 +45,13 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
     if recipe.level_edges is not None:
         edges = np.array(recipe.level_edges)
         if not (edges.size and edges[0] > 0 and edges[-1] < 1 and (np.diff(edges) > 0).all()):
-            raise RecipeError("classes.level_edges must increase and lie between 0 and 1")
+            raise RecipeError(f"classes.level_edges is {edges.tolist()}; write increasing numbers between 0 and 1")
         return edges
     if not (recipe.levels >= 2 and 0 < recipe.lowest_level < recipe.highest_level < 1):
-        raise RecipeError("classes need levels ≥ 2 and 0 < lowest_level < highest_level < 1")
+        raise RecipeError(
+            f"classes.levels is {recipe.levels}, lowest_level {recipe.lowest_level:g} and highest_level "
+            f"{recipe.highest_level:g}; write levels ≥ 2 and 0 < lowest_level < highest_level < 1"
+        )
     spaced = np.geomspace if recipe.spacing == "logarithmic" else np.linspace
     return spaced(recipe.lowest_level, recipe.highest_level * reach, recipe.levels - 1)
 

@@ -73,7 +73,7 @@ def plane_class_words(table: TransformTable, layer: PlaneLayer, index: int) -> d
     spared = table.first.rule.spared_cases
     if case:
         return words | {"saturation": saturation.name(table, case + spared)}
-    return words | {"saturation": "none by which a filter is lost" if spared else "none"}
+    return words | {"saturation": "every filter has an unsaturated channel" if spared else "none"}
 
 
 def _of(index: int, count: int, ends: tuple[str, str]) -> str:

@@ -34,10 +34,10 @@ class Statistics:
 class PatchSums(NamedTuple):
     """Sums over training patches that are centred on the same CFA site."""
 
-    sums: NDArray[np.uint32]  # (channel, patch) of v = DN >> shift
-    squares: NDArray[np.uint32] | None  # (channel, patch) of v²; None if the rule has a single contrast
+    sums: NDArray[np.uint32]  # (channel, patch) sums of v = DN >> shift
+    squares: NDArray[np.uint32] | None  # (channel, patch) sums of v²; None if the rule has a single contrast
     code: Integers  # (patch) saturation codes
-    windows: NDArray[np.float32]  # (sum, patch) of v over the windows of all additional features; integers below 2²⁴
+    windows: NDArray[np.float32]  # (sum, patch) sums of v over windows of additional features, as integers below 2²⁴
 
 
 def window_sums(rule: ClassRule, statistics: Statistics) -> tuple[Integers, ...]:

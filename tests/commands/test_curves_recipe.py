@@ -87,7 +87,7 @@ def test_arrays_share_a_file_whose_other_columns_are_left_out(folder: Path, l3: 
     np.testing.assert_allclose(mapped.responsivity[0], percent.mean(axis=1) / 100, rtol=1e-7)
     (folder / CSV).write_text(text.replace(",r (%)", ",rot (%)"))
     (folder / "camera.toml").write_text(RECIPE.read_text())
-    words = 'no column is called "r"; there are b, NIR, rot, G; select it with columns = {r = "NIR"}'
+    words = 'no column is called "r"; use one of b, NIR, rot, G; select it with columns = {r = "NIR"}'
     assert words in refused(3, *simulate, "--force")
     (folder / "camera.toml").write_text(RECIPE.read_text().replace(f'"{CSV}"', f'"{CSV}"\ncolumns = {{ir = "NIR"}}'))
     assert 'responsivity.columns: "ir" is not a channel; did you mean' in refused(2, *simulate, "--force")

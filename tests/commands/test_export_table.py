@@ -180,7 +180,7 @@ def test_words_are_of_c_source(table: Path, bayer: CameraModel, tmp_path: Path, 
     assert "--words is only for transform" in refused(
         2, "export", tmp_path / "camera.h5", "-o", tmp_path / "f", "--words", "int16"
     )
-    assert "'half'; there are float32, int16" in refused(2, "export", table, "-o", tmp_path / "f", "--words", "half")
+    assert "'half'; use one of float32, int16" in refused(2, "export", table, "-o", tmp_path / "f", "--words", "half")
     assert not (tmp_path / "f").exists()
 
 
@@ -192,7 +192,7 @@ def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, 
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")
     assert "sums, which cannot be exported; name a camera model, a camera recipe or a transform table" in line
-    assert "'halide'; there are c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
+    assert "'halide'; use one of c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
     assert "is a file; choose a folder" in refused(1, "export", table, "-o", table)
     assert not (tmp_path / "c").exists()
 

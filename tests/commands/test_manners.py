@@ -153,9 +153,9 @@ def test_the_scripts_of_other_shells(
 
 def test_suggestions_name_the_nearest_or_all() -> None:
     assert suggestion("d56", ["D65", "D50", "A"]) == 'did you mean "D65" or "D50"?'
-    assert suggestion("zzz", ["D65", "A"]) == "there are D65, A"
+    assert suggestion("zzz", ["D65", "A"]) == "use one of D65, A"
     many = suggestion("zzz", [f"name {number}" for number in range(1000)])
-    assert many.startswith("there are name 0, name 1, ")
+    assert many.startswith("use one of name 0, name 1, ")
     assert many.endswith(" …")
     assert len(many) < 300
 

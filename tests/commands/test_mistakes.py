@@ -52,7 +52,7 @@ MISTAKES = """
     2 calibrate lab/MEASUREMENTS.toml -o new.toml
         .toml is for recipes; choose an output
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
-        table.h5 is a transform table; use a file written by
+        table.h5 contains a transform table; use a file written by
     2 simulate camera.toml --camera scenes.toml -o new.h5
         scenes.toml is a scene recipe; give a camera recipe
     2 simulate lab/MEASUREMENTS.toml --camera camera.h5 -o new.h5
@@ -62,7 +62,7 @@ MISTAKES = """
     2 simulate classes.toml --camera camera.h5 -o new.h5
         classes.toml is a class recipe; give a scene recipe
     3 simulate scenes.toml --camera table.h5 -o new.h5
-        table.h5 is a transform table; use a file written by
+        table.h5 contains a transform table; use a file written by
     3 simulate scenes.toml --camera raw.tif -o new.h5
         raw.tif is not an HDF5 file; use a file written by
     3 simulate scenes.toml --camera folder -o new.h5
@@ -76,7 +76,7 @@ MISTAKES = """
     1 simulate scenes.toml --camera camera.h5 -o new.h5 --pictures raw.tif
         raw.tif is a file; choose a folder
     2 simulate sized.toml --camera camera.h5 -o new.h5
-        unknown key `size` in [scene[2]] with source = "iset"; there are source, crop, flip
+        unknown key `size` in [scene[2]] with source = "iset"; use one of source, crop, flip
     2 train training.h5 --classes scenes.toml -o new.h5
         scenes.toml is a scene recipe; give a class recipe
     3 train training.h5 --classes camera.h5 -o new.h5
@@ -84,7 +84,7 @@ MISTAKES = """
     3 train scenes.toml -o new.h5
         scenes.toml is not an HDF5 file; use a file written by
     3 train camera.h5 -o new.h5
-        camera.h5 is a camera model; use a file written by
+        camera.h5 contains a camera model; use a file written by
     3 train empty.h5 -o new.h5
         empty.h5 is not an HDF5 file; use a file written by
     3 train nothing.h5 -o new.h5
@@ -92,11 +92,11 @@ MISTAKES = """
     2 train training.h5 -o training.h5 --force
         training.h5 is an input; choose another output
     3 train --merge table.h5 -o new.h5
-        table.h5 is a transform table; use a file written by
+        table.h5 contains a transform table; use a file written by
     3 render raw.tif table.h5 -o new.png
         raw.tif is not an HDF5 file; use a file written by "l3 train"
     3 render training.h5 raw.tif -o new.png
-        training.h5 is a training set; use a file written by
+        training.h5 contains a training set; use a file written by
     3 render table.h5 table.h5 -o new.png
         table.h5 contains no uint16 dataset (frame, row, col)
     3 render table.h5 picture.png -o new.png
@@ -134,9 +134,9 @@ MISTAKES = """
     2 render table.h5 raw.tif -o new.png --phase 1
         "1" does not have the form ROW,COL
     3 evaluate training.h5 table.h5
-        training.h5 is a training set; use a file written by
+        training.h5 contains a training set; use a file written by
     3 evaluate table.h5 camera.h5
-        camera.h5 is a camera model; use a file written by
+        camera.h5 contains a camera model; use a file written by
     1 evaluate table.h5 unseen.h5 --pictures raw.tif
         raw.tif is a file; choose a folder
     3 report table.h5 raw.tif -o new.html
@@ -154,7 +154,7 @@ MISTAKES = """
     3 compare empty.json
         give a file that "l3 evaluate --json" printed
     2 info
-        give either a FILE or --version
+        specify either a FILE or --version
     3 info raw.tif
         raw.tif is not an HDF5 file; use a file written by
     3 info folder
@@ -164,7 +164,7 @@ MISTAKES = """
     2 lab camera.toml --recipe scenes.toml -o new
         scenes.toml is a scene recipe; give a lab recipe
     3 lab table.h5 -o new
-        table.h5 is a transform table; use a file written by
+        table.h5 contains a transform table; use a file written by
     1 lab camera.toml -o raw.tif
         raw.tif is a file, not a folder
     1 lab camera.toml -o lab
@@ -326,7 +326,7 @@ def test_a_table_that_does_not_hold_its_camera_knows_its_sensitivity(
     table = load(TransformTable, pipeline / "table.h5")
     assert table.camera is not None
     assert table.camera.fit is None
-    with pytest.raises(ValueError, match="CFA differs"):
+    with pytest.raises(ValueError, match="CFA of the camera differ"):
         dataclasses.replace(table, camera=dataclasses.replace(table.camera, cfa=table.cfa[::-1]))
     save(dataclasses.replace(table, camera=None), tmp_path / "old.h5")
     assert l3("evaluate", tmp_path / "old.h5", pipeline / "unseen.h5", "--json")[2] == ""

@@ -222,7 +222,7 @@ def test_a_wrong_lamp_is_one_line(
 def test_an_unknown_channel_in_the_colour_filter_array_is_one_line(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "camera.toml").write_text(bayer_camera(pattern=("r g", "g w")))
     arguments = ("--camera", tmp_path / "camera.toml", "-o", tmp_path / "out.h5")
-    assert '"w" is not a channel; there are r, g, b' in refused(2, "simulate", CONFIGS / "scenes/small.toml", *arguments)
+    assert '"w" is not a channel; use one of r, g, b' in refused(2, "simulate", CONFIGS / "scenes/small.toml", *arguments)
 
 
 def test_fixed_exposure_needs_an_absolute_camera(refused: Refused, bayer: CameraModel, tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ def test_wrong_calls_are_one_line(learned: dict[str, Path], tmp_path: Path, refu
     def train(name: str, *more: Any) -> tuple[Any, ...]:
         return ("train", learned[f"{name}.set.h5"], "-o", tmp_path / "table.h5", "--classes", *more)
 
-    assert 'learning.lights contains "D65", but no frame has this illuminant; there are A' in refused(
+    assert 'learning.lights contains "D65", but no frame has this illuminant; use one of A' in refused(
         3, *train("warm", learned["several.classes.toml"])
     )
     path, text = tmp_path / "classes.toml", learned["several.classes.toml"].read_text()

@@ -146,7 +146,7 @@ def test_low_noise_transforms_of_other_layers_are_refused() -> None:
     narrow = dataclasses.replace(low.later[0], weights=low.later[0].weights[:, :, :3])
     changed("the transforms of conditions/0/later/0 and later/0 have different shapes", later=(narrow,))
     changed(
-        "conditions/0/first/weights .* along tap", first=dataclasses.replace(low.first, weights=low.first.weights[..., :4])
+        "axis tap of conditions/0/first/weights", first=dataclasses.replace(low.first, weights=low.first.weights[..., :4])
     )
     dark = dataclasses.replace(low.edges, contrast_edges=low.edges.contrast_edges[:, :2])
     changed("conditions/0/edges/contrast_edges .* along level", edges=dark)

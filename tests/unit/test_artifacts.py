@@ -132,7 +132,7 @@ def plain_hdf5(path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda root: root.attrs.modify("kind", "transform table"), "is a transform table; use a file written by"),
+        (lambda root: root.attrs.modify("kind", "transform table"), "contains a transform table; use a file written by"),
         (
             lambda root: root.attrs.modify("version", 5),
             "has format version 5, but this version of l3 reads only version 1; create the file again with",

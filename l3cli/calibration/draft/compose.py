@@ -282,7 +282,7 @@ class Composer:
             if uneven > 4 * sorting.DIM and not seen.scale.clipped(step):
                 out.comment(f"The illumination is uneven by {uneven:.0%}, but [[mono]] needs a uniform field.")
             if not columns and len(matched) >= SEVERAL:
-                what = "make this table with the measured radiance of each [[mono]] in a column, or write the name of yours"
+                what = "make this table with the radiance of each [[mono]] in a column, or write the name of your table"
                 self._wanted("spectrum", EXAMPLE_SPECTRUM, what, path)
                 out.key("column", number if nm is None else f"{nm:g}nm")
             elif column is None:
@@ -387,7 +387,7 @@ class Composer:
                 out.key("radiance", by_band[nm].path)
                 self._unit(by_band[nm].table, None)
                 continue
-            what = "make a table with illuminant times reflectance of the 24 patches in columns, or write the name of yours"
+            what = "make a table with illuminant × reflectance of the 24 patches in columns, or write the name of your table"
             self._wanted("radiance", f"spectra/{nm:g}nm.csv", what, path)
             if "unit" not in self.shared:
                 out.todo("unit", "relative power", "unit of the radiances, because the heading contains no unit", path)
