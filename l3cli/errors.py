@@ -69,8 +69,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a question that suggests the known names most similar to `name` or, if no name is similar, a list of all
-    known names.
+    """Return the end of a message about an unknown name.
+
+    It is a question with the most similar known names or, if no name is similar, a list of all known names.
     """
     known = list(known)
     if close := nearest(name, known):

@@ -45,8 +45,9 @@ def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
 
 
 def scielab(one: ArrayLike, other: ArrayLike, viewing: float = quality.VIEWING) -> Array:
-    """Return the S-CIELAB difference of two sRGB pictures: CIEDE2000 after both are blurred as the eye does at a given
-    distance.
+    """Return the S-CIELAB difference of two sRGB pictures.
+
+    S-CIELAB is CIEDE2000 after both pictures are blurred as the eye blurs them at a given viewing distance.
 
     Parameters
     ----------

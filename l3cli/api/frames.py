@@ -505,8 +505,9 @@ class Mosaics:
         self._known = RawOverrides(black_level, white_level, phase, correction=correction)
 
     def require_size(self, rows: int, cols: int) -> None:
-        """Raise RecipeError if frames do not have the expected size, because a cropped frame may begin at another CFA
-        site.
+        """Raise RecipeError if frames do not have the expected size.
+
+        A cropped frame may begin at another CFA site, so l3 does not accept other sizes silently.
         """
         if (rows, cols) != self._size:
             raise RecipeError(

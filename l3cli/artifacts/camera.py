@@ -403,8 +403,9 @@ class CameraModel(Artifact):
         return replace(self, gain=self.gain * gain, noise=noise, readout=readout, gains=gains)
 
     def gain_at(self, iso: float) -> float | None:
-        """Return the analog gain at an ISO speed, relative to the gain of this camera, or None if either ISO speed is
-        unknown.
+        """Return the analog gain at an ISO speed, relative to the gain of this camera.
+
+        The result is None if the ISO speed is 0, or if the ISO speed of the camera is unknown.
         """
         return iso / self.gains.iso if iso > 0 and self.gains and self.gains.iso > 0 else None
 
@@ -418,8 +419,9 @@ class CameraModel(Artifact):
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light for each channel, relative to the most sensitive channel. Without a `readout`, all values
-        are 1.
+        """DN per unit of light for each channel, relative to the most sensitive channel.
+
+        Without a `readout`, all values are 1.
         """
         return np.ones(len(self.channels)) if self.readout is None else self.readout.sensitivity
 

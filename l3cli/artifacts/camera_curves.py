@@ -211,8 +211,9 @@ def _sum_of_gaussians(wavelength: Array, terms: list[Gaussian]) -> Array:
 
 
 def full_width(wavelength: Array, curve: Array) -> float | None:
-    """Return the full width at half maximum of a curve in nm, or None if the curve does not fall to half its peak on
-    both sides.
+    """Return the full width at half maximum of a curve in nm.
+
+    The result is None if the curve does not fall to half its peak on both sides.
     """
     peak, half = int(curve.argmax()), curve.max() / 2
     below, above = np.flatnonzero(curve[:peak] < half), np.flatnonzero(curve[peak:] < half)

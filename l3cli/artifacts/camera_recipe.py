@@ -82,8 +82,9 @@ def filters_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) ->
 
 
 def settings_of(readout: Readout | None, channels: Sequence[str]) -> dict[str, ChannelRecipe]:
-    """Return the sections [channel.NAME] that describe a readout, without read noise and without channels that have the
-    defaults.
+    """Return the sections [channel.NAME] that describe a readout.
+
+    Read noise is left out, and so are channels that have the defaults.
     """
     if readout is None:
         return {}
@@ -180,8 +181,9 @@ class GainRecipe(Recipe):
 
 
 def gains_of(recipe: GainRecipe | None, read_noise: float) -> AnalogGains | None:
-    """Return the analog gains of a recipe without `gain_faults`. `read_noise` is the read noise at sensor.gain_dn_per_e,
-    in e-.
+    """Return the analog gains of a recipe without `gain_faults`.
+
+    `read_noise` is the read noise at sensor.gain_dn_per_e, in e-.
     """
     if recipe is None:
         return None
@@ -403,8 +405,9 @@ def _model_faults(recipe: CameraRecipe) -> Iterator[Fault]:
 
 
 def white_level(recipe: CameraRecipe) -> float:
-    """Return the raw value of a saturated pixel: the declared value, or the lower of well capacity and converter
-    maximum.
+    """Return the raw value of a saturated pixel in DN.
+
+    It is the declared value or, if there is none, the lower of the well capacity and the maximum of the converter.
     """
     sensor = recipe.sensor
     if sensor.white_level_dn is not None:
@@ -433,7 +436,7 @@ def share_faults(value: float, key: str, most: float) -> Iterator[Fault]:
 
 
 def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
-    """Yield a fault for each length that seems to have a wrong unit, and for an object that is closer than the focal
+    """Yield a fault for each length with a value that suggests a wrong unit, and for an object closer than the focal
     length.
     """
     least, most = PITCHES_UM
@@ -498,8 +501,9 @@ def known_arrays() -> dict[str, CfaRecipe]:
 
 
 def recipe_text(path: Path) -> str:
-    """Return the text of a recipe, followed by the text of its base, for the history. For an artifact, the text is
-    empty.
+    """Return the text of a recipe, followed by the text of its base, for the history.
+
+    For an artifact, the text is empty.
     """
     if path.suffix != ".toml":
         return ""

@@ -325,8 +325,9 @@ class ClassRule:
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 
     def kind(self, chroma: Any, case: Any) -> Any:
-        """Return the kind of pixels, given their chroma and saturation case. It depends on the chroma only if the case
-        is 0.
+        """Return the kind of pixels, given their chroma and saturation case.
+
+        It depends on the chroma only if the case is 0.
         """
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
@@ -335,8 +336,9 @@ class ClassRule:
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # avoids negative values, as kinds may be unsigned
 
     def lost(self, kind: Any) -> Any:
-        """Return the saturation case of kinds, numbered from 1 after the spared cases, or 0 if no filter has lost all
-        its channels.
+        """Return the saturation case of kinds, counted without the spared cases.
+
+        The result is 0 if every filter has a channel that does not clip.
         """
         return np.maximum(self.case(kind) - self.spared_cases, 0)
 

@@ -34,8 +34,9 @@ class SceneLight:
 
 @dataclass(frozen=True)
 class NoiseEdges:
-    """The parts of the class rules that depend on the noise: class edges, scales of gradients and the noise in coarse
-    chroma.
+    """The parts of the class rules that depend on the noise.
+
+    They are class edges, scales of gradients, and the noise in coarse chroma.
     """
 
     contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
@@ -76,8 +77,9 @@ class PlaneTransforms:
 
 @dataclass(frozen=True)
 class Condition:
-    """Transforms of all layers that were trained for one illuminant, for noise that differs from the camera's, or for
-    both.
+    """Transforms of all layers for one condition.
+
+    They were trained for one illuminant, for noise that differs from the noise of the camera, or for both.
     """
 
     first: MosaicTransforms = group()

@@ -66,8 +66,9 @@ class LightMoments:
 
 @dataclass(frozen=True, repr=False)
 class SceneMoments(Artifact):
-    """Second moments of scenes behind a lens and a pixel, which do not depend on any filters
-    (docs/arrays.md#which-array).
+    """Second moments of scenes behind a lens and a pixel (docs/arrays.md#which-array).
+
+    They do not depend on any filters.
     """
 
     kind: ClassVar[str] = "scene moments"
@@ -288,8 +289,9 @@ class Design(Artifact):
 
     @property
     def verdict(self) -> list[str]:
-        """A sentence for each level: the best array, how much better it is than the Bayer array, and how much of that is
-        due to filters.
+        """A sentence for each level about the best array.
+
+        It states how much better this array is than the Bayer array, and which fraction of this is due to its filters.
         """
         lines = []
         for place, (level, errors) in enumerate(zip(self.levels, self.predicted.T, strict=True)):
@@ -320,8 +322,8 @@ class Design(Artifact):
         return lines
 
     def camera(self, pattern: str, efficiency: NDArray[np.float64]) -> CameraModel:
-        """Return a camera with the pixel of the design, an array given as text, and filters with the given quantum
-        efficiencies.
+        """Return a camera with the pixel of the design, the array `pattern`, and filters with the quantum efficiency
+        `efficiency`.
         """
         cfa = sites(pattern, self.filters)
         used = np.unique(cfa)

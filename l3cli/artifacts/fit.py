@@ -69,8 +69,9 @@ class SweepFit:
 
 @dataclass(frozen=True)
 class ChartFit:
-    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset), with the measured and predicted value of
-    every patch.
+    """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset).
+
+    It contains the measured value and the predicted value of every patch.
     """
 
     alpha: NDArray[np.float64] = data(
@@ -93,8 +94,9 @@ class ChartFit:
 
 @dataclass(frozen=True)
 class DriftFit:
-    """Drift of the lamps that was estimated from the charts. It is larger than the drift that the measurement file
-    declares.
+    """Drift of the lamps that was estimated from the charts.
+
+    It is larger than the drift that the measurement file declares.
     """
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
@@ -103,8 +105,9 @@ class DriftFit:
 
 @dataclass(frozen=True)
 class SeriesFit:
-    """Fit of a chart behind narrow-band filters. Each capture is predicted from the other exposures behind the same
-    filter.
+    """Fit of a chart behind narrow-band filters.
+
+    Each capture is predicted from the other exposures behind the same filter.
     """
 
     lights: tuple[str, ...] = data("str", "band", doc="name of each band")

@@ -91,8 +91,9 @@ class PartialSums(Artifact):
 
 @dataclass(frozen=True)
 class LayerSums:
-    """Sums over the samples of one canonical site. The columns are the taps, the intercept and the outputs as opponent
-    planes.
+    """Sums over the samples of one canonical site.
+
+    The columns are the taps, the intercept and the outputs as opponent planes.
     """
 
     moments: NDArray[np.float64] = data(

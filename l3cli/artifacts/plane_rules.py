@@ -119,8 +119,9 @@ class PlaneClasses(GradientScale):
         return site, within
 
     def kind(self, structure: Any, case: Any) -> Any:
-        """Return the kind of pixels, given their structure and saturation case. It depends on the structure only if the
-        case is 0.
+        """Return the kind of pixels, given their structure and saturation case.
+
+        It depends on the structure only if the case is 0.
         """
         return np.where(np.greater(case, 0), self.structures - 1 + case, structure)
 
@@ -167,14 +168,17 @@ class StructureRule(PlaneClasses):
 
     @property
     def structures(self) -> int:
-        """Number of structures: one for flat areas and, for each strength, one without direction and one for each
+        """Number of structures.
+
+        There is one structure for flat areas. Each strength has one structure without direction and one for each
         direction.
         """
         return 1 + self.strengths * (1 + DIRECTIONS)
 
     def next_strengths(self, structure: int) -> list[int]:
-        """Return the structures with the same direction and the next lower and next higher strength, except for the
-        lowest strength.
+        """Return the structures with the same direction and the next lower or next higher strength.
+
+        The lowest strength is never returned, and has no such structures.
         """
         step, least = 1 + DIRECTIONS, 2 + DIRECTIONS
         others = (structure - step, structure + step)

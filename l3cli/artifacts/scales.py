@@ -97,8 +97,9 @@ def _write_scales(group: h5py.Group, kind: type, known: Coordinates) -> None:
 
 
 def _new_scale(group: h5py.Group, axis: str, length: int, known: tuple[Any, Spec] | None) -> h5py.Dataset:
-    """Create a dimension scale that is not a declared dataset. It contains values if they are known, otherwise only a
-    length.
+    """Create a dimension scale that is not a declared dataset.
+
+    It contains values if they are known, otherwise only a length.
     """
     if known is None or len(known[0]) != length or not length:
         scale = group.create_dataset(axis, (length,), ">f4", track_times=False)

@@ -152,8 +152,9 @@ def _declared(cls: type) -> tuple[tuple[str, Spec | Group], ...]:
 
 
 def is_stored(instance: Any, name: str, spec: Spec) -> bool:
-    """Return whether a dataset is stored in the file of an instance. Optional datasets are not stored if they have their
-    default.
+    """Return whether a dataset is stored in the file of an instance.
+
+    Optional datasets are not stored if they have their default.
     """
     return not spec.optional or not np.array_equal(getattr(instance, name), getattr(type(instance), name))
 

@@ -277,8 +277,9 @@ def _member(group: h5py.Group, name: str, kind: type, what: str, path: Path) -> 
 
 
 def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
-    """Return how a dataset is stored. Raises InputFileError if it is too large, or stored with a filter that l3 never
-    uses.
+    """Return how a dataset is stored.
+
+    Raises InputFileError if it is too large, or stored with a filter that l3 never uses.
     """
     stored = require_readable(path, dataset)
     if not stored.filters <= KNOWN_FILTERS:

@@ -20,8 +20,9 @@ WINDOWS = (3, 5, 7, 9)  # pixels; allowed sides of the window for smoothing spec
 
 @dataclass(frozen=True)
 class SpectralSmoothing:
-    """Smoothing of spectra. Each pixel gets the mean spectrum of neighbours with similar brightness, but keeps its own
-    brightness.
+    """Smoothing of spectra.
+
+    Each pixel gets the mean spectrum of neighbours with similar brightness, but keeps its own brightness.
     """
 
     window: int = data("int64", unit="pixel", doc="side of the neighbourhood of a pixel")
@@ -213,8 +214,9 @@ class TransformTable(Artifact):
 
     @property
     def shows_grey(self) -> bool:
-        """Whether pictures are grey, because the table renders luminance only or because the camera has a single
-        channel.
+        """Whether pictures are grey.
+
+        They are grey if the table renders luminance only, or if the camera has a single channel.
         """
         return self.outputs == GREY or len(self.channels) == 1
 
@@ -266,8 +268,9 @@ class TransformTable(Artifact):
 
     @property
     def clipped_white(self) -> NDArray[np.float64] | None:
-        """XYZ of the darkest white that clips every channel, in output units. No pixel is rendered brighter
-        (docs/method.md#clipped-white).
+        """XYZ of the darkest white that clips every channel, in output units.
+
+        No pixel is rendered brighter (docs/method.md#clipped-white).
 
         None if the illuminant is unknown, or if the outputs are neither GREY nor begin with X, Y, Z.
         """

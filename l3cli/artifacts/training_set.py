@@ -93,8 +93,9 @@ class TrainingPair:
 
     @property
     def dark_time(self) -> float:
-        """Exposure time in s from which the dark signal in `raw` is computed. It is 0 for real pairs, whose dark signal
-        is subtracted.
+        """Exposure time in s from which the dark signal in `raw` is computed.
+
+        It is 0 for real pairs, whose dark signal is subtracted.
         """
         return 0.0
 

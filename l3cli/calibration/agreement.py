@@ -138,11 +138,11 @@ def check_charts(captures: Sequence[ChartCapture], measured: Array, predicted: A
 
 
 def odd_steps(captures: Sequence[MonoCapture], sweep: Sweep) -> tuple[str, ...]:
-    """Describe the monochromatic captures whose response is far above or far below the responses at both neighbouring
-    wavelengths.
+    """Describe the monochromatic captures whose response contradicts both neighbouring wavelengths.
 
-    A capture is implausible only if its response is implausible in every channel that responds to its wavelength. The
-    descriptions begin with the worst capture. Each implausible capture is removed before the next is searched for.
+    The response of such a capture is far above or far below both neighbours in every channel that responds to its
+    wavelength. The descriptions begin with the worst capture. Each implausible capture is removed before the next is
+    searched for.
     """
     centre = np.array([light_centre(capture.wavelength, capture.radiance) for capture in captures])
     left = list(np.argsort(centre, kind="stable"))

@@ -59,8 +59,9 @@ class Charts:
 
 
 def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> Sensor:
-    """Measure noise, black level, saturation and defects from dark and white frames
-    (docs/method.md#dark-and-white-frames).
+    """Measure noise, black level, saturation and defects from dark and white frames.
+
+    docs/method.md#dark-and-white-frames describes the method.
     """
     body = measurements.body
     dark = noise.dark_noise(measurements.darks, body, each)
@@ -77,8 +78,9 @@ def measure_sensor(measurements: Measurements, each: statistics.Each = map) -> S
 
 
 def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Body) -> Array:
-    """Return the photons that a pixel on the optical axis receives during a capture, divided among the hat functions of
-    `nodes`.
+    """Return the photons that a pixel on the optical axis receives during a capture.
+
+    They are divided among the hat functions of `nodes`.
     """
     photons = responsivity.node_photons(capture.wavelength, capture.radiance, nodes)
     return body.photons_per_radiance * capture.lit * photons
@@ -87,12 +89,11 @@ def photons_on_pixel(capture: MonoCapture | ChartCapture, nodes: Array, body: Bo
 def measure_sweep(
     captures: Sequence[MonoCapture], body: Body, sensor: Sensor, each: statistics.Each = map
 ) -> tuple[responsivity.Sweep, tuple[str, ...]]:
-    """Set up the linear systems for the spectral responsivities from monochromatic captures
-    (docs/method.md#calibration).
+    """Set up the linear systems for the spectral responsivities (docs/method.md#responsivity).
 
-    Each capture contributes one equation, which is divided by the number of photons. The signal is the mean over the
-    whole frame. The fall-off of the lens is the same in all captures and only changes the scale of the responsivities,
-    which the charts determine later.
+    Each monochromatic capture contributes one equation, which is divided by the number of photons. The signal is the
+    mean over the whole frame. The fall-off of the lens is the same in all captures and only changes the scale of the
+    responsivities, which the charts determine later.
 
     Parameters
     ----------
@@ -213,8 +214,9 @@ def _surface(y: Array, x: Array) -> Array:
 
 
 def _means(response: Array, body: Body, channel: int) -> tuple[Array, Array, Array]:
-    """Divide the pixels of a channel into cells. Return the mean coordinates (y and x, from −1 to 1) and the mean
-    response of each cell.
+    """Divide the pixels of a channel into cells.
+
+    Return the mean coordinates (y and x, from −1 to 1) and the mean response of each cell.
     """
     places: list[tuple[Array, Array, Array]] = []
     y, x = (np.linspace(-1.0, 1.0, length) for length in response.shape)
@@ -277,9 +279,7 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
 
 
 def _nearest(darks: Sequence[Capture], exposure: float) -> int:
-    """Return the index of the dark capture whose exposure time has the smallest ratio to `exposure`, in either
-    direction.
-    """
+    """Return the index of the dark capture whose exposure time is closest to `exposure` by ratio."""
     return int(np.argmin([abs(np.log(dark.exposure / exposure)) for dark in darks]))
 
 
@@ -402,8 +402,9 @@ def dark_levels(exposures: Sequence[float], darks: Sequence[Capture], body: Body
 
 
 def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Fit signals that are proportional to the exposure time. Each capture is also predicted from the other captures
-    behind the same filter.
+    """Fit signals that are proportional to the exposure time.
+
+    Each capture is also predicted from the other captures behind the same filter.
 
     Returns
     -------
@@ -426,9 +427,7 @@ def follow_exposure(series: Series) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def band_centre(capture: BandCapture) -> float:
-    """Return the central wavelength of a filter in nm, as in `light_centre`, for the sum of the radiances of all
-    patches.
-    """
+    """Return the central wavelength of a filter in nm, computed from the sum of the radiances of all patches."""
     return light_centre(capture.wavelength, capture.radiance.sum(axis=0))
 
 
@@ -487,9 +486,7 @@ def linearity_errors(series: Series, span: float) -> Array:
 
 
 def named(captures: Sequence[BandCapture], series: Series, body: Body) -> tuple[str, ...]:
-    """Describe each capture with saturated patches in a line of text, with the number of saturated patches in each
-    channel.
-    """
+    """Describe each capture with saturated patches in one line, with the number of these patches in each channel."""
     lines = []
     for capture, valid in zip(captures, series.valid, strict=True):
         counts = zip(body.channels, (~valid).sum(axis=0), strict=True)

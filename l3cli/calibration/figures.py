@@ -122,8 +122,9 @@ def _efficiency_columns(camera: CameraModel, chart: ChartFit) -> dict[str, Any]:
 
 
 def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
-    """Return the EMVA 1288 parameters of each channel. The dynamic range is the range from a signal-to-noise ratio of 1
-    to saturation.
+    """Return the EMVA 1288 parameters of each channel.
+
+    The dynamic range is the range from a signal-to-noise ratio of 1 to saturation.
     """
     least = sensitivity_threshold(noise.read_noise, noise.conversion_gain)
     return {
@@ -179,9 +180,7 @@ def _bands(camera: CameraModel, series: SeriesFit) -> dict[str, dict[str, float]
 
 
 def _photo_columns(camera: CameraModel, fit: PhotoFit) -> dict[str, Any]:
-    """Return the uncertainty of the curves, and the uncertainty of the colours that the curves predict under other
-    illuminants.
-    """
+    """Return the uncertainty of the curves, and of the colours that the curves predict under other illuminants."""
     band = camera.responsivity_band / camera.responsivity.max(axis=1, keepdims=True)
     return {
         "curve ± 95 % (% of peak)": 100.0 * np.sqrt(np.mean(band**2, axis=1)),

@@ -161,8 +161,7 @@ def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> Camer
 def fit_curves(
     sweep: responsivity.Sweep, charts: Charts, black_level: Array, measurements: Measurements, left_out: tuple[str, ...]
 ) -> tuple[Curves, SweepFit, DriftError | None]:
-    """Fit the responsivity curves (Eq. 1 in docs/method.md#responsivity), and estimate the drift of the lamps from the
-    charts.
+    """Fit the responsivity curves (Eq. 1 in docs/method.md#responsivity), and estimate the lamp drift from the charts.
 
     The smoothing weight is the one that predicts the charts best. If the charts disagree more than the declared drift
     explains, the estimated drift is returned, and the confidence bands include it. Otherwise the returned drift is None.
@@ -182,9 +181,7 @@ def fit_curves(
 
 
 def _validation_error(sweep: responsivity.Sweep, charts: Charts, delta: float, black_level: Array) -> float:
-    """Return the relative RMSE of cross-validation over the charts, averaged over the channels, for one smoothing
-    weight.
-    """
+    """Return the relative RMSE of cross-validation over the charts for one smoothing weight, averaged over the channels."""
     photons = charts.photons @ responsivity.solve_channels(sweep, delta).T
     channels = range(len(black_level))
     return float(
@@ -299,8 +296,9 @@ def conversion_gain(sensor: Sensor, body: Body) -> float:
 
 
 def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
-    """Average the noise parameters of the channels to obtain one set for the whole sensor. The weight of a channel is
-    its number of pixels.
+    """Average the noise parameters of the channels to obtain one set for the whole sensor.
+
+    The weight of a channel is its number of pixels.
     """
     pixels = channel_shares(body)
     conversion, black_level = conversion_gain(sensor, body), float(pixels @ sensor.dark.black_level)

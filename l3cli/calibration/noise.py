@@ -69,9 +69,7 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights with which values at these exposure times are added to get the intercept and the slope of a
-    line fit.
-    """
+    """Return the weights of values at these exposure times in the intercept and in the slope of a line fit."""
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope
@@ -171,10 +169,10 @@ def photon_transfer(levels: Sequence[Level], body: Body, dark: DarkNoise) -> Pho
 
 
 def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[float, float]:
-    """Return the slope of the temporal variance over the mean signal of one channel, and the standard deviation of the
-    slope.
+    """Fit the slope of the temporal variance over the mean signal of one channel.
 
-    The standard deviation of a variance from n samples is √(2/n) times the variance.
+    The result is the slope and its standard deviation. The standard deviation of a variance from n samples is √(2/n)
+    times the variance.
     """
     variance = np.array([level.variance[channel] for level in levels])
     samples = np.array([level.counts[channel].sum() / level.trials * (level.trials // 2) for level in levels])
@@ -185,8 +183,7 @@ def _transfer_line(levels: Sequence[Level], mean: Array, channel: int) -> tuple[
 def linearity_errors(
     levels: Sequence[Level], mean: Array, used: NDArray[np.bool_], dark: DarkNoise, white_level: float
 ) -> Array:
-    """Return the linearity error LE of EMVA 1288 for each channel: the mean relative deviation of the signal from a
-    line.
+    """Return the linearity error LE of EMVA 1288 for each channel, which is the mean relative deviation from a line.
 
     The error is 0 if a channel has fewer than three usable exposures.
     """
@@ -200,8 +197,9 @@ def linearity_errors(
 
 
 def linearity_error(lit: Array, signal: Array) -> float:
-    """Return the mean relative deviation of `signal` from a line over `lit` that minimises the squared relative
-    deviations.
+    """Return the mean relative deviation of `signal` from a line over `lit`.
+
+    The line minimises the squared relative deviations.
     """
     line = np.polyval(np.polyfit(lit, signal, 1, w=1.0 / signal), lit)
     return float(np.mean(np.abs(signal / line - 1.0)))

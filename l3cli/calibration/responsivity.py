@@ -332,10 +332,10 @@ def likely_mistake(peak: float) -> str:
 
 
 def patch_map(corners: Array, rows: int, cols: int) -> NDArray[np.int64]:
-    """Return, for each pixel, the index of the ColorChecker patch whose central square contains the pixel, or 24 for no
-    patch.
+    """Return the index of the ColorChecker patch to which each pixel belongs.
 
-    The chart may be rotated and seen in perspective.
+    A pixel belongs to a patch if it is within the central square of the patch. Other pixels get the index 24. The chart
+    may be rotated and seen in perspective.
 
     Parameters
     ----------

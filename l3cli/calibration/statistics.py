@@ -136,8 +136,9 @@ def by_site(values: NDArray, cfa: NDArray[np.uint8]) -> Iterator[tuple[int, NDAr
 
 
 def pooled(per_site: Sequence[float], cfa: NDArray[np.uint8]) -> Array:
-    """Average numbers over the CFA sites of each channel. `per_site` contains one number per site, in the order of
-    `by_site`.
+    """Average numbers over the CFA sites of each channel.
+
+    `per_site` contains one number per site, in the order of `by_site`.
     """
     count = np.bincount(cfa.ravel())
     return np.bincount(cfa.ravel(), weights=np.asarray(per_site, dtype=np.float64)) / count

@@ -187,8 +187,9 @@ def plain_blocks(means: Array, spread: Array) -> tuple[NDArray[np.intp], Array, 
 
 
 def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Array:
-    """Compute the fraction that is replaced, and the added values, for every block. `replaced` and `block_means`
-    describe the parameters. The result has the shape (map, block row, block col).
+    """Compute the fraction that is replaced, and the added values, for every block.
+
+    `replaced` and `block_means` describe the parameters. The result has the shape (map, block row, block col).
     """
     numbers, signal, plain, share = plain_blocks(means, spread)
     level = grey_level(signal, white)

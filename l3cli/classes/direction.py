@@ -212,9 +212,7 @@ def _feature_of(table: TransformTable) -> Feature:
 
 
 def entry(table: TransformTable, index: int) -> dict[str, Any]:
-    """Describe a direction for reports and JSON: its number, and its axis as an angle, measured clockwise from the
-    horizontal.
-    """
+    """Describe a direction for reports and JSON: its number, and the angle of its axis, clockwise from the horizontal."""
     return {"direction": index, "varies": _described(_feature_of(table), index)}
 
 

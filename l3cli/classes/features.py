@@ -96,8 +96,9 @@ class FeatureModule(DescribedFeature, Protocol):
         """Raise ValueError if the number or the range of the stored constants does not fit the formula of the feature."""
 
     def observe(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> NDArray[np.float64]:
-        """Return the statistics of the pilot patches that `make_feature` needs, with one row per patch. If the feature
-        needs no statistics, the result has no columns.
+        """Return the statistics of the pilot patches that `make_feature` needs, with one row per patch.
+
+        If the feature needs no statistics, the result has no columns.
         """
 
     def values(self, feature: Feature, rule: ClassRule, sums: Integers, level: Integers) -> Integers:
@@ -122,8 +123,9 @@ class FeatureModule(DescribedFeature, Protocol):
         """
 
     def turned(self, feature: Feature, transposed: bool, turns: int) -> Integers:
-        """Return what each value of the feature becomes if rot90(patch.T if transposed else patch, turns) replaces the
-        patch.
+        """Return what each value of the feature becomes if the patch is turned.
+
+        The turned patch is rot90(patch.T if transposed else patch, turns).
         """
 
     def macros(self, feature: Feature, rule: ClassRule) -> dict[str, int]:

@@ -57,8 +57,9 @@ def edge_shares(recipe: BasicKeys, reach: float = 1.0) -> NDArray[np.float64]:
 
 
 def centres(shares: NDArray[np.float64], reach: float = 1.0) -> NDArray[np.float64]:
-    """Return the signal in the middle of each level as a fraction of full scale. `edge_shares` describes `shares` and
-    `reach`.
+    """Return the signal in the middle of each level as a fraction of full scale.
+
+    `edge_shares` describes `shares` and `reach`.
     """
     return np.concatenate([[shares[0] / 2], np.sqrt(shares[1:] * shares[:-1]), [(reach + shares[-1]) / 2]])
 
@@ -130,8 +131,9 @@ def inner_bounds(rule: ClassRule, black_level: float, white_level: float) -> NDA
 
 
 def bounds(table: TransformTable) -> NDArray[np.float64]:
-    """Return the bounds of the levels in increasing order, as fractions of full scale. The first bound is 0 and the last
-    is 1.
+    """Return the bounds of the levels in increasing order, as fractions of full scale.
+
+    The first bound is 0 and the last is 1.
     """
     inner = inner_bounds(table.first.rule, table.black_level, table.white_level)
     return np.concatenate([[0.0], np.clip(inner, 0.0, 1.0), [1.0]])
@@ -162,7 +164,8 @@ def macros(rule: ClassRule) -> dict[str, int]:
 
 
 def kernel_array(rule: ClassRule) -> NDArray[np.int32]:
-    """Return, for each level edge, the largest channel sum that is still below the edge. Kernels compare sums with these
-    integers, which are limited to 2³¹ − 1 because no sum reaches 2³¹.
+    """Return, for each level edge, the largest channel sum that is still below the edge.
+
+    Kernels compare sums with these integers, which are limited to 2³¹ − 1 because no sum reaches 2³¹.
     """
     return np.minimum(rule.level_edges.astype(np.int64) - 1, 2**31 - 1).astype(np.int32)

@@ -116,8 +116,9 @@ def _asked(rule: TreeRule, place: int) -> NDArray[np.uint32]:
 
 
 def snippets(rule: ClassRule) -> tuple[str, ...]:
-    """Return the OpenCL files with the formulas of a class rule's features. The source files include them before
-    rule.cl.
+    """Return the OpenCL files with the formulas of a class rule's features.
+
+    The source files include them before rule.cl.
     """
     return tuple(module.SNIPPET for module in (*BASIC, *(module for module, _ in features_of(rule))))
 
@@ -140,10 +141,10 @@ def joined(rule: ClassRule) -> str:
 
 
 def combination_function(rule: ClassRule) -> str:
-    """Return the source of the OpenCL function `combination_of`, which calls the functions in the snippets of the
-    features.
+    """Return the source of the OpenCL function `combination_of`.
 
-    If the value of a feature is too large, the last value of the feature is used.
+    This function calls the functions in the snippets of the features. If the value of a feature is too large, the last
+    value of the feature is used.
     """
     lines = [
         "INLINE uints combination_of(const ints *sum, uints level, __global const int *constants) {",

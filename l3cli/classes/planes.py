@@ -80,8 +80,9 @@ def refined_fixed_point(layer: PlaneLayer, basis: NDArray[np.float64]) -> FixedP
 
 
 def coarse(planes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Reduce the number of bits of planes and clamp them. All layers between the first and the last layer read such
-    planes.
+    """Reduce the number of bits of planes and clamp them.
+
+    All layers between the first and the last layer read such planes.
     """
     return np.clip(planes + (1 << COARSE >> 1) >> COARSE, -COARSE_TOP, COARSE_TOP)
 
@@ -117,8 +118,7 @@ def _raw(bits: int, black_level: float, white_level: float) -> _Read:
 def room_for(
     weights: NDArray[np.float64], intercept: NDArray[np.float64], bits: int, black_level: float, white_level: float
 ) -> NDArray[np.float64]:
-    """Return the largest factor by which the transforms of each class could be multiplied without overflow of their
-    integers.
+    """Return the largest factor by which the transforms of each class could be multiplied without integer overflow.
 
     If the factor is below 1, the transforms are too large.
 
@@ -143,9 +143,7 @@ def room_for(
 
 
 def room_between(weights: NDArray[np.float64], intercept: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest factor by which the transforms of an intermediate refinement layer could be multiplied without
-    overflow of their integers, for each class. `room_for` describes the parameters.
-    """
+    """Return the same factors as `room_for`, for the transforms of an intermediate refinement layer."""
     return _room(weights.transpose(2, 1, 0) / BETWEEN.step, intercept.T / PLANE_STEP, BETWEEN)
 
 
@@ -212,9 +210,7 @@ def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the number of fractional bits for each class, if its transforms could be multiplied by `room` without
-    overflow.
-    """
+    """Return the number of fractional bits for each class. `room` is the result of `_room`."""
     fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("the transforms of a layer do not fit into fixed-point numbers; train the table again")
@@ -246,8 +242,9 @@ def _rounded(weights: NDArray[np.float64], ends: list[int]) -> NDArray[np.float6
 
 
 def _to_planes(values: NDArray[np.float32], basis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert outputs to planes along the first axis. The products are added in a fixed order, so that every machine
-    gets the same rounding errors.
+    """Convert outputs to planes along the first axis.
+
+    The products are added in a fixed order, so that every machine gets the same rounding errors.
     """
     exact = values.astype(np.float64)
 

@@ -54,9 +54,7 @@ def label_planes(
 
 
 def _of_all_sets(rule: PlaneRule, others: tuple[PlaneRule, ...]) -> PlaneRule:
-    """Return a class rule that contains the orientations of the sites and the scales of gradients of all sets of
-    transforms.
-    """
+    """Return a class rule with the site orientations and the scales of gradients of all sets of transforms."""
     names = ("turns", "gradient_factor", "gradient_shift") if others else ()
     arrays: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in (rule, *others)]) for name in names}
     return replace(rule, **arrays)

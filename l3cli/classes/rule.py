@@ -95,11 +95,11 @@ def make_rule(
 
 
 def _saturation_radius(recipe: ClassRecipe, camera: CameraModel) -> int:
-    """Return the saturation radius of the recipe, increased until every site includes every channel, but limited to the
-    patch.
+    """Return the saturation radius of the recipe, increased until every site includes every channel.
 
-    If the radius were smaller, different sites of a clipped area could get different saturation cases, and most of these
-    cases would never be trained on clipped greys (docs/method.md#saturation-cases).
+    The radius is limited to the radius of the patch. If the radius were smaller, different sites of a clipped area could
+    get different saturation cases, and most of these cases would never be trained on clipped greys
+    (docs/method.md#saturation-cases).
     """
     most, least = recipe.patch // 2, min(recipe.saturation_radius, recipe.patch // 2)
     for radius in range(least, most if least else 0):

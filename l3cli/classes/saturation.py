@@ -160,8 +160,7 @@ def _channels(table: TransformTable, code: int) -> list[str]:
 
 
 def _distances(codes: NDArray[np.int64], channels: int) -> NDArray[np.float64]:
-    """Return the sum of the distances from each saturation code to all other codes, as `choose_cases` measures
-    distances.
+    """Return the sum of the distances from each saturation code to all other codes, as in `choose_cases`.
 
     The distance is the number of channels that differ. It is larger by one half if the other code contains a clipped
     channel that this code does not contain. The sums are computed without comparing pairs, because there may be 2¹⁶

@@ -141,9 +141,7 @@ def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
 
 
 def turned_tests(turn: int) -> tuple[list[int], list[np.float32]]:
-    """Map each tree test to the numerator, and its sign, that the test uses if the window is turned to orientation
-    `turn`.
-    """
+    """Map each tree test to a numerator and a sign for windows that are turned to orientation `turn`."""
     transposed, across, down = turned_axes(turn)
     straight, diagonal = (-1 if transposed else 1), across * down
     total = [straight * each for each in ((3, 4) if straight == diagonal else (4, 3))]  # straight ± diagonal

@@ -309,8 +309,9 @@ class Composer:
             out.todo("unit", unit, what, unitless[0])
 
     def _wanted(self, key: str, example: str, what: str, where: str) -> None:
-        """Add a reference to a table that the user must create. The comment of the first reference explains the contents
-        of the table.
+        """Add a reference to a table that the user must create.
+
+        The comment of the first reference explains the contents of the table.
         """
         if key in self.shared:
             self.out.key(key, example, "as above")
@@ -330,8 +331,9 @@ class Composer:
             self.out.assume("unit", PHOTON_RADIANCE, why, False)
 
     def _chart_corners(self) -> dict[int, sorting.Corners]:
-        """Return the corners of each chart, by the `id` of its capture. Captures of structured scenes without a chart
-        are dropped.
+        """Find the corners of each chart. The result is keyed by the `id` of the capture.
+
+        Captures of structured scenes without a chart are removed from `self.charts`.
         """
         seen, found = self.seen, dict[int, sorting.Corners]()
         for group in list(self.charts):
@@ -420,8 +422,9 @@ class Composer:
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add [[white]] and [[dark]] captures, or [datasheet] for captures behind filters. Photos alone need none of
-        these.
+        """Add [[white]] and [[dark]] captures, or [datasheet] for captures behind filters.
+
+        Photos alone need none of these.
         """
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:

@@ -156,8 +156,10 @@ def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fac
 
 
 def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading) -> tuple[int, int]:
-    """Return the period of the colour filter array from the camera, from the metadata, or estimated from the brightest
-    frames.
+    """Return the period of the colour filter array in rows and columns.
+
+    It is the period of the camera, if the camera is known, or the period in the metadata. Otherwise it is estimated from
+    the brightest frames.
     """
     known = facts[0].raw.pattern if camera is None else camera.cfa
     if known is not None:
@@ -275,9 +277,7 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Return whether the columns are steps of a monochromator, judged by the wavelengths in the heading or by their
-    shape.
-    """
+    """Return whether the columns are steps of a monochromator. The wavelengths in the heading or the shapes decide."""
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
 

@@ -142,9 +142,7 @@ class Summary:
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS deviation of the blocks from a smooth surface, relative to the mean signal of the brightest
-        site.
-        """
+        """Return the RMS deviation of the brightest site from a smooth surface, relative to its mean signal."""
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
         powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]
@@ -195,8 +193,9 @@ def _period(frame: NDArray[np.uint16]) -> tuple[int, int]:
 
 
 def _explained(values: Array, period: tuple[int, int]) -> float:
-    """Return the sum of squares that the site means explain, relative to the variance, minus its expected value by
-    chance.
+    """Return the sum of squares that the site means explain, relative to the variance.
+
+    The value that is expected by chance is subtracted.
     """
     rows, cols = (length // each for length, each in zip(values.shape, period, strict=True))
     if min(rows, cols) < 4:

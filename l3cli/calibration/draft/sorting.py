@@ -124,9 +124,7 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Determine the type of a capture from the name of a frame, or from the frame's content if the name does not contain
-    it.
-    """
+    """Determine the type of a capture from the name of a frame or, if the name does not contain it, from the content."""
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range
@@ -326,8 +324,9 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 
 
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
-    """Assign a spectrum to each monochromatic capture, by the wavelength in its name or, if the name contains none, by
-    order.
+    """Assign a spectrum to each monochromatic capture.
+
+    The wavelength in the name of the capture decides. If the name contains no wavelength, the order decides.
     """
     if not columns or not steps:
         return [None] * len(steps)
@@ -344,8 +343,9 @@ def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale,
 def _in_order(
     steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]
 ) -> Sequence[Column] | list[None]:
-    """Assign spectra to captures without a wavelength in their names, in order. If the numbers differ, no spectra are
-    assigned.
+    """Assign spectra to captures without a wavelength in their names, in order.
+
+    If the numbers differ, no spectra are assigned.
     """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):

@@ -115,11 +115,11 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 
 
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
-    """Return the possible priors of a camera: like the measured cameras, different from the measured cameras, and
-    smooth.
+    """Return the possible priors of a camera.
 
-    The measured cameras have the channels r, g and b. If the camera lacks one of these channels, the only possible prior
-    is the smooth one.
+    They are the prior of measured cameras, the prior of cameras that differ from the measured cameras, and the smooth
+    prior. The measured cameras have the channels r, g and b. If the camera lacks one of these channels, the only
+    possible prior is the smooth prior.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -129,9 +129,7 @@ def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Pr
 
 
 def smooth(channels: int) -> Prior:
-    """Return the prior of channels about which nothing is known except that they respond to visible light and have
-    smooth curves.
-    """
+    """Return the prior of channels with unknown filters. They respond to visible light and have smooth curves."""
     size = WAVELENGTH.size
     one = _smooth(np.full(size, UNKNOWN_SPREAD), UNKNOWN_NM) + JITTER * np.eye(size)
     covariance = np.kron(np.eye(channels), one)
@@ -140,8 +138,9 @@ def smooth(channels: int) -> Prior:
 
 
 def _covariance(modes: Array) -> Array:
-    """Return the covariance of curves, given their principal components. A fraction of the variance is replaced by
-    smooth deviations.
+    """Return the covariance of curves, given their principal components.
+
+    A fraction of the variance is replaced by smooth deviations.
 
     `modes` has the shape (mode, channel, wavelength). The result has the shape (channel, wavelength, channel,
     wavelength).
@@ -213,10 +212,9 @@ def estimate(shots: Sequence[Shot], prior: Prior) -> Posterior:
 
 
 def evidence(shots: Sequence[Shot], prior: Prior) -> float:
-    """Return the natural logarithm of the probability of the values under the illuminants of the shots, up to a
-    constant.
+    """Return the natural logarithm of the probability of the values, up to a constant.
 
-    The probability is averaged over the candidate model errors.
+    The probability refers to the illuminants of the shots and is averaged over the candidate model errors.
     """
     every: list[Shot | Prior] = [*shots, prior]
     parts = [getattr(each, field.name) for each in every for field in fields(each) if field.name != "source"]
@@ -324,8 +322,9 @@ def _solve(shots: Sequence[Shot], prior: Prior, error: float) -> _Solution:
 
 
 def _first_guess(shots: Sequence[Shot], prior: Prior) -> Array:
-    """Return the initial state: the mean curves of the prior, scaled to the first shot, with uniform illumination and no
-    glare.
+    """Return the initial state: the mean curves of the prior with uniform illumination and no glare.
+
+    The curves are scaled to the first shot.
     """
     count = len(prior.mean)
     expected = [shot.stimuli @ prior.mean.T for shot in shots]
@@ -407,8 +406,9 @@ def _expansion(shots: Sequence[Shot], state: Array, count: int, size: int, error
 
 
 def _split_state(state: Array, shots: int, count: int, size: int) -> tuple[Array, Array, Array]:
-    """Split a state into responsivities (channel, wavelength), glare (shot, channel) and illumination terms (shot,
-    term).
+    """Split a state into responsivities, glare and illumination terms.
+
+    Their shapes are (channel, wavelength), (shot, channel) and (shot, term).
     """
     curves, offsets = count * size, shots * count
     return (
@@ -576,8 +576,9 @@ def next_light(
 
 
 def _with(shot: Shot, posterior: Posterior, light: Array) -> Array:
-    """Return the covariance of the responsivities after one more shot under an illuminant. Its exposure and glare are
-    unknown.
+    """Return the covariance of the responsivities after one more shot under an illuminant.
+
+    Its exposure and glare are unknown.
     """
     count = len(posterior.responsivity)
     stimuli = shot.reflectance * (light / light.mean() * shot.light.mean())

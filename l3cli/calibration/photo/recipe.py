@@ -161,10 +161,10 @@ def without_photo(
 
 
 def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, float], ...]:
-    """Return gains relative to a raw file, and the read noise in electrons at each gain, from the noise profiles of
-    other raw files.
+    """Return gains relative to a raw file, and the read noise in electrons at each gain.
 
-    Only files with a higher ISO speed are used, up to the largest gain that a camera recipe may contain.
+    They are computed from the noise profiles of other raw files. Only files with a higher ISO speed are used, up to the
+    largest gain that a camera recipe may contain.
     """
     found: dict[float, float] = {}
     for each in others:
@@ -175,10 +175,10 @@ def gains_of(known: Stated, others: Sequence[Stated]) -> tuple[tuple[float, floa
 
 
 def noise_of(stated: Stated, span: float) -> SensorNoise:
-    """Return gain and read noise from the noise profile of a raw file, or typical values at its ISO speed if the file
-    has no profile.
+    """Return gain and read noise from the noise profile of a raw file.
 
-    `span` is the difference between white level and black level in DN.
+    If the file has no noise profile, typical values at its ISO speed are returned. `span` is the difference between
+    white level and black level in DN.
     """
     if stated.noise is not None:
         slope, constant = stated.noise

@@ -179,8 +179,9 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative illumination of each patch and channel, from a photo of a uniform white target in place of the
-    chart.
+    """Return the relative illumination of each patch and channel.
+
+    It is measured in a photo of a uniform white target in place of the chart.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
