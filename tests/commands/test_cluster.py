@@ -194,7 +194,7 @@ def test_what_a_frame_cannot_be_is_reported_of_the_first(cluster: Cluster, made:
     call = ("render", made / "table.h5", *frames(tmp_path)[1:], "--exposure", 1, "-o", tmp_path / "pictures")
     code, _, err = l3(*call, "--scheduler", cluster.address)
     assert code == 0
-    assert "its values reach 65535 DN" in err
+    assert "the values reach 65535 DN" in err
 
 
 # ----------------------------------------------------------------------------------------------- what goes wrong

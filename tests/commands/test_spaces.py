@@ -225,7 +225,7 @@ def test_exr_has_the_chromaticities_of_its_space(l3: L3, desk: Path) -> None:
 @pytest.mark.parametrize(
     ("output", "options", "words"),
     [
-        ("x.png", ("--space", "acescg"), "name an .exr, or a .tif with --bits 32"),
+        ("x.png", ("--space", "acescg"), "write an .exr file, or a .tif file with --bits 32"),
         ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
         ("x.png", ("--bits", 32), "x.png: .png has 8 or 16 bits per value, not 32; use .tif or .exr"),
         ("x.mp4", ("--bits", 32), "write a .tif or .exr"),

@@ -230,10 +230,10 @@ def test_frames_are_rendered_by_the_transforms_for_their_gain(several: Transform
         np.testing.assert_array_equal(renderer.outputs(dataclasses.replace(frame, gain=gain)), wanted)
     assert other_gain(dataclasses.replace(frame, gain=20.0), several) == ""
     for gain in (0.01, 64.0):
-        assert "whose read noise is known for 1 to 16" in other_gain(dataclasses.replace(frame, gain=gain), several)
-    assert "more than the black level of 240 DN" in other_gain(dataclasses.replace(frame, gain=256.0), several)
+        assert "read noise is known only from 1 to 16" in other_gain(dataclasses.replace(frame, gain=gain), several)
+    assert "exceeds the black level (240 DN)" in other_gain(dataclasses.replace(frame, gain=256.0), several)
     unknown = dataclasses.replace(several, camera=None, conditions=())
-    assert "whose noise is unknown" in other_gain(dataclasses.replace(frame, gain=4.0), unknown)
+    assert "does not contain the noise model of its camera" in other_gain(dataclasses.replace(frame, gain=4.0), unknown)
     assert other_gain(frame, unknown) == ""
 
 
