@@ -1,1 +1,1 @@
-"""Recipes: TOML files read as typed values, their faults and JSON schemas, and the recipes that come with l3."""
+"""Recipes: typed values from TOML files, their faults, their JSON schemas, and the recipes that come with l3."""

@@ -1,4 +1,4 @@
-"""The recipes that come with l3 (configs/ in the repository or the wheel), and the starter folders made from them."""
+"""The recipes that come with l3 (in configs/), and the files of the folders that `l3 init` creates from these recipes."""
 
 import itertools
 import os
@@ -10,10 +10,10 @@ from pathlib import Path
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
 
-# Subfolder of configs/ → kind of recipe in it.
+# Subfolder of configs/ → type of the recipes in the subfolder, for messages.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
-CURVES = "curves.csv"  # name of the file with the camera's curves in a starter folder
-# The other files of a starter folder, beside camera.toml: name in the folder → name in configs/.
+CURVES = "curves.csv"  # name of the file with the responsivities of the camera in a new folder
+# The files of a new folder in addition to camera.toml: name in the new folder → path inside configs/.
 COMMON = {
     "lab.toml": "lab/default.toml",
     "scenes.toml": "scenes/default.toml",
@@ -26,61 +26,61 @@ COMMON = {
     "slurm.sh": "pipelines/slurm.sh",
 }
 SCENES = ("scenes.toml", "bands_scenes.toml", "unseen.toml")  # the scene recipes in COMMON
-# Replacements in the pipelines for a real camera. Its recipe is used directly, instead of a calibration in the virtual lab.
+# Replacements in the pipelines for a real camera: the camera recipe replaces the camera model from the virtual lab.
 KNOWN = {
     "Makefile": ("CAMERA ?= camera.h5", "CAMERA ?= camera.toml"),
     "Snakefile": ('config.get("camera", "snakemake/camera.h5")', 'config.get("camera", "camera.toml")'),
     "slurm.sh": ("${CAMERA:-camera.h5}", "${CAMERA:-camera.toml}"),
 }
-# Replacements in the scene recipe and in the class recipe to train for two illuminants.
+# Replacements in the scene recipe and in the class recipe to train a table for two illuminants.
 LIGHTS = '["A", "D65"]'
 ILLUMINANTS = 'illuminants = ["D65"]\n', f"illuminants = {LIGHTS}\n"
 LEARNING = (
     "[learning]\n",
-    f"[learning]\nlights = {LIGHTS}    # each has transforms of its own; a frame's white chooses\n",
+    f"[learning]\nlights = {LIGHTS}    # trains transforms for each illuminant; the white of a frame selects them\n",
 )
-# Class recipes of cameras that do not use the class recipe `default`.
+# Camera recipe → class recipe, if the camera does not use the class recipe `default`.
 CLASSES = {"nona_bayer_hdr": "blocks", "rgbir4x4": "long_period"}
 
 
 def recipe_folder() -> Path:
-    """Return the folder of the recipes that come with l3. In a source checkout it lies beside the package."""
+    """Return the folder configs/, which is inside the installed package or next to the package in a repository."""
     package = Path(__file__).parents[1]
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
 
 
 def known_benchmarks() -> dict[str, Path]:
-    """Return the benchmark folders that come with l3, by name."""
+    """Return the benchmarks that come with l3: name → folder."""
     return {f"benchmark-{path.name}": path for path in sorted((recipe_folder() / "benchmarks").iterdir()) if path.is_dir()}
 
 
 def known_recipes(kind: str) -> dict[str, Path]:
-    """Return the recipes of one kind (a key of KINDS) that come with l3, by name."""
+    """Return the recipes of one type that come with l3: name → file. `kind` is a key of KIND_OF_FOLDER."""
     return {path.stem: path for path in sorted((recipe_folder() / kind).glob("*.toml"))}
 
 
 def find_recipe(text: str, kind: str) -> Path:
-    """Find a recipe by path, or by name among the recipes that come with l3.
+    """Return the path of a recipe, which is given by its path or by its name if it comes with l3.
 
     Parameters
     ----------
     text : str
         A path, or the name of a recipe.
     kind : str
-        A key of KINDS.
+        A key of KIND_OF_FOLDER.
 
     Returns
     -------
     Path
-        The recipe. If `text` is the path of some other missing file, it is returned unchanged, so that opening it fails.
+        Path of the recipe. A path of a missing file is also returned, so that an attempt to open the file fails.
 
     Raises
     ------
     RecipeError
-        If `text` is a name that no recipe has.
+        If `text` is a name, and no recipe has this name.
     InputFileError
-        If `text` is the path of a missing file that has the name of a recipe that comes with l3.
+        If `text` is the path of a missing file, but l3 comes with a recipe of this name.
     """
     if os.path.isfile(text):
         return Path(text)
@@ -90,34 +90,34 @@ def find_recipe(text: str, kind: str) -> Path:
     if os.path.exists(text):
         return path
     if os.sep not in text and not path.suffix:
-        raise RecipeError(f'no file and no {KIND_OF_FOLDER[kind]} recipe is called "{text}"; {suggestion(text, known)}')
+        raise RecipeError(f'there is no file or {KIND_OF_FOLDER[kind]} recipe "{text}"; {suggestion(text, known)}')
     if path.suffix == ".toml" and path.stem in known:
-        raise InputFileError(f'{text} does not exist; give "{path.stem}" without a path for the recipe that comes with l3')
+        raise InputFileError(f'{text} does not exist; write "{path.stem}" to use the recipe that comes with l3')
     return path
 
 
 def starters() -> dict[str, Path]:
-    """Return everything from which a starter folder can be made, by name: camera recipes and benchmark folders."""
+    """Return everything from which `l3 init` can create a folder: name → camera recipe or benchmark folder."""
     return known_recipes("cameras") | known_benchmarks()
 
 
 def slug_of(name: str) -> str:
-    """Convert the name of a camera to lower case with underscores, as it is typed on the command line."""
+    """Convert the name of a camera to the form for the command line, in lower case with underscores."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
 def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
-    """Find cameras among those whose measured curves come with l3.
+    """Find cameras whose measured responsivities come with l3.
 
     Parameters
     ----------
     text : str
-        Words that must all occur in the names of a camera. Capitals do not matter. [default: all cameras]
+        Words that must all occur in the names of the camera, in upper or lower case. [default: all cameras]
 
     Returns
     -------
     dict of str to tuple of str
-        Name to type → all names of the camera.
+        Name for the command line → all names of the camera.
     """
     known = tomllib.loads((recipe_folder() / "priors" / "cameras.toml").read_text(encoding="utf-8"))["camera"]
     names = {slug: (each["name"], *each.get("also", ())) for slug, each in known.items()}
@@ -126,7 +126,7 @@ def cameras_by_name(text: str = "") -> dict[str, tuple[str, ...]]:
 
 
 def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Adapt the pipelines in `contents` to a real camera, whose recipe is used directly instead of lab measurements."""
+    """Change the pipelines in `contents` so that they use the camera recipe in place of a model from the virtual lab."""
     known = {}
     for name, (usual, recipe) in KNOWN.items():
         text = contents[name].decode()
@@ -136,16 +136,19 @@ def known_camera(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def common_files(rows: int, cols: int) -> dict[str, bytes]:
-    """Return the files of a starter folder except the camera recipe, with scenes that fit a sensor of `rows` × `cols`."""
+    """Return the contents of the files in a new folder, except the camera recipe, for a real camera.
+
+    The scenes are limited to the size of the sensor, `rows` × `cols`.
+    """
     files = {name: (recipe_folder() / source).read_bytes() for name, source in COMMON.items()}
     files |= known_camera(files) | for_lights(files)
     return files | {name: fitting_scenes(files[name].decode(), rows, cols).encode() for name in SCENES}
 
 
 def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the scene recipe and the class recipe in `contents`, changed to train for daylight and incandescent light.
+    """Change the scene recipe and the class recipe in `contents` to train for daylight and incandescent light.
 
-    The originals name only one illuminant, so that each can be used without the other.
+    The original recipes use one illuminant, so that either recipe can be used without the other.
     """
     changed = {}
     for name, (before, after) in {"scenes.toml": ILLUMINANTS, "classes.toml": LEARNING}.items():
@@ -156,9 +159,9 @@ def for_lights(contents: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def fitting_scenes(text: str, rows: int, cols: int) -> str:
-    """Return the text of a scene recipe with all scenes limited to `rows` × `cols` pixels.
+    """Limit all scenes in the text of a scene recipe to `rows` × `cols` pixels.
 
-    If random scenes become smaller, their number is increased, so that training sees as many pixels as before.
+    The number of random scenes is increased, so that the total number of pixels does not become smaller.
     """
 
     def fitted(scene: re.Match[str]) -> str:
@@ -171,9 +174,9 @@ def fitting_scenes(text: str, rows: int, cols: int) -> str:
 
 
 def summary(starter: Path) -> str:
-    """Return a one-line summary of a camera recipe or of the camera of a benchmark.
+    """Summarise a camera recipe, or the camera of a benchmark, in one line.
 
-    It consists of the period of the CFA, the number of channels and the first sentence of the comment at the top.
+    The line contains the period of the CFA, the number of channels, and the first sentence of the comment at the top.
     """
     camera = starter / "camera.toml" if starter.is_dir() else starter
     text = camera.read_text(encoding="utf-8")
@@ -187,12 +190,12 @@ def summary(starter: Path) -> str:
 
 
 def classes_of(camera: Path) -> str:
-    """Return the name of the class recipe for a camera recipe that comes with l3."""
+    """Return the name of the class recipe that suits a camera recipe."""
     return CLASSES.get(camera.stem, "default")
 
 
 def folder_files(starter: Path) -> dict[str, Path]:
-    """Return the source file of each file in a starter folder, by its name in the folder."""
+    """Return the files of a new folder: name in the folder → source file."""
     if starter.is_dir():
         return {path.name: path for path in sorted(starter.iterdir())}
     sources = COMMON | {"classes.toml": f"classes/{classes_of(starter)}.toml"}
@@ -201,13 +204,13 @@ def folder_files(starter: Path) -> dict[str, Path]:
 
 
 def _base(camera: Path) -> Path | None:
-    """Return the camera recipe on which this one is based, in the same folder, or None."""
+    """Return the camera recipe on which a camera recipe is based (key `base`), or None."""
     named = tomllib.loads(camera.read_text(encoding="utf-8")).get("base")
     return None if named is None else camera.parent / named
 
 
 def curves_of(starter: Path) -> Path | None:
-    """Return the file of curves that a camera recipe names, or None."""
+    """Return the file with the responsivities that a camera recipe uses, or None."""
     if starter.is_dir():
         return None
     named = tomllib.loads((_base(starter) or starter).read_text(encoding="utf-8"))["responsivity"].get("file")
@@ -215,5 +218,5 @@ def curves_of(starter: Path) -> Path | None:
 
 
 def _named(camera: Path) -> list[Path]:
-    """Return the other files that a camera recipe needs: its base and its curves."""
+    """Return the files that a camera recipe refers to: the recipe on which it is based, and its responsivities."""
     return [path for path in (_base(camera), curves_of(camera)) if path is not None]

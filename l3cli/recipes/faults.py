@@ -1,7 +1,7 @@
-"""Collects all faults of a recipe at once, each with the key that it concerns.
+"""Collects all faults of a recipe, each with the keys that cause it.
 
-Faults come from the declared types, which this module checks, and from generators elsewhere that check the meaning of a
-recipe. A stage raises the first fault (`refuse_first`), and `l3 check` lists all of them.
+This module finds values that contradict the declared types. Generators in other modules check the meaning of the values. A
+command stops at the first fault (`refuse_first`), and `l3 check` lists all faults.
 """
 
 import functools
@@ -16,20 +16,20 @@ from l3cli.recipes.messages import place, plain
 from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED_FAULTS = 100  # faults listed with a message; the rest are only counted
+LISTED_FAULTS = 100  # number of faults with a message; further faults are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
 
 class Fault(NamedTuple):
-    """A fault and the keys that it depends on. It is reported at the first key. Without a message it is only counted."""
+    """A fault, reported at the first of the keys that cause it. A fault with an empty message is only counted."""
 
     message: str
     keys: tuple[KeyPath, ...]
 
 
 def fault(message: str, *keys: str | KeyPath) -> Fault:
-    """Return a fault. Keys may be written as "scene.1.size", with list entries counted from 0."""
+    """Return a fault. A key may be written as text such as "scene.1.size", in which list entries are counted from 0."""
     return Fault(message, tuple(_path(key) for key in keys))
 
 
@@ -38,18 +38,18 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Yield the faults of a table with keys relative to the recipe that contains the table."""
+    """Yield the faults of a table in a recipe, with keys that are extended by the position `table` in the recipe."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 
 def refuse_first(faults: Iterable[Fault], name: object = None) -> None:
-    """Raise RecipeError for the first fault, if there is one. The message begins with `name`, if given."""
+    """Raise a RecipeError for the first fault, if there is one. If `name` is given, the message begins with `name`."""
     for message, _ in faults:
         raise RecipeError(message if name is None else f"{name}: {message}")
 
 
 def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fault]:
-    """Yield the faults whose keys are not already known to be faulty and do not occur in an earlier fault."""
+    """Yield only faults whose keys have no other fault, neither in `known` nor earlier in `faults`."""
     broken: set[KeyPath] = set()
     above: set[KeyPath] = set()  # tables and lists that contain broken keys
 
@@ -68,14 +68,20 @@ def about_others(faults: Iterable[Fault], known: Iterable[Fault]) -> Iterator[Fa
 
 
 def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Fault]]:
-    """Convert `content` to a recipe and collect the faults of its types.
+    """Convert the content of a TOML file to a recipe, and collect all values that contradict the declared types.
+
+    Parameters
+    ----------
+    content : dict
+        Content of the file.
+    recipe : type
+        Structure of the recipe.
 
     Returns
     -------
-    Recipe or None
-        The recipe, in which each invalid value is replaced by a valid example. None if that is impossible.
-    list of Fault
-        All faults.
+    recipe : Recipe or None
+        The recipe, in which invalid values are replaced by valid examples, or None if this is not possible.
+    faults : list of Fault
     """
     faults = list(refusals(content))
     judge = _Judge(recipe, content, [Fault(message, (key,)) for key, message in faults])
@@ -87,14 +93,14 @@ def typed(content: dict[str, Any], recipe: type[R]) -> tuple[R | None, list[Faul
 
 
 class _Judge:
-    """Compares the content of a recipe with the declared types, key by key."""
+    """Compares the content of a recipe with the declared types, and replaces invalid values by valid examples."""
 
     def __init__(self, recipe: type[Recipe], content: dict[str, Any], faults: list[Fault]) -> None:
         self.recipe, self.content, self.faults = recipe, content, faults
         self._faulty = {key for fault in faults for key in fault.keys}
 
     def table(self, kind: type[Recipe], given: dict[str, Any], path: KeyPath) -> dict[str, Any]:
-        """Return a table in which each invalid value is replaced by a valid example."""
+        """Check a table, and return a copy in which invalid values are replaced by valid examples."""
         fields = {field.encode_name: field for field in _fields(kind)}
         tag = kind.__struct_config__.tag_field
         repaired: dict[str, Any] = {tag: kind.__struct_config__.tag} if tag else {}
@@ -110,7 +116,7 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Return `value`, or a valid example of its type if it is invalid."""
+        """Check a value, and return the value or a valid example of its type."""
         if path in self._faulty:
             return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)
@@ -133,7 +139,7 @@ class _Judge:
         return value
 
     def _add(self, what: str, where: KeyPath, key: KeyPath) -> None:
-        """Add a fault with msgspec's message, unless its key already has one."""
+        """Add a fault with a message from msgspec, unless the key already has a fault."""
         if key in self._faulty:
             return
         self._faulty.add(key)
@@ -146,7 +152,7 @@ class _Judge:
 
 
 def _plain_types(kind: Any) -> list[Any]:
-    """Return the alternatives of a type, without ranges."""
+    """Return the types of which `kind` is a union, or `kind` itself, without the declared ranges of values."""
     if get_origin(kind) is Annotated:
         return _plain_types(get_args(kind)[0])
     if get_origin(kind) in UNIONS:
@@ -155,7 +161,7 @@ def _plain_types(kind: Any) -> list[Any]:
 
 
 def _table(kind: Any, value: Any) -> type[Recipe] | None:
-    """Return the structure of a table. If there are several, its tag decides. None if it does not."""
+    """Return the declared structure of a table, which its tag selects if there are several, or None if there is none."""
     tables = [each for each in _plain_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
     if not isinstance(value, dict) or not tables:
         return None
@@ -164,9 +170,9 @@ def _table(kind: Any, value: Any) -> type[Recipe] | None:
 
 
 def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
-    """Return the type of each entry of a list, or of a table with free keys.
+    """Return the declared type of each entry of a list, or of each entry of a table with arbitrary keys.
 
-    The result is None for other values and for lists of the wrong length.
+    The result is None if `value` is something else, or a list of the wrong length.
     """
     for each in _plain_types(kind):
         origin, arguments = get_origin(each), get_args(each)
@@ -180,7 +186,7 @@ def _entries(kind: Any, value: Any) -> dict[str, Any] | list[Any] | None:
 
 
 def example(kind: Any) -> Any:
-    """Return an arbitrary valid value of a declared type."""
+    """Return any valid value of a declared type."""
     if get_origin(kind) is Annotated:
         kind, *marks = get_args(kind)
         (meta,) = (mark for mark in marks if isinstance(mark, msgspec.Meta))

@@ -1,4 +1,4 @@
-"""The line of each key of a TOML text, which tomllib does not report."""
+"""Finds the line of each key in a TOML text, which tomllib does not report."""
 
 import re
 import tomllib
@@ -7,36 +7,36 @@ from collections.abc import Mapping
 from l3cli.recipes.toml import KeyPath
 
 STRING = (
-    r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # up to two quotation marks may stand before the three that end it
+    r'"""[^"\\]*(?:(?:\\.|"{1,2}(?!"))[^"\\]*)*"{3,5}'  # two quotation marks may precede the closing three
     r"|'''[^']*(?:'{1,2}(?!')[^']*)*'{3,5}"
     r'|"[^"\\\n]*(?:\\.[^"\\\n]*)*"'
     r"|'[^'\n]*'"
 )
-TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # TOML token; words include adjacent blanks
+TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a TOML token, with adjacent blanks
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line of a key. If it is missing, return the line of its table, or 1 at the top level."""
+    """Return the line of a key. If the key is missing, return the line of its table, or 1 if there is no table."""
     return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line, from 1, of every key, table and list entry in a valid TOML text."""
+    """Return the line of every key, table and list entry in a valid TOML text. Lines are counted from 1."""
     return _Scanner(text.replace("\r\n", "\n")).document()
 
 
 class _Scanner:
-    """Finds the lines of keys in one pass over the tokens. Each method reads the element that its name says."""
+    """Finds the lines of keys in one pass over the tokens. Each method reads one element of TOML."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)
         self.token, self.start, self.line = "", 0, 1
         self.lines: dict[KeyPath, int] = {}
-        self.entries: dict[KeyPath, int] = {}  # index of the latest table in each list of tables
+        self.entries: dict[KeyPath, int] = {}  # list of tables → index of its latest table
         self._next()
 
     def _next(self) -> str:
-        """Return the current token and advance to the next one, which is "" at the end."""
+        """Return the current token, and advance to the next token, which is "" at the end of the text."""
         before, self.token = self.token, ""
         for found in self.tokens:
             token = found.group().strip(" \t")
@@ -64,7 +64,7 @@ class _Scanner:
         for name in outer if several else (*outer, last):
             table = (*table, name)
             self.lines.setdefault(table, line)
-            if table in self.entries:  # a list of tables: the key belongs to its latest table
+            if table in self.entries:  # a key inside a list of tables belongs to the latest table
                 table = (*table, self.entries[table])
         if several:
             table = (*table, last)
@@ -101,7 +101,7 @@ class _Scanner:
             self._next()
 
     def _entries(self, path: KeyPath, end: str) -> None:
-        """Read a list or an inline table, whose opening bracket has been read."""
+        """Read the entries of a list or an inline table, up to the closing bracket `end`."""
         number = 0
         while self.token != end:
             if self.token in (",", "\n"):

@@ -12,18 +12,35 @@ R = TypeVar("R", bound=Recipe)
 
 
 def load_recipe(path: Path, recipe: type[R]) -> R:
-    """Read a TOML file as a structure of type `recipe`. Raises RecipeError with the file, the key and the fault."""
+    """Read a recipe from a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+    recipe : type
+        Structure of the recipe.
+
+    Returns
+    -------
+    Recipe
+        An instance of `recipe`.
+
+    Raises
+    ------
+    RecipeError
+        If the file has a fault. The message contains the file, the line and the first fault.
+    """
     return parse_recipe(read_text(path, recipe.title), recipe, str(path))
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
-    """Convert TOML text to a structure of type `recipe`. RecipeError, which begins with `name`, states the first fault."""
+    """Convert a TOML text to a recipe, in the same way as `load_recipe`. `name` is the name of the file for messages."""
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
     if given and recipe.title in KIND_KEYS and recipe.title not in given:
         kinds = sorted(given)
         fault = f"is {kinds[0]}" if len(kinds) == 1 else f"contains keys of {' and of '.join(kinds)}"
-        raise RecipeError(f"{name} {fault}; give {recipe.title}")
+        raise RecipeError(f"{name} {fault}; use {recipe.title}")
     found, faults = typed(content, recipe)
     if found is None or faults:
         message, (key, *_) = faults[0]

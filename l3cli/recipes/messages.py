@@ -1,4 +1,4 @@
-"""msgspec's messages on recipes in the terms of TOML: keys and tables, and what was probably meant."""
+"""Converts the messages of msgspec about recipes to messages in terms of TOML, with suggestions for misspelled words."""
 
 import re
 from collections.abc import Sequence
@@ -10,12 +10,27 @@ from l3cli.errors import shortened, suggestion
 from l3cli.recipes.toml import KeyPath, Recipe, member_types, tables_in
 from l3cli.system.text import counted
 
-PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # one key or index of a path in a message of msgspec, such as `$.scene[1].size`
-BOUNDS = {">=": "the least is", "<=": "the most is", ">": "give more than", "<": "give less than"}
+PATH_PART = r"\.([^.[\]`]+)|\[(\d+)\]"  # a key or an index in a path such as `$.scene[1].size` in a message of msgspec
+BOUNDS = {">=": "use at least", "<=": "use at most", ">": "use more than", "<": "use less than"}
 
 
 def plain(message: str, recipe: type[Recipe], content: Any) -> str:
-    """Rewrite a message of msgspec in TOML terms, with keys and tables, and add a suggestion."""
+    """Rewrite a message of msgspec.
+
+    Parameters
+    ----------
+    message : str
+        Message of msgspec.
+    recipe : type
+        Structure of the recipe.
+    content : dict
+        Content of the TOML file.
+
+    Returns
+    -------
+    str
+        Message that names the key and its table. If a word is misspelled, the message suggests the correct word.
+    """
     what, _, where = message.partition(" - at ")
     if bound := re.fullmatch(r"Expected `(?:int|float|array|object)` (of length )?(<=|>=|<|>) (\S+)", what):
         value = _value_at(content, where)
@@ -30,7 +45,7 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
     if wrong is None:
         return f"{what} {where}"
     name, path = shortened(wrong[3]), place(message)
-    # The path of an entry in a list of words ends with the index of the entry.
+    # If the value is an entry of a list, the path ends with the index of the entry.
     *outer, key = path if isinstance(path[-1], str) else path[:-1]
     tables = _tables(recipe, content, tuple(outer))
     known = _keys(tables) if wrong[1] == "unknown key" else _values(tables, str(key))
@@ -41,33 +56,33 @@ def plain(message: str, recipe: type[Recipe], content: Any) -> str:
 
 
 def place(message: str) -> KeyPath:
-    """Return the key to which a message of msgspec refers, even if it is unknown. For a missing key, return its table."""
+    """Return the key to which a message of msgspec refers, or the table if the message is about a missing key."""
     what, _, where = message.partition(" - at ")
     unknown = re.findall("unknown field `(.*)`", what, re.DOTALL)
     return (*(int(number) if number else key for key, number in re.findall(PATH_PART, where)), *unknown)
 
 
 def _written(where: str) -> str:
-    """Return a path from a message of msgspec with list indices that start at 1."""
+    """Convert a path from a message of msgspec to text in which list entries are counted from 1."""
     inner = re.sub(r"^`\$\.?|`$", "", where)
     return re.sub(r"\[(\d+)\]", lambda number: f"[{int(number[1]) + 1}]", inner)
 
 
 def _value_at(content: Any, where: str) -> Any:
-    """Return the value at a path from a message of msgspec, or None if a key contains a period."""
+    """Return the value at a path from a message of msgspec. The result is useless if a key contains a period."""
     for key, number in re.findall(PATH_PART, where):
         content = content[int(number)] if number else content.get(key, {})
     return content
 
 
 def _keys(tables: Sequence[type[Recipe]]) -> tuple[str, ...]:
-    """Return the keys that a table of one of these structures may have."""
+    """Return all keys that a table may have if its structure is one of `tables`."""
     tags = [each.__struct_config__.tag_field for each in tables if each.__struct_config__.tag_field]
     return tuple(dict.fromkeys(tags + [field.encode_name for each in tables for field in msgspec.structs.fields(each)]))
 
 
 def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
-    """Return the words that are permitted for the key `name` in a table of one of these structures."""
+    """Return all words that are allowed for the key `name` in a table whose structure is one of `tables`."""
     words = [str(each.__struct_config__.tag) for each in tables if each.__struct_config__.tag_field == name]
     for each in tables:
         for field in msgspec.structs.fields(each):
@@ -79,10 +94,10 @@ def _values(tables: Sequence[type[Recipe]], name: str) -> tuple[str, ...]:
 
 
 def _tables(recipe: type[Recipe], content: Any, path: KeyPath) -> list[type[Recipe]]:
-    """Return the possible structures of the table at `path` of a recipe.
+    """Return the structures that the table at `path` of a recipe can have.
 
-    If a tag such as `source` selects one of several structures, only this one is returned. If the tag is missing or unknown,
-    all are returned.
+    If a tag such as `source` selects one of several structures, the result contains only this structure. If the tag is
+    missing or unknown, the result contains all structures.
     """
     tables = [recipe]
     for part in path:

@@ -1,4 +1,4 @@
-"""JSON schemas (2020-12) of recipes, derived from the declared types, for editors that check TOML."""
+"""JSON schemas (2020-12) of recipes, for editors that check TOML. They are derived from the declared types."""
 
 import ast
 import functools
@@ -18,14 +18,14 @@ PLACE = "#/$defs/{name}"
 
 
 def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
-    """Return the schema of a file that is one of `recipes`.
+    """Return the schema of a recipe file.
 
-    The description of a key is the comment beside its declaration.
+    The description of a key is the comment at its declaration in the source text.
 
     Parameters
     ----------
     recipes : sequence of type
-        Structures that the file may have.
+        Structures that the file can have.
     title : str
         Title of the schema.
 
@@ -35,7 +35,7 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
         The schema, ready for JSON.
     """
     roots, tables = msgspec.json.schema_components(recipes, ref_template=PLACE)
-    # msgspec names a structure by its class, and by module and class if several classes have the name.
+    # msgspec uses the name of the class, or the names of the module and the class if several classes have the same name.
     classes = {name: kind for kind in _structures(recipes) for name in (kind.__name__, f"{kind.__module__}.{kind.__name__}")}
     for name, table in tables.items():
         if "description" in table:
@@ -51,7 +51,7 @@ def schema_of(recipes: Sequence[type[Recipe]], title: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a property without null, which TOML does not have, and in terms that older schema dialects share."""
+    """Simplify a property: without null, which TOML does not have, and without keywords that old schema versions lack."""
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     if not isinstance(value, dict):
@@ -61,16 +61,16 @@ def _plain(value: Any) -> Any:
         kinds = [each for each in value.pop("anyOf") if each != {"type": "null"}]
         value = (kinds[0] if len(kinds) == 1 else {"anyOf": kinds}) | value
     first, *others = value.get("prefixItems", [None])
-    if first is not None and all(each == first for each in others):  # a tuple of equal types
+    if first is not None and all(each == first for each in others):  # a tuple whose entries have the same type
         del value["prefixItems"]
         value["items"] = first
     return value
 
 
 def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
-    """Return all structures that the recipes contain."""
+    """Return the structures in `recipes`, and all structures of their tables."""
     found = list(recipes)
-    for kind in found:  # the list grows while it is read
+    for kind in found:  # the loop also reaches the structures that are appended below
         inner = [each for field in msgspec.structs.fields(kind) for each in tables_in(field.type)]
         found += [each for each in dict.fromkeys(inner) if each not in found]
     return found
@@ -78,7 +78,7 @@ def _structures(recipes: Sequence[type[Recipe]]) -> list[type[Recipe]]:
 
 @functools.cache
 def _comments(kind: type) -> dict[str, str]:
-    """Return the comment of each key of a structure: above its declaration, or at the ends of its lines."""
+    """Return the comment of each key of a structure, which is above its declaration or at the end of a line."""
     try:
         source = textwrap.dedent(inspect.getsource(kind))
     except (OSError, TypeError):
@@ -97,7 +97,7 @@ def _comments(kind: type) -> dict[str, str]:
 
 
 def _comment_lines(source: str) -> dict[int, tuple[bool, str]]:
-    """Return the comment of each line that has one, and whether the line holds nothing else."""
+    """Return the comment of each line that has a comment, and whether the line contains only this comment."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return {
         token.start[0]: (token.line.strip().startswith("#"), token.string.lstrip("# "))

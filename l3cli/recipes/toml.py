@@ -1,6 +1,6 @@
-"""TOML recipes: the base class of their structures, the types of their keys, and TOML text.
+"""The base class of recipe structures, the types of their keys, and functions to read and write TOML.
 
-Every key is declared and has its unit in its name. Unknown keys are refused.
+Every key is declared in a structure, and unknown keys are an error. The name of a key contains its unit.
 """
 
 import json
@@ -16,25 +16,25 @@ from l3cli.errors import MOST_SHOWN, InputFileError, RecipeError, shortened
 from l3cli.system.limits import read_bounded
 from l3cli.system.text import LARGEST_WHOLE
 
-MAX_NUMBER = 1e24  # largest number in a recipe: above any photon flux, and far below overflow
+MAX_NUMBER = 1e24  # largest number in a recipe, which is above any photon flux and far below an overflow
 DEEPEST = 100  # largest depth of nested tables and lists
-MAX_COUNT = 1_000_000  # largest count in a recipe
+MAX_COUNT = 1_000_000  # largest value of a key that counts something
 Count = Annotated[int, msgspec.Meta(ge=1, le=MAX_COUNT)]
 CountOrNone = Annotated[int, msgspec.Meta(ge=0, le=MAX_COUNT)]
 Seed = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_WHOLE)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-KeyPath = tuple[str | int, ...]  # keys, and indices of list entries from 0, such as ("scene", 1, "size")
+KeyPath = tuple[str | int, ...]  # keys and list indices (counted from 0) that lead to a value, such as ("scene", 1, "size")
 
 
 class Recipe(msgspec.Struct, forbid_unknown_fields=True):
     """Base class of all recipe structures. A field without a default is a required key."""
 
-    title: ClassVar[str] = "a recipe"  # name of this kind of file in messages
+    title: ClassVar[str] = "a recipe"  # name of this type of file in messages
 
 
-KIND_KEYS = {  # top-level keys that only one kind of file has, which identify the kind
+KIND_KEYS = {  # type of file → top-level keys that no other type of file has
     "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
@@ -50,29 +50,35 @@ KIND_KEYS = {  # top-level keys that only one kind of file has, which identify t
 def read_text(path: Path, title: str = Recipe.title) -> str:
     """Return the text of a recipe file, without a byte order mark and carriage returns.
 
+    Parameters
+    ----------
+    path : Path
+    title : str
+        Name of the expected type of file, for messages.
+
     Raises
     ------
     InputFileError
-        If the file cannot be read as UTF-8. The message asks for `title`.
+        If the file does not exist or is not UTF-8 text.
     """
     try:
-        return read_bounded(path, f"give {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
+        return read_bounded(path, f"use {title} (TOML)").decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise InputFileError(f"{path} is not a text file; give {title} (TOML, UTF-8)") from error
+        raise InputFileError(f"{path} is not a text file; use {title} (TOML, UTF-8)") from error
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Parse TOML. Raises RecipeError, whose message begins with `name`, if the text is not valid TOML."""
+    """Parse a TOML text. `name` is the name of the file for messages. Raises a RecipeError if the text is not valid TOML."""
     try:
         return tomllib.loads(text)
     except ValueError as error:  # a syntax error, or a number with too many digits
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
-        raise RecipeError(f"{name} is not valid TOML: its lists or tables are too deep") from error
+        raise RecipeError(f"{name} is not valid TOML: its lists or tables are nested too deeply") from error
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, string, list or table as TOML. Bytes of file names that are not UTF-8 become "?"."""
+    """Write a number, string, list or table as TOML. In file names, bytes that are not UTF-8 become "?"."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(name)} = {toml_value(each)}" for name, each in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
@@ -81,17 +87,17 @@ def toml_value(value: Any) -> str:
 
 
 def toml_key(name: str) -> str:
-    """Return a key as TOML, quoted if needed."""
+    """Write a key as TOML, with quotation marks if necessary."""
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 
 def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
-    """Yield the faults of values that no recipe may contain, with their keys.
+    """Yield the key and the fault of each value that no recipe may contain.
 
-    These are numbers that are huge or not finite, strings with null characters, and values that are nested too deeply.
+    Such values are huge or infinite numbers, strings with null characters, and tables or lists that are nested too deeply.
     """
     if len(key) > DEEPEST:
-        yield key, f"tables and lists are nested more than {DEEPEST} deep; remove some levels"
+        yield key, f"tables and lists are nested more than {DEEPEST} levels deep; use fewer levels"
     elif isinstance(value, dict):
         for inner, item in value.items():
             yield from refusals(item, (*key, inner))
@@ -99,12 +105,11 @@ def refusals(value: Any, key: KeyPath = ()) -> Iterator[tuple[KeyPath, str]]:
         for number, item in enumerate(value):
             yield from refusals(item, (*key, number))
     elif isinstance(value, int) and not -LARGEST_WHOLE <= value <= LARGEST_WHOLE:
-        written = (
-            str(value) if abs(value) < 10**MOST_SHOWN else hex(value)
-        )  # Python refuses to print long integers in decimal
-        yield key, f"{_named(key)} is {shortened(written)}; a whole number has at most 64 bits"
+        # Python refuses to convert very long integers to decimal text.
+        written = str(value) if abs(value) < 10**MOST_SHOWN else hex(value)
+        yield key, f"{_named(key)} is {shortened(written)}; use a whole number with at most 64 bits"
     elif isinstance(value, float) and not abs(value) <= MAX_NUMBER:
-        yield key, f"{_named(key)} is {value:g}; give a number within ±{MAX_NUMBER:g}"
+        yield key, f"{_named(key)} is {value:g}; use a number within ±{MAX_NUMBER:g}"
     elif isinstance(value, str) and "\0" in value:
         yield key, f"{_named(key)} contains a null character; remove it"
 
@@ -114,12 +119,12 @@ def _named(key: KeyPath) -> str:
 
 
 def tables_in(kind: Any) -> list[type[Recipe]]:
-    """Return all recipe structures that occur in a type."""
+    """Return all recipe structures that are part of a declared type."""
     return [each for each in member_types(kind) if isinstance(each, type) and issubclass(each, Recipe)]
 
 
 def member_types(kind: Any) -> Iterator[Any]:
-    """Yield a type and all types that it contains, such as the entries of lists and the alternatives of unions."""
+    """Yield a declared type and all its parts, such as the types of list entries and the members of unions."""
     yield kind
     if get_origin(kind) is not Literal:
         for part in get_args(kind):

@@ -5,8 +5,8 @@
     register()
     pipeline = Gst.parse_launch("… ! l3render table=table.h5 ! videoconvert ! …")
 
-gst-launch-1.0 and other programs find the element through plugins/python/l3render.py, if this folder is in their search path
-(docs/video.md#gstreamer).
+Programs such as gst-launch-1.0 find the element through plugins/python/l3render.py, if the folder plugins is in the search
+path of GStreamer (docs/video.md#gstreamer).
 """
 
 import sys
@@ -16,7 +16,7 @@ from typing import Any
 from l3cli.errors import L3Error, RecipeError
 from l3cli.video_hosts import format_error
 
-INSTALL = "GStreamer's Python is missing; Debian has it in python3-gst-1.0 and gir1.2-gst-plugins-base-1.0"
+INSTALL = "GStreamer's Python module is missing; install it (Debian: python3-gst-1.0 and gir1.2-gst-plugins-base-1.0)"
 
 try:
     import gi
@@ -27,19 +27,19 @@ try:
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
 if not Gst.is_initialized():
-    Gst.init(None)  # required before the class below, which is derived from GStreamer types
+    Gst.init(None)  # required before the declaration of a class that is derived from a GStreamer type
 
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
-DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; above 8 bits since GStreamer 1.24
+DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; GStreamer < 1.24 supports only 8 bits
 MOSAICS = (
     "video/x-raw, format=(string){ GRAY16_LE, GRAY8 }; "
     f"video/x-bayer, format=(string){{ {', '.join(order + depth for depth in DEPTHS for order in ORDERS)} }}"
 )
 BITS = {"RGB": 8, "RGBA64_LE": 16}
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
-SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of caps that are the same for input and output
-USUAL_RATE = Fraction(30)  # frames/s; used if the stream does not state a rate
+SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of the caps that input and output have in common
+USUAL_RATE = Fraction(30)  # frame rate to assume if the stream does not state a rate, in frames/s
 
 
 def _pad(name: str, direction: Any, caps: str) -> Any:
@@ -49,40 +49,50 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 class L3Render(GstBase.BaseTransform):
     """GStreamer element that renders mosaics in DN, in the same way as `l3 render` renders a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the next element. If a stream does not fit, it
-    ends with an error of one line.
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), whichever the next element accepts. If a stream does not fit
+    the table, the element posts an error message of one line and the stream ends.
     """
 
     __gtype_name__ = "L3Render"
     __gstmetadata__ = (
         "L3 renderer",
         "Filter/Converter/Video",
-        "Raw frames to RGB by a table of l3 train",
+        "Renders raw frames to RGB with a table from l3 train",
         "the l3cli authors",
     )
     __gsttemplates__ = (_pad("sink", Gst.PadDirection.SINK, MOSAICS), _pad("src", Gst.PadDirection.SRC, PICTURES))
 
-    table = GObject.Property(type=str, default="", nick="Table", blurb="File of l3 train")
-    exposure = GObject.Property(type=float, default=0, minimum=0, maximum=1e9, blurb="Factor of Y; 0: automatic, followed")
-    white = GObject.Property(
-        type=str, default="", blurb='White of the scene: "D50", "x,y", "auto", "ROW,COL"; "": the table\'s'
+    table = GObject.Property(type=str, default="", nick="Table", blurb="Transform table, a file that l3 train wrote")
+    exposure = GObject.Property(
+        type=float, default=0, minimum=0, maximum=1e9, blurb="Factor on Y, or 0 for automatic exposure"
     )
-    black_level = GObject.Property(type=float, default=-1, minimum=-1, maximum=65535, blurb="DN; -1: the table's")
-    white_level = GObject.Property(type=float, default=-1, minimum=-1, maximum=65535, blurb="DN; -1: the table's")
-    phase = GObject.Property(type=str, default="", blurb='CFA site of the first pixel, "ROW,COL"; "": as stated, or 0,0')
-    size = GObject.Property(type=str, default="", blurb='Of frames of another size than the table\'s, "ROWSxCOLS"')
-    camera = GObject.Property(type=str, default="", blurb="File of a model whose defects and flat field are corrected")
-    backend = GObject.Property(type=str, default="opencl", blurb="opencl or reference")
-    device = GObject.Property(type=str, default="", blurb="OpenCL device, by a part of its name or its number")
-    temporal = GObject.Property(type=bool, default=False, blurb="Filter the frames in time")
+    white = GObject.Property(
+        type=str, default="", blurb='White of the scene: "D50", "x,y", "auto" or "ROW,COL"; empty for the white of the table'
+    )
+    black_level = GObject.Property(
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="Black level in DN, or -1 for the level of the table"
+    )
+    white_level = GObject.Property(
+        type=float, default=-1, minimum=-1, maximum=65535, blurb="White level in DN, or -1 for the level of the table"
+    )
+    phase = GObject.Property(
+        type=str, default="", blurb='CFA site of the first pixel as "ROW,COL"; empty for the phase of the stream, or 0,0'
+    )
+    size = GObject.Property(
+        type=str, default="", blurb='Size of the frames as "ROWSxCOLS", if it differs from the size of the table\'s sensor'
+    )
+    camera = GObject.Property(type=str, default="", blurb="Camera model whose defective pixels and flat field are corrected")
+    backend = GObject.Property(type=str, default="opencl", blurb="Renderer: opencl or reference")
+    device = GObject.Property(type=str, default="", blurb="OpenCL device: its number, or a part of its name")
+    temporal = GObject.Property(type=bool, default=False, blurb="Whether to reduce noise by filtering the frames over time")
 
     def __init__(self) -> None:
         super().__init__()
-        self._mosaics: Any = None  # the Mosaics between start and stop
-        self._reported = ""  # last reported error, which is not repeated although GStreamer tries caps several times
+        self._mosaics: Any = None  # Mosaics object, from start to stop
+        self._reported = ""  # latest error message, which is not repeated when GStreamer tries several caps
         self._picture: Any = None  # function that renders the next frame
-        self._source: Any = None  # _Layout of the negotiated caps of frames
-        self._target: Any = None  # _Layout of the negotiated caps of pictures
+        self._source: Any = None  # memory layout of the input frames
+        self._target: Any = None  # memory layout of the output frames
 
     # ------------------------------------------------------------------------------------------------- start and stop
 
@@ -90,7 +100,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # otherwise GStreamer would print a traceback and continue
+        except Exception as error:  # GStreamer would print the traceback of an exception and continue
             return self._failed(error)
         return True
 
@@ -104,10 +114,10 @@ class L3Render(GstBase.BaseTransform):
         except ImportError as error:
             version = f"{sys.version_info.major}.{sys.version_info.minor}"
             raise L3Error(
-                f"GStreamer's Python {version} cannot import what l3cli needs ({error}); install l3cli for Python {version}"
+                f"Python {version}, which GStreamer uses, cannot import l3cli ({error}); install l3cli for Python {version}"
             ) from error
         if not self.table:
-            raise RecipeError("no table is given; set table to the file that l3 train wrote")
+            raise RecipeError("the property table is not set; set table to a file that l3 train wrote")
         return Mosaics(
             self.table,
             black_level=None if self.black_level < 0 else self.black_level,
@@ -119,7 +129,7 @@ class L3Render(GstBase.BaseTransform):
             device=self.device or None,
         )
 
-    # ------------------------------------------------------------------------------------------------- agreeing on caps
+    # ------------------------------------------------------------------------------------------- negotiation of caps
 
     def do_transform_caps(self, direction: Any, caps: Any, within: Any) -> Any:
         template = Gst.Caps.from_string(PICTURES if direction == Gst.PadDirection.SINK else MOSAICS)
@@ -149,7 +159,7 @@ class L3Render(GstBase.BaseTransform):
     def do_get_unit_size(self, caps: Any) -> tuple[bool, int]:
         return True, _Layout(caps).nbytes
 
-    # ------------------------------------------------------------------------------------------------- frame by frame
+    # -------------------------------------------------------------------------------------------------- rendering
 
     def do_transform(self, inbuf: Any, outbuf: Any) -> Any:
         try:
@@ -166,7 +176,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Report an error to the application, once."""
+        """Post an error message to the application, unless the same message has just been posted."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -175,12 +185,12 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout of a frame in a buffer, according to its caps. Raises RecipeError for interlaced streams."""
+    """Memory layout of a frame with the given caps. Raises a RecipeError if the stream is interlaced."""
 
     def __init__(self, caps: Any) -> None:
         structure = caps.get_structure(0)
         form = structure.get_string("format")
-        self.order: str | None = None  # Bayer order, such as "rggb"
+        self.order: str | None = None  # Bayer order such as "rggb", if the caps state one
         self.shape = structure.get_value("height"), structure.get_value("width")
         if structure.get_name() == "video/x-bayer":
             self.order, self.channels, self.dtype = form[:4], 1, "<u2" if form[4:] else "u1"
@@ -189,14 +199,17 @@ class _Layout:
         else:
             info = GstVideo.VideoInfo.new_from_caps(caps)
             if info.interlace_mode != GstVideo.VideoInterlaceMode.PROGRESSIVE:
-                raise RecipeError("the stream is interlaced; give progressive frames")
+                raise RecipeError("the stream is interlaced; use a progressive stream")
             self.channels, self.dtype = info.finfo.n_components, "u1" if form in ("GRAY8", "RGB") else "<u2"
             self.stride, self.offset, self.nbytes = info.stride[0], info.offset[0], info.size
         found, above, below = structure.get_fraction("framerate")
         self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
 
     def pixels(self, buffer: Any, content: Any) -> Any:
-        """Return the content of a buffer as an array (row, col, channel). Raise RecipeError if the buffer is too small."""
+        """Return the content of a buffer as an array (row, col, channel).
+
+        Raises a RecipeError if the buffer is too small.
+        """
         import numpy as np
 
         meta = GstVideo.buffer_get_video_meta(buffer)
@@ -204,7 +217,8 @@ class _Layout:
         pixel = np.dtype(self.dtype).itemsize * self.channels
         if offset + stride * (self.shape[0] - 1) + pixel * self.shape[1] > len(content):
             raise RecipeError(
-                f"a buffer of {len(content)} bytes is too small for a frame of {self.shape[0]}×{self.shape[1]} pixels"
+                f"the buffer has {len(content)} bytes, which is too small for a frame of {self.shape[0]}×{self.shape[1]} "
+                "pixels; correct the caps of the stream"
             )
         strides = stride, pixel, np.dtype(self.dtype).itemsize
         return np.ndarray((*self.shape, self.channels), self.dtype, content, offset, strides)

@@ -15,7 +15,7 @@ from l3cli.errors import L3Error
 from l3cli.frames.frame import RawFrame
 from l3cli.video_hosts import format_error
 
-INSTALL = 'VapourSynth is missing; install it, with Python ≥ 3.12, by: pip install "l3cli[vapoursynth]"'
+INSTALL = 'VapourSynth is missing; install it for Python ≥ 3.12 with: pip install "l3cli[vapoursynth]"'
 
 try:
     import vapoursynth as vs
@@ -31,36 +31,37 @@ def render(
     size: tuple[int, int] | str | None = None, camera: str | os.PathLike[str] | None = None, backend: str = "opencl",
     device: str | None = None, temporal: bool = False,
 ) -> Any:  # fmt: skip
-    """Render a clip of mosaics through a table.
+    """Render a clip of mosaics with a table.
 
-    Unless they are given, exposure and white are measured on the first frame and apply to the whole clip. Frames can
+    If the exposure and the white are not set, they are measured on the first frame and used for the whole clip. Frames can
     therefore be requested in any order and from any thread. The device renders one frame at a time.
 
     Parameters
     ----------
     clip : vapoursynth.VideoNode
-        Mosaics in DN, GRAY8 to GRAY16.
+        Mosaics in DN, in a format from GRAY8 to GRAY16.
     table : str or path
         File that `l3 train` wrote.
     bits : {8, 16, 32}, default 8
-        8 gives RGB24 and 16 gives RGB48, sRGB as `l3 render` writes it. 32 gives RGBS, linear and not clipped.
+        Bits per value. With 8 (RGB24) and 16 (RGB48), the frames are sRGB, as in files from `l3 render`. With 32 (RGBS),
+        they are linear and not clipped.
     exposure : float, optional
-        Factor on Y. Default: automatic.
+        Factor on Y. [default: automatic exposure]
     white : str, optional
-        White of the scene, as in `l3 render`. Default: measured.
+        White of the scene, as in `l3 render`. [default: measured on the first frame]
     black_level, white_level : float, optional
-        Levels in DN. Default: the levels of the table.
+        Levels in DN. [default: the levels of the table]
     phase : (int, int) or str, optional
-        CFA row and column of the first pixel, also as "1,0". Default: (0, 0).
+        CFA row and column of the first pixel, as (1, 0) or "1,0". [default: (0, 0)]
     size : (int, int) or str, optional
-        Rows and columns that frames must have, also as "240x360". Default: any size.
+        Rows and columns that the frames must have, as (240, 360) or "240x360". [default: the size of the clip]
     camera : str or path, optional
         Camera model whose defective pixels and flat field are corrected.
     backend, device : str, optional
         Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
-        Filter frames over time, as `l3 render --temporal` does. If a frame is requested out of order, up to 255 earlier
-        frames on which it depends are filtered first, so that the result does not depend on the order.
+        Whether to filter the frames over time, as with `l3 render --temporal`. The result does not depend on the order in
+        which frames are requested. For a frame out of order, up to 255 earlier frames are filtered first.
 
     Returns
     -------
@@ -70,7 +71,7 @@ def render(
     Raises
     ------
     vapoursynth.Error
-        If the clip, a file or a value does not fit. The message is a single line.
+        If the clip, a file or a parameter is not valid. The message has one line.
     """
     try:
         _require_mosaics(clip)
@@ -113,13 +114,13 @@ def _require_mosaics(clip: Any) -> None:
     """Raise L3Error unless all frames of the clip have the same format, with one plane of 8 to 16 bits."""
     form = clip.format
     if form is None or not clip.width:
-        raise L3Error("the clip's frames differ in format or size; give a clip with one format and size")
+        raise L3Error("the frames of the clip differ in format or size; use a clip with a constant format and size")
     if form.color_family != vs.GRAY or form.sample_type != vs.INTEGER or form.bits_per_sample > 16:
-        raise L3Error(f"the clip is {form.name}; give a mosaic in DN, GRAY8 to GRAY16")
+        raise L3Error(f"the clip has the format {form.name}; use a mosaic in DN with a format from GRAY8 to GRAY16")
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the frame properties of rendered frames: sRGB or linear, with BT.709 primaries and full range."""
+    """Return the properties of rendered frames, which state full-range sRGB, or linear RGB with the same primaries."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

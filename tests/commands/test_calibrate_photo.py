@@ -194,7 +194,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["d65.npy"]\nlight = "table.csv"', 3, "from 400 to 700 nm"),
         ('frames = ["d65.npy"]\nchart = "clasic"', 2, 'did you mean "classic"'),
         ('frames = ["d65.npy"]\nlayout = [10, 14]', 2, "layout = [10, 14] has 140"),
-        ('frames = ["d65.npy"]\ncorners = [[1, 2], [3, 4]]', 2, "corners has 2 values; the least is 4"),
+        ('frames = ["d65.npy"]\ncorners = [[1, 2], [3, 4]]', 2, "corners has 2 values; use at least 4"),
         ('frames = ["d65.npy"]\ncorners = [[0, 0], [900, 0], [900, 500], [0, 500]]', 3, "corner of the chart is outside"),
         ('frames = ["d65.npy"]\ncorners = [[10, 10], [20, 20], [30, 30], [40, 40]]', 3, "on a line"),
         ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "do not resemble the patches"),

@@ -47,7 +47,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ("exposure_s", "exposure", "[mono"),
         ("pixel_pitch_um = 4.0\n", "", "missing key `pixel_pitch_um` in [sensor]"),
         ("[[dark]]", "[[darkness]]", "`darkness`"),
-        ("bits = 12", "bits = 99", "sensor.bits is 99; the most is 16"),
+        ("bits = 12", "bits = 99", "sensor.bits is 99; use at most 16"),
         ("rows = 192", "rows = 12", "too few"),
         ('column = "410nm"', "column = 999", "spectra/mono.csv has no column 999"),
         ('"g b"', '"g x"', '"x" is not a channel'),
@@ -299,7 +299,7 @@ def test_a_photodiodes_column_is_named(table: Path, tmp_path: Path, l3: L3, refu
             "well_capacity_e = 20000",
             "well_capacity_e = 0",
             2,
-            "datasheet.well_capacity_e is 0; give more than 0",
+            "datasheet.well_capacity_e is 0; use more than 0",
         ),
         ("MEASUREMENTS.toml", "[datasheet]", "[data_sheet]", 2, "data_sheet"),
         (

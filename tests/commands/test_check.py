@@ -43,11 +43,11 @@ CAMERA = [
     ("prnu = 0.005", "prnu = 0.5", ("0.5 % is 0.005",)),
     ("focal_length_mm = 25", "focal_length_mm = 0.025", ("did you mean 25?",)),
     ('"g b"', '"g x"', ('"x" is not a channel',)),
-    ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; give more than 0",)),
+    ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; use more than 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
 ]
 SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | shares must be above
-exposure_share = [0.9, -1]  # exposure_share[2] is -1; give more than 0
+exposure_share = [0.9, -1]  # exposure_share[2] is -1; use more than 0
 lens.transmittance = "none.csv"  # none.csv does not exist
 lens.f_number = -3  # lens.f_number is -3
 [target]
@@ -63,7 +63,7 @@ axes = "row col"  # axes must name row, col and band
 [[pair]]
 raw = "a.dng"  # a.dng does not exist
 picture = "a.png"  # a.png does not exist
-offset = [-1, 0]  # pair[1].offset[1] is -1; the least is 0
+offset = [-1, 0]  # pair[1].offset[1] is -1; use at least 0
 """
 CLASSES = """[classes]
 patch = 4  # classes.patch is 4
@@ -72,32 +72,32 @@ lowest_level = 2  # 0 < lowest_level < highest_level
 [learning]
 darkest = 0.5  # darkest < highlight_from
 dark_share = 0.9  # learning.dark_share and learning.highlight_share is 1.15
-ridge = 0  # learning.ridge is 0; give more than 0
-level_power = 2  # learning.level_power is 2; the most is 1
+ridge = 0  # learning.ridge is 0; use more than 0
+level_power = 2  # learning.level_power is 2; use at most 1
 [[layer]]
 side = 4  # layer[1].side is 4
 strengths = [2, 1]  # increase by at least 0.001
 """
-LAB = """falloff = 2  # falloff is 2; give less than 1
-monitor_error = -0.1  # monitor_error is -0.1; the least is 0
+LAB = """falloff = 2  # falloff is 2; use less than 1
+monitor_error = -0.1  # monitor_error is -0.1; use at least 0
 [mono]
-step_nm = 0  # mono.step_nm is 0; give more than 0
-overexposed = -1  # the least is 0
+step_nm = 0  # mono.step_nm is 0; use more than 0
+overexposed = -1  # use at least 0
 bandwidth_nm = 0.5  # mono needs bandwidth_nm above spectrometer_step_nm
-stray_light = 0.5  # mono.stray_light is 0.5; give less than 0.01
+stray_light = 0.5  # mono.stray_light is 0.5; use less than 0.01
 [chart]
 illuminants = ["D99"]  # illuminant "D99" is unknown
 [white]
-levels = [0.1, -1.0]  # white.levels[2] is -1.0; give more than 0
-trials = 1  # white.trials is 1; the least is 2
+levels = [0.1, -1.0]  # white.levels[2] is -1.0; use more than 0
+trials = 1  # white.trials is 1; use at least 2
 [dark]
-exposures_s = []  # dark.exposures_s has 0 values; the least is 1
+exposures_s = []  # dark.exposures_s has 0 values; use at least 1
 [defects]
-dust_depth = -1  # defects.dust_depth is -1; the least is 0
-dust_radius_px = -1  # defects.dust_radius_px is -1; give more than 0
+dust_depth = -1  # defects.dust_depth is -1; use at least 0
+dust_radius_px = -1  # defects.dust_radius_px is -1; use more than 0
 """
 MEASUREMENTS = """name = "measured"
-uncertainty.lamp_drift = 2  # uncertainty.lamp_drift is 2; give less than 1
+uncertainty.lamp_drift = 2  # uncertainty.lamp_drift is 2; use less than 1
 [sensor]
 rows = 192
 cols = 256
@@ -123,7 +123,7 @@ frames = ["there.tif"]
 spectrum = "light.csv"
 column = "450nm"
 [[white]]
-frames = []  # white[1].frames has 0 values; the least is 1
+frames = []  # white[1].frames has 0 values; use at least 1
 exposure_ms = 3
 monitor = 20  # monitor is 20
 """
@@ -172,7 +172,7 @@ chart = "clasic"  # did you mean "classic"
 [[photo]]
 frames = ["there.tif"]
 light = "lamp.csv"  # lamp.csv does not exist
-layout = [4, 0]  # the least is 1
+layout = [4, 0]  # use at least 1
 """
 
 

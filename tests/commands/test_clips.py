@@ -118,9 +118,9 @@ def test_the_frames_are_the_same_however_they_are_shared_out(clip: Path, bayer: 
         (("size = [32, 40]", "size = [12, 40]"), "motion.size is 12×40"),
         (("size = [32, 40]", "size = [320, 400]"), "larger than the sensor"),
         (("shake_pixels", "shake_pixel"), "shake_pixels"),
-        (("frames = 3", "frames = 0"), "the least is 1"),
+        (("frames = 3", "frames = 0"), "use at least 1"),
         (("frames = 3", "zoom_per_frame = 1.1"), "frames"),
-        (("count = 2", "count = 1000000"), "the most is 64"),
+        (("count = 2", "count = 1000000"), "use at most 64"),
     ],
 )
 def test_what_cannot_be_is_reported_before_any_work(

@@ -248,7 +248,7 @@ def test_a_report_has_no_error_of_patches_that_a_light_does_not_show(folder: Pat
 
 
 WRONG = """
-    shape = [2, 2]                      | shape = [2, 9]                     | 2 | shape[2] is 9; the most is 8
+    shape = [2, 2]                      | shape = [2, 9]                     | 2 | shape[2] is 9; use at most 8
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "r g"]]          | 2 | fewer than 3 independent outputs
     arrays = [["g r w r", "b g b g"]]   | arrays = [["g r", "b x"]]          | 2 | "x" is not a filter
     counts = { g = 4, r = 2, b = 2 }    | counts = { g = 4, r = 2 }          | 2 | counts add up to 6, but the shape has 8

@@ -264,7 +264,7 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
     (swapped,) = warnings("b.raw", "--size", right, *timed)
     assert swapped.endswith("the file was probably read in a wrong format; read the file with --byte-order big")
     (long,) = warnings("a.raw", "--size", right, "--exposure-time", 20)
-    assert long.startswith("warning: --exposure-time 20 is 20 seconds, 1000 times that of the training (0.02 s)")
+    assert long.startswith("warning: --exposure-time 20 means 20 seconds (1000 times the mean of the training, 0.02 s)")
     assert long.endswith("give seconds, not milliseconds")
 
 

@@ -438,7 +438,7 @@ def test_darks_and_whites_alone_give_defects_and_flat_field(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('[[white]]\nframes = ["white0.npy"]\nexposure_ms = 0', "white[1].exposure_ms is 0; give more than 0"),
+        ('[[white]]\nframes = ["white0.npy"]\nexposure_ms = 0', "white[1].exposure_ms is 0; use more than 0"),
         ('[[white]]\nframes = ["dark1.npy"]\nexposure_ms = 10', "dark1.npy: channel r is too dark"),
         ('[[white]]\nframes = ["clipped.npy"]\nexposure_ms = 10', "clipped.npy: channel r is clipped"),
         ('[[white]]\nframes = ["scene.npy"]\nexposure_ms = 10', "evenly lit white target"),

@@ -419,12 +419,12 @@ def test_bands_get_a_layer_that_corrects_them(tmp_path: Path, l3: L3) -> None:
     ("lines", "why"),
     [
         ("side = 4", "layer[1].side is 4; use an odd number"),
-        ("[[layer]]\n[[layer]]\n[[layer]]", "layer has 4 values; the most is 3"),
+        ("[[layer]]\n[[layer]]\n[[layer]]", "layer has 4 values; use at most 3"),
         ("strengths = [3, 2]", "layer[1].strengths must contain one or more numbers"),
-        ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; give more than 0"),
+        ("strengths = [-1, 2]", "layer[1].strengths[1] is -1; use more than 0"),
         ("colour_ratios = true\n[[layer]]", "layer[1].colour_ratios is allowed only in the last layer"),
         ("bilateral_chroma = true\n", "layer[1].bilateral_chroma needs colour_ratios"),
-        ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; the most is 1"),
+        ("brightness_power = 1.5", "layer[1].brightness_power is 1.5; use at most 1"),
         ("sides = 3", "unknown key `sides` in [layer[1]]"),
     ],
 )

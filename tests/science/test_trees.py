@@ -178,10 +178,10 @@ def test_without_noise_the_noise_weights_weigh_nothing(leaves: Path, trained: Tr
 @pytest.mark.parametrize(
     ("was", "line", "why"),
     [
-        ("leaves = 8", "leaves = -1", "layer[1].leaves is -1; the least is 0"),
-        ("leaves = 8", "leaves = 2049", "layer[1].leaves is 2049; the most is 2048"),
-        ("tree_rows = 2000", "tree_rows = 999", "layer[1].tree_rows is 999; the least is 1000"),
-        ("draws = 2\n", "draws = 2\nlevel_power = -1\n", "learning.level_power is -1; the least is 0"),
+        ("leaves = 8", "leaves = -1", "layer[1].leaves is -1; use at least 0"),
+        ("leaves = 8", "leaves = 2049", "layer[1].leaves is 2049; use at most 2048"),
+        ("tree_rows = 2000", "tree_rows = 999", "layer[1].tree_rows is 999; use at least 1000"),
+        ("draws = 2\n", "draws = 2\nlevel_power = -1\n", "learning.level_power is -1; use at least 0"),
     ],
 )
 def test_wrong_keys_are_one_line(

@@ -73,11 +73,11 @@ def recipe_of(name: str) -> Path:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("exposure = 0.0625", "exposure = 16.0", "channel.rs.exposure is 16.0; the most is 1"),
+        ("exposure = 0.0625", "exposure = 16.0", "channel.rs.exposure is 16.0; use at most 1"),
         ('like = "r"', 'like = "x"', '"x" is not a channel of cfa.channels'),
         ('like = "r"', 'like = "rs"', 'is "rs", which has no curve'),
         ("[channel.rs]", "[channel.rz]", '"rz" is not a channel of cfa.channels'),
-        ("exposure = 0.0625", "gain = 0.5", "channel.rs.gain is 0.5; the least is 1"),
+        ("exposure = 0.0625", "gain = 0.5", "channel.rs.gain is 0.5; use at least 1"),
         ("exposure = 0.0625", "exposures = 0.5", "exposures"),
     ],
 )

@@ -302,7 +302,7 @@ BAD = {
     "wrong axes": (lambda p: write(p, a_cube()) + RANGE + 'axes = "row col"\n', 2, "axes"),
     "crop": (lambda p: write(p, a_cube()) + RANGE + "crop = [0, 0, 30, 30]\n", 3, "beyond"),
     "crop drawn": (lambda p: '[[scene]]\nsource = "munsell"\nsize = [32, 32]\ncrop = [0, 0, 40, 20]\n', 2, "beyond"),
-    "scale": (lambda p: write(p, a_cube()) + RANGE + "scale = -1.0\n", 2, "scale is -1.0; give more than 0"),
+    "scale": (lambda p: write(p, a_cube()) + RANGE + "scale = -1.0\n", 2, "scale is -1.0; use more than 0"),
     "empty folder": (lambda p: (p / "d").mkdir() or f'[[scene]]\nsource = "bands"\nfile = "d"\n{RANGE}', 3, "no pictures"),
     "no ENVI": (lambda p: (p / "a.hdr").write_text("x") and '[[scene]]\nsource = "envi"\nfile = "a.hdr"\n', 3, "ENVI"),
     "broken .npy": (lambda p: write(p, a_cube())[: (p / "cube.npy").write_bytes(b"x") * 99] + RANGE, 3, "cube.npy"),

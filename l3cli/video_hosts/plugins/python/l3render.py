@@ -1,6 +1,6 @@
-"""Plugin that GStreamer's Python loader finds if GST_PLUGIN_PATH is the parent folder of this file's folder.
+"""Plugin for GStreamer's Python loader, which finds it if GST_PLUGIN_PATH contains the folder plugins.
 
-The loader may use a Python of another environment. Packages that are installed beside l3cli then take precedence.
+The loader may use the Python of another environment. The packages in the environment of l3cli then take precedence.
 """
 
 import sys
