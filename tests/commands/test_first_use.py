@@ -71,7 +71,7 @@ def test_a_misspelt_name_brings_the_one_that_was_meant(
     after, kind, _ = ASKED[place]
     assert f'did you mean "{EXAMPLES[kind]}"?' in refused(2, *place, TYPOS[kind], *after)
     missing = f"configs/{kind}/{EXAMPLES[kind]}.toml"  # as a checkout has it, typed where there is none
-    assert f'{missing} does not exist; give "{EXAMPLES[kind]}" without a path' in refused(3, *place, missing, *after)
+    assert f'{missing} does not exist; write "{EXAMPLES[kind]}"' in refused(3, *place, missing, *after)
     assert parsed(place, "mine/nothing.toml") == Path("mine/nothing.toml")  # whoever opens it says so
 
 

@@ -32,15 +32,15 @@ MISTAKES = """
     2 info --jsn camera.h5
         no option --jsn; did you mean "--json"? see "l3 info --help"
     2 calibrate camera.toml -o new.h5
-        camera.toml is a camera recipe; give a measurement file
+        camera.toml is a camera recipe; use a measurement file
     2 calibrate scenes.toml -o new.h5
-        scenes.toml is a scene recipe; give a measurement file
+        scenes.toml is a scene recipe; use a measurement file
     3 calibrate camera.h5 -o new.h5
-        camera.h5 is not a text file; give a measurement file
+        camera.h5 is not a text file; use a measurement file
     3 calibrate lab -o new.h5
-        lab is a folder; give a measurement file
+        lab is a folder; use a measurement file
     3 calibrate nothing.toml -o new.h5
-        nothing.toml does not exist; give a measurement file
+        nothing.toml does not exist; use a measurement file
     2 calibrate empty.toml -o new.h5
         empty.toml:1: missing key `name`
     2 calibrate lab/MEASUREMENTS.toml
@@ -54,13 +54,13 @@ MISTAKES = """
     3 calibrate lab/MEASUREMENTS.toml -o new.h5 --truth table.h5
         table.h5 contains a transform table; use a file written by
     2 simulate camera.toml --camera scenes.toml -o new.h5
-        scenes.toml is a scene recipe; give a camera recipe
+        scenes.toml is a scene recipe; use a camera recipe
     2 simulate lab/MEASUREMENTS.toml --camera camera.h5 -o new.h5
-        is a measurement file; give a scene recipe
+        is a measurement file; use a scene recipe
     2 simulate scenes.toml --camera lab/MEASUREMENTS.toml -o new.h5
-        is a measurement file; give a camera recipe
+        is a measurement file; use a camera recipe
     2 simulate classes.toml --camera camera.h5 -o new.h5
-        classes.toml is a class recipe; give a scene recipe
+        classes.toml is a class recipe; use a scene recipe
     3 simulate scenes.toml --camera table.h5 -o new.h5
         table.h5 contains a transform table; use a file written by
     3 simulate scenes.toml --camera raw.tif -o new.h5
@@ -78,9 +78,9 @@ MISTAKES = """
     2 simulate sized.toml --camera camera.h5 -o new.h5
         unknown key `size` in [scene[2]] with source = "iset"; use one of source, crop, flip
     2 train training.h5 --classes scenes.toml -o new.h5
-        scenes.toml is a scene recipe; give a class recipe
+        scenes.toml is a scene recipe; use a class recipe
     3 train training.h5 --classes camera.h5 -o new.h5
-        camera.h5 is not a text file; give a class recipe
+        camera.h5 is not a text file; use a class recipe
     3 train scenes.toml -o new.h5
         scenes.toml is not an HDF5 file; use a file written by
     3 train camera.h5 -o new.h5
@@ -160,9 +160,9 @@ MISTAKES = """
     3 info folder
         folder is a folder; use a file written by
     2 lab scenes.toml -o new
-        scenes.toml is a scene recipe; give a camera recipe
+        scenes.toml is a scene recipe; use a camera recipe
     2 lab camera.toml --recipe scenes.toml -o new
-        scenes.toml is a scene recipe; give a lab recipe
+        scenes.toml is a scene recipe; use a lab recipe
     3 lab table.h5 -o new
         table.h5 contains a transform table; use a file written by
     1 lab camera.toml -o raw.tif

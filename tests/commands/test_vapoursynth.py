@@ -189,8 +189,8 @@ def test_a_clip_has_the_size_that_it_has(folder: Path) -> None:
         ({}, {"white_level": 3.0}, "set black_level and white_level"),
         ({}, {"table": "nothing.h5"}, "nothing.h5 does not exist"),
         ({}, {"table": "/"}, "/ is a folder"),
-        ({"format": "RGB24"}, {}, "the clip is RGB24; give a mosaic in DN, GRAY8 to GRAY16"),
-        ({"format": "GRAYS"}, {}, "the clip is GrayS"),
+        ({"format": "RGB24"}, {}, "the clip has the format RGB24; use a mosaic in DN"),
+        ({"format": "GRAYS"}, {}, "the clip has the format GrayS"),
         ({"varsize": True}, {}, "differ in format or size"),
     ],
 )

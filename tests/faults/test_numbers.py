@@ -259,10 +259,13 @@ def test_no_chromas_are_none(l3: L3, tmp_path: Path, pipeline: Path) -> None:
         ("[classes]\nchromas = 10000000", "classes.chromas is 10000000; use at most 64"),
         ("[classes]\nmax_cases = 0", "classes.max_cases is 0; use at least 1"),
         ("[classes]\nsaturation_radius = -2", "classes.saturation_radius is -2; use at least 0"),
-        (f"[classes]\nlevels = {FAR}", "classes.levels is 100000000000000000000000; a whole number has at most 64 bits"),
+        (
+            f"[classes]\nlevels = {FAR}",
+            "classes.levels is 100000000000000000000000; use a whole number with at most 64 bits",
+        ),
         ("[classes]\nlevels = 2.5", "Expected `int`"),
         ("[classes]\nlevels = 1979-05-27", "Expected `int`, got `date`"),
-        ("[learning]\ndarkest = nan", "learning.darkest is nan; give a number within"),
+        ("[learning]\ndarkest = nan", "learning.darkest is nan; use a number within"),
         ("[learning]\ndraws = 1001", "learning.draws is 1001; use at most 1000"),
     ],
 )

@@ -100,9 +100,9 @@ def test_endless_and_nested_texts_are_refused(
     with open(tmp_path / "endless.toml", "wb") as file:
         file.truncate(MOST_TEXT + 1)
     assert "MB" in refused(3, "simulate", tmp_path / "endless.toml", *call)
-    assert "is a device; give a scene recipe" in refused(3, "simulate", "/dev/zero", *call)
+    assert "is a device; use a scene recipe" in refused(3, "simulate", "/dev/zero", *call)
     os.mkfifo(tmp_path / "pipe.toml")
-    assert "is a pipe; give a scene recipe" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
+    assert "is a pipe; use a scene recipe" in refused(3, "simulate", tmp_path / "pipe.toml", *call)
     for text in ("a = " + "[" * 5000 + "]" * 5000, "a = " + "9" * 5000, 'name = "\\u0000"', "exposure_s = [inf]"):
         (tmp_path / "odd.toml").write_text(text)
         assert "odd.toml" in refused(2, "simulate", tmp_path / "odd.toml", *call)
