@@ -336,7 +336,7 @@ def _illuminant_table(name: str) -> tuple[Array, Array]:
     key = f"FL{name[1:]}" if re.fullmatch(r"F\d+", name) else name
     if key not in illuminant_names():
         close = nearest(name, illuminant_names()) or f"common illuminants are {USUAL_LIGHTS};"
-        every = f'the section "Illuminants" of the documentation lists all {len(illuminant_names())}'
+        every = f'the documentation lists all {len(illuminant_names())} ("Illuminants")'
         raise RecipeError(f'illuminant "{shortened(name)}" is unknown; {close} {every}')
     table = colour_science().SDS_ILLUMINANTS[key]
     wavelengths, values = np.asarray(table.wavelengths), np.asarray(table.values)

@@ -74,7 +74,9 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     except ValueError as error:  # a syntax error, or a number with too many digits
         raise RecipeError(f"{name} is not valid TOML: {error}") from error
     except RecursionError as error:
-        raise RecipeError(f"{name} is not valid TOML: its lists or tables are nested too deeply") from error
+        raise RecipeError(
+            f"{name} is not valid TOML: its lists or tables are nested too deeply; use fewer levels"
+        ) from error
 
 
 def toml_value(value: Any) -> str:

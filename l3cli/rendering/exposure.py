@@ -85,7 +85,7 @@ class SpreadSamples:
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
     def _geometry(self, frame: RawFrame) -> list[tuple[int, int, int, int]]:
-        """Return the arguments of `_windows` for rows and for columns."""
+        """Return the arguments of `_windows` for the rows, and for the columns."""
         table = self._table
         return [(frame.values.shape[axis], table.cfa.shape[axis], table.first.rule.patch, GRID[axis]) for axis in (0, 1)]
 

@@ -210,14 +210,14 @@ def refinement_outputs(
 
 
 def _mosaic_windows(values: NDArray, table: TransformTable) -> NDArray:
-    """Return windows (1, row, col, window row, window col) of a mosaic (row, col)."""
+    """Return the window around each pixel of a mosaic, as an array (1, row, col, window row, window col)."""
     patch = table.first.rule.patch
     padded = pad_mosaic(values, table.first.rule.radius, table.cfa.shape)
     return np.lib.stride_tricks.sliding_window_view(padded[None], (patch, patch), (1, 2))
 
 
 def _windows(planes: NDArray, layer: PlaneLayer) -> NDArray:
-    """Return windows (plane, row, col, window row, window col) of planes (plane, row, col)."""
+    """Return the windows around each pixel in all planes, as an array (plane, row, col, window row, window col)."""
     return np.lib.stride_tricks.sliding_window_view(mirrored(planes, layer.radius), (layer.side, layer.side), (1, 2))
 
 

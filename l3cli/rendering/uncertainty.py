@@ -47,9 +47,8 @@ SMOOTHED = 0.5  # σ, in pixels, of a Gaussian that removes noise from the pictu
 FITS = 3  # number of iterations of the robust fit from outputs to signals
 ROUNDS = 4  # number of iterations of the fit of the gains and factors, which is enough for convergence
 PRIOR = 50  # weight, in pixels, of the assumption that a class has the gain of a coarser class
-EDGE_PIXELS = (
-    4  # number of rows and columns at each border with factors of their own; farther in, σ changes by less than 2 %
-)
+# number of rows and columns at each border with factors of their own; farther in, σ changes by less than 2 %
+EDGE_PIXELS = 4
 TILES = (1, 2, 4, 8, 16)  # sides, in pixels, of the tiles whose means are evaluated
 MIN_TILES = 9  # smallest number of tiles of a size
 MIN_VARIANCE = 1e-30  # avoids a division by zero if noise does not change any raw value, as in a black frame
@@ -100,7 +99,9 @@ class Uncertainty:
 def require_known_noise(table: TransformTable) -> None:
     """Raise a RecipeError if the table does not contain the noise model of its camera."""
     if table.camera is None:
-        raise RecipeError("the uncertainty needs the camera's noise model, which the table does not contain; train it again")
+        raise RecipeError(
+            "the uncertainty needs the camera's noise model, which this table does not contain; train the table again"
+        )
 
 
 def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = None) -> Uncertainty:

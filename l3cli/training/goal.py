@@ -39,7 +39,7 @@ class Goal:
 
 
 def one_light(light: LightSpectrum | None) -> LightSpectrum | None:
-    """Return the mean illuminant `light` if all frames have this illuminant, or None if they differ or are unknown."""
+    """Return the mean illuminant `light` if all frames have the same known illuminant, otherwise None."""
     return light if light is not None and light.spread <= ONE_LIGHT else None
 
 

@@ -152,7 +152,7 @@ def sample_pair(
     rng: np.random.Generator,
     allowed: Allowed = EVERY_ORIENTATION,
 ) -> Patches:
-    """Take patches at random places of a real pair.
+    """Take patches at random places of a real pair: a raw frame and a picture of the same scene.
 
     The mosaic of a real frame is fixed. Patches are therefore taken only at sites that are a rotation or reflection of the
     canonical site, and are read in the corresponding orientation.

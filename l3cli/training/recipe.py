@@ -176,8 +176,8 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     learning, sensitivity = recipe.learning, camera.sensitivity
     mean = float(sensitivity.mean())
     for further, least, layers in (
-        (0, LEAST_SENSITIVE, "one layer, such as single"),
-        (1, LEAST_BETWEEN, "two layers, such as default"),
+        (0, LEAST_SENSITIVE, 'one layer, such as "single"'),
+        (1, LEAST_BETWEEN, 'two layers, such as "default"'),
     ):
         if len(recipe.layer) > further and sensitivity.min() < least:
             raise RecipeError(

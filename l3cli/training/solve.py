@@ -407,7 +407,7 @@ def _colour_compliance(solutions: list[Solution], copies: list[int]) -> Array:
 
 def _equations(recipe: LearningRecipe, goal: Goal, rule: ClassRule) -> list[OutputKind]:
     """Return the settings of each output in the opponent basis."""
-    # Outputs that are not pictures need no more noise reduction than the least squared error.
+    # For outputs that are not displayed, noise counts at most as much as bias, which minimises the squared error.
     unseen = OutputKind(min(recipe.luminance_noise, 1.0), True)
     if goal.outputs[:3] != XYZ:
         return [unseen] * len(goal.outputs)

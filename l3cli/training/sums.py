@@ -1,9 +1,13 @@
 """Exact sums of products, from which the transforms are solved (docs/method.md#exact-sums).
 
-For each canonical site and class, the sums are the normal equations of the least squares. Every product is rounded to a
-multiple of a fixed grid step before it is added. As long as a sum stays below 2⁵³ grid steps, float64 adds such multiples
-without any rounding. The result is therefore the same to the last bit for any order, and for any number of processes and
-shards.
+The sums are the normal equations of the least squares. There is one set of sums per class and canonical site, which is one
+of several symmetric CFA sites. The columns of a sample are its taps, the intercept (the constant 1) and its outputs. A
+*moment* is the sum of the products of two columns. Moment matrices are symmetric, so only their upper triangle is stored,
+with one number per *pair* of columns.
+
+Every product is rounded to a multiple of a fixed grid step before it is added. As long as a sum stays below 2⁵³ grid steps,
+float64 adds such multiples without any rounding. The result is therefore the same to the last bit for any order, and for any
+number of processes and shards.
 """
 
 import functools

@@ -288,7 +288,7 @@ def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | N
 def _components(
     head: TrainingSet, solutions: dict[int, Solution], copies: list[int], white: NDArray[np.float64]
 ) -> LeadingComponents | None:
-    """Return the leading components of a spectrum, or None if `has_components` is false.
+    """Return the leading components of the outputs, or None if the outputs are not a spectrum of more than three values.
 
     The second component is the mean of the outputs, relative to white. The first and the third component are the two
     directions in which the remaining part of the targets varies most. The components are rounded, because eigenvectors

@@ -111,7 +111,7 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Raise L3Error unless all frames of the clip have the same format, with one plane of 8 to 16 bits."""
+    """Raise an L3Error if the clip does not consist of frames of one size and format, with a grey plane of 8 to 16 bits."""
     form = clip.format
     if form is None or not clip.width:
         raise L3Error("the frames of the clip differ in format or size; use a clip with a constant format and size")

@@ -249,8 +249,8 @@ def refusals(device: Any) -> Iterator[None]:
             ) from error
         if DAMAGED in str(error):
             raise DeviceError(
-                f"{os.environ['POCL_CACHE_DIR']} contains damaged kernels; remove this folder, and l3 compiles the "
-                "kernels again"
+                f"{os.environ['POCL_CACHE_DIR']} contains damaged kernels; remove this folder, so that l3 "
+                "compiles the kernels again"
             ) from error
         reason = " ".join(str(error).split())[:300]
         raise DeviceError(f"{device.name.strip()} failed: {reason}; choose another device with ‹device›") from error

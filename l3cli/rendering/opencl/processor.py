@@ -54,6 +54,6 @@ def _read(place: int, size: int) -> bytes:
 
 
 def _abilities() -> frozenset[str]:
-    """Return the CPU flags of the processor, as named by Linux."""
+    """Return the CPU flags of the processor, with their names in Linux."""
     flags = re.search(r"^flags\s*: (.*)$", Path("/proc/cpuinfo").read_text("utf-8", "replace"), re.MULTILINE)
     return frozenset(flags[1].split() if flags else ())

@@ -117,7 +117,7 @@ class _Search:
         return self._cost(vector) <= self._settled
 
     def best_of(self, candidates: list[Vectors]) -> Vectors:
-        """Return the best vector of each block. The first candidate wins unless another fits clearly better."""
+        """Return the best vector of each block. The first candidate is kept unless another candidate fits clearly better."""
         best = self._within(candidates[0])
         least = self._cost(best)
         for candidate in candidates[1:]:

@@ -312,7 +312,9 @@ class Whites:
         """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
-            raise InputFileError(f"the white has the signals {shown}, which must be finite and not all zero; set ‹white›")
+            raise InputFileError(
+                f"the white has the signals {shown}, which must be finite and not all zero; set another ‹white›"
+            )
         camera = self.table.camera
         if camera is None:
             return self.of_xyz(self._shown(neutral))
@@ -422,7 +424,7 @@ def _white(outputs: Array) -> NDArray[np.float64]:
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         shown = ", ".join(f"{each:.3g}" for each in outputs)
         raise InputFileError(
-            f"the table renders the grey with the XYZ {shown}, which is no white; use a table for this camera"
+            f"the table renders the grey as the XYZ {shown}, which is not a white; use a table for this camera"
         )
     return np.asarray(outputs, np.float64)
 
