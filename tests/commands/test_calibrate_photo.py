@@ -200,7 +200,7 @@ def test_a_white_shot_and_a_dark_one(folder: Path, tmp_path: Path, l3: L3) -> No
         ('frames = ["d65.npy"]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "do not resemble the patches"),
         ('frames = ["d65.npy"]\nlayout = [6, 4]\ncorners = [[20, 20], [160, 20], [160, 120], [20, 120]]', 3, "4, 24 and 21"),
         ('frames = ["d65.npy", "small.npy"]', 3, "differ in size or phase"),
-        ("frames = []", 2, "frames has 0 values; the least is 1"),
+        ("frames = []", 2, "frames has 0 values; use at least 1"),
         ('frames = ["missing.npy"]', 3, "missing.npy does not exist"),
         ('frames = ["table.csv"]', 3, "table.csv"),
     ],

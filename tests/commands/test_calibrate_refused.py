@@ -63,7 +63,7 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
             "or by a [datasheet]",
         ),
         ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]', "contains mono and curves"),
-        ("lamp_drift = ", "lamp_drift = -", "lamp_drift is -0.001; the least is 0"),
+        ("lamp_drift = ", "lamp_drift = -", "lamp_drift is -0.001; use at least 0"),
     ],
 )
 def test_wrong_keys_are_recipe_errors(
