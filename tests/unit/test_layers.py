@@ -120,7 +120,7 @@ def test_info_describes_every_layer(l3: L3, path: Path) -> None:
     assert code == 0
     assert "layer 2: " in out
     assert "3 × 3 pixels in 3 planes" in out
-    assert "5 × 5 × 3 taps" in out
+    assert "5 × 5 pixels in 3 planes" in out
     assert "28 structures: flat, and 3 strengths with 8 directions or none" in out
     assert "later/1/structure/strength_edges" in out
     later = json.loads(l3("info", path, "--json")[1])["insight"]["later"]
