@@ -52,9 +52,9 @@ def edit(folder: Path, old: str, new: str, count: int = 1) -> None:
         ('column = "410nm"', "column = 999", "spectra/mono.csv has no column 999"),
         ('"g b"', '"g x"', '"x" is not a channel'),
         ("[sensor]", "[sensor", "not valid TOML"),
-        ("f_number = 2.8", "f_number = 0", "optics.f_number is 0; give more than 0"),
+        ("f_number = 2.8", "f_number = 0", "optics.f_number is 0; use more than 0"),
         ("object_distance_m = 0.0", "object_distance_m = 0.01", "not larger than the focal length"),
-        ("exposure_s = ", "exposure_s = -", "exposure_s is -0.0528; give more than 0"),
+        ("exposure_s = ", "exposure_s = -", "exposure_s is -0.0528; use more than 0"),
         ("exposure_s = ", "exposure_s = nan #", "mono.exposure_s is nan"),
         ("monitor = ", "monitor = inf #", "mono.monitor is inf"),
         (
