@@ -484,7 +484,7 @@ class Mosaics:
     black_level, white_level, phase, camera, backend, device
         As the options of `l3 render`.
     size : (int, int) or None
-        Rows and columns of the frames. None stands for the size of the table's camera.
+        Rows and columns of the frames, or None for the size of the table's camera.
 
     Raises
     ------

@@ -119,7 +119,7 @@ class Readout:
 
     @property
     def sensitivity(self) -> NDArray[np.float64]:
-        """DN per unit of light for each channel, divided by the largest value. It is the product of exposure and gain."""
+        """Product of exposure and gain of each channel, divided by the largest product of all channels."""
         product = self.channel_exposure * self.channel_gain
         return np.asarray(product / product.max())
 

@@ -320,7 +320,7 @@ class ClassRule:
     def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
         """Reshape values with the shape (class, …) to (site, level, contrast, combination, kind, …).
 
-        The classes are those of one site or of all sites.
+        `values` contains the classes of a single site or of all sites.
         """
         return values.reshape(len(values) // self.classes_per_site, *self.shape, *values.shape[1:])
 

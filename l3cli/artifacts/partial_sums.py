@@ -116,9 +116,10 @@ class LayerSums:
 
 @dataclass(frozen=True, repr=False)
 class PartialLayerSums(Artifact):
-    """Header of a file with partial sums of a refinement layer, in the same groups as the sums of the first layer.
+    """Header of a file with partial sums of a refinement layer.
 
-    The last stage of the history is the training run. All shards of the same run have equal histories.
+    The sums are stored in the same groups as the sums of the first layer. The last stage of the history is the training
+    run. All shards of the same run have equal histories.
     """
 
     kind: ClassVar[str] = "partial sums of a layer"

@@ -71,8 +71,19 @@ def light_centre(wavelength: Array, radiance: Array) -> float:
 def node_photons(wavelength: Array, radiance: Array, nodes: Array) -> Array:
     """Integrate the product of a radiance and the hat function of each node.
 
-    The wavelength axis of the radiance is the last. In the result, which is in photons/s/sr/m², the node axis replaces
-    it.
+    Parameters
+    ----------
+    wavelength : ndarray, (wavelength,)
+        Wavelengths of the radiance in nm.
+    radiance : ndarray, (…, wavelength)
+        Radiance in photons/s/sr/m²/nm.
+    nodes : ndarray, (node,)
+        Nodes in nm.
+
+    Returns
+    -------
+    ndarray, (…, node)
+        Integrals in photons/s/sr/m².
     """
     return np.asarray(spectra.resample(radiance, wavelength, nodes) * spectra.bin_widths(nodes), dtype=np.float64)
 
@@ -203,7 +214,10 @@ def confidence_bands(sweep: Sweep, responsivity: Array, delta: float, drift: flo
 
 
 def _smoother(design: Array, delta: float) -> Array:
-    """Return the matrix that converts values to responsivities, with the shape (node, capture). It is exact where r > 0."""
+    """Return the matrix that converts values to responsivities, with the shape (node, capture).
+
+    Negative responsivities are not set to zero.
+    """
     penalty = roughness(design.shape[1])
     return np.asarray(np.linalg.solve(design.T @ design + delta * penalty.T @ penalty, design.T), dtype=np.float64)
 

@@ -97,9 +97,9 @@ def edge_avoiding(blocks: Array, spacing: int, scale: Array) -> Array:
 
 
 def _between(length: int) -> tuple[NDArray[np.intp], Array]:
-    """Return, for each pixel along an axis, the index of the block before it and the weight of the block after it.
+    """Return, for each pixel along an axis, the index of the previous block and the weight of the next block.
 
-    Index 0 stands for a block outside the frame.
+    Index 0 is a block outside the frame.
     """
     low, place = np.divmod(np.arange(length) + BLOCK // 2, BLOCK)
     return low, (place + 0.5) / BLOCK

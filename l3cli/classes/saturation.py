@@ -121,7 +121,10 @@ def codes(values: NDArray[np.unsignedinteger], rule: ClassRule, order: TapOrder)
 
 
 def code_of(saturated: NDArray[np.bool_]) -> Integers:
-    """Return the saturation code for each row of booleans, which state for every channel whether it clips."""
+    """Convert booleans, which state for every channel whether the channel clips, to saturation codes.
+
+    The channels are the last axis.
+    """
     return (saturated.astype(np.int64) << np.arange(saturated.shape[-1])).sum(axis=-1)
 
 

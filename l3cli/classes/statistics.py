@@ -16,7 +16,7 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the patches around pixels. The symbol … stands for the shape of the array of pixels."""
+    """Statistics of the patches around pixels. The symbol … is the shape of the array of pixels."""
 
     neighbours: Neighbourhoods
     site: Integers  # (…), or (1,) if all pixels have the same site

@@ -324,7 +324,7 @@ def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> No
 
 
 def _per_energy(out: DraftText, curves: Spectra) -> None:
-    """Add whether the curves are per energy or per photon. If the table states a unit, it decides."""
+    """Add whether the curves are per energy or per photon. A unit in the heading of the table decides."""
     possible = [each for each in (True, False) if _has_unit(curves, each)]
     if len(possible) == 1:
         out.key("per_energy", possible[0], "from the unit in the heading")

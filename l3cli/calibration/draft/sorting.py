@@ -404,9 +404,16 @@ def match_charts(charts: Sequence[Group], tables: Sequence[Spectra], notes: list
 def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None, bool]:
     """Find the measured illuminant of a photo of a chart.
 
-    The spectrum of an illuminant is a table with one broad-band column. If the name of one such table contains the same
-    illuminant as the name of the photo, or if the photo's name contains the table's name, this table is used, and the
-    second result is True. Otherwise the table is used if it is the only one.
+    The spectrum of an illuminant is a table with one broad-band column. A table matches a photo if the names of both
+    contain the same illuminant, or if the photo's name contains the table's name. If no table matches, the only table is
+    used.
+
+    Returns
+    -------
+    table : Spectra or None
+        The spectrum.
+    named : bool
+        Whether the table matches the photo by name.
     """
     broad = [table for table in tables if len(table.table.values) == 1 and not table.narrow]
     same = [table for table in broad if table.name.light is not None and table.name.light == chart.first.name.light]

@@ -91,7 +91,8 @@ def camera_prior(known: CurveStatistics) -> Prior:
 def unlike(prior: Prior) -> Prior:
     """Return the prior of a camera that differs from the measured cameras.
 
-    Its covariance is larger than that of `prior`, and it includes smooth deviations that no measured camera has.
+    The covariance is larger than the covariance of `prior`, and it includes smooth deviations that no measured camera
+    has.
     """
     count, size = prior.mean.shape
     further = np.kron(np.eye(count), _smooth(np.full(size, UNLIKE_SPREAD), UNLIKE_NM))

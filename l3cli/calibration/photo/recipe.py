@@ -1,7 +1,6 @@
-"""Writes a camera recipe and its responsivity curves. The data come from raw files, or from what l3 knows about the
-camera model of that name.
+"""Writes a camera recipe and its responsivity curves.
 
-Comments in the recipe mark assumed values.
+The data come from raw files, or from l3's list of known cameras. Comments in the recipe mark assumed values.
 """
 
 from collections.abc import Mapping, Sequence
