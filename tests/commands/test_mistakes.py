@@ -152,7 +152,7 @@ MISTAKES = """
     3 compare folder
         folder is a folder; name a file
     3 compare empty.json
-        give a file that "l3 evaluate --json" printed
+        use the output of "l3 evaluate --json"
     2 info
         specify either a FILE or --version
     3 info raw.tif
