@@ -1,12 +1,16 @@
-"""Smooth rendering of uniform areas in which channels begin to clip (docs/method.md#uniform-clipped-areas).
+"""Areas in which channels clip: smooth outputs of uniform areas, and the hue of unclipped areas nearby.
+
+docs/method.md#uniform-clipped-areas and docs/method.md#hue-of-clipped-areas describe the two methods.
+
 
 The class of a pixel changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In
 such areas, a smooth function of the channel means therefore replaces the outputs.
 
 The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long.
 Each block has four values: the fraction of the outputs that is replaced, and the values that are added to X, Y and Z
-instead. These values are interpolated between the blocks. All pixels of a quad (2 × 2 pixels) get the same interpolated
-values.
+instead. Three more values describe the hue of unclipped blocks nearby that could be the same surface: the degree to which
+a pixel takes this hue, and X/Y and Z/Y of the hue multiplied by this degree. All values are interpolated between the blocks.
+All pixels of a quad (2 × 2 pixels) get the same interpolated values.
 """
 
 from dataclasses import dataclass
@@ -26,7 +30,17 @@ KEPT, REPLACED = 0.85, 0.975
 PLAIN, TEXTURED = 0.12, 0.3
 WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
 MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
-MAPS = 4  # values per block: the fraction of the outputs that is replaced, and the values added to X, Y and Z
+# Values per block: the fraction of the outputs that is replaced and the values added to X, Y and Z; the degree to which the
+# pixel takes the hue of its surroundings, and X/Y and Z/Y of this hue multiplied by this degree.
+MAPS, REPLACEMENT_MAPS = 7, 4
+HUE_STEPS = 2  # number of blocks that a clipped block is compared with in each direction
+HUE_REACH = 24  # pixels; distance of the farthest of these blocks
+MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which a block is not the same surface
+MIN_SIGNAL = 0.02  # fraction of full scale; smaller differences do not count
+# Likeness, as a fraction of its maximum, that is necessary to take the hue of the surroundings by half: usually, and if the
+# clipped block could be grey.
+HUE_DOUBT, GREY_DOUBT = 0.03, 3.0
+MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 
 
@@ -79,12 +93,12 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Replace the outputs in uniform areas where channels clip.
+    """Replace the outputs in uniform areas where channels clip, and then the hue of all areas where channels clip.
 
     Parameters
     ----------
     outputs : ndarray, (output, row, col)
-        Rendered outputs.
+        Rendered X, Y and Z.
     mosaic : Mosaic
         The mosaic from which the outputs were rendered.
     response : ndarray, (clipped, signal, output)
@@ -92,18 +106,20 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
     white : ndarray, (channel,)
         Channel values of a white.
     """
-    share, added = np.split(clipping_maps(mosaic, response, white), [1])
-    return np.asarray((1 - share) * outputs + added)
+    share, added, taken, hue = np.split(clipping_maps(mosaic, response, white), [1, 4, 5])
+    x, y, z = (1 - share) * outputs + added
+    (x_share, z_share), kept = hue, 1 - taken[0]
+    return np.stack([kept * x + x_share * y, y, kept * z + z_share * y])
 
 
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Compute the fraction of the outputs that is replaced, and the values that are added, at every pixel.
+    """Interpolate the values of the blocks at every pixel.
 
     The parameters are described in `replaced`. The result has the shape (map, row, col).
     """
-    means, spread = block_means(mosaic, len(response) - 1)
-    maps, shape = block_maps(means, spread, response, white), mosaic.values.shape
-    for axis, (length, side) in enumerate(zip(shape, block_sides(mosaic.cfa), strict=True), 1):
+    (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
+    maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, response, white, sides)])
+    for axis, (length, side) in enumerate(zip(mosaic.values.shape, sides, strict=True), 1):
         place = (np.arange(length) // QUAD * QUAD + QUAD / 2) / side - 0.5  # position of the quad, in blocks
         low = np.floor(place).astype(int)
         share = (place - low).reshape(-1, *[1] * (2 - axis))
@@ -196,9 +212,70 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
     grey = np.minimum(level * white[:, None], 1.0)
     usual = np.einsum("so,sb->ob", response[0, :-1], signal - grey + level * white[:, None])
     added = np.einsum("tso,tsb->ob", response[1:], added_terms(signal) - added_terms(grey))
-    maps = np.zeros((MAPS, spread.size))
+    maps = np.zeros((REPLACEMENT_MAPS, spread.size))
     maps[:, numbers] = np.concatenate([share[None], share * usual + plain * added])
-    return maps.reshape(MAPS, *spread.shape)
+    return maps.reshape(-1, *spread.shape)
+
+
+def hue_spacing(side: int) -> int:
+    """Return the distance, in blocks of this side, between the blocks that a clipped block is compared with."""
+    return max(HUE_REACH // (HUE_STEPS * side), 1)
+
+
+def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
+    """Compute the hue that each block takes from unclipped blocks nearby.
+
+    A block nearby could be the same surface under more or less light if its signals, scaled to those of the clipped block,
+    agree in the channels that do not clip and reach full scale in the channels that clip.
+
+    Parameters
+    ----------
+    means : ndarray, (channel, block row, block col)
+        Channel means from `block_means`.
+    response : ndarray, (clipped, signal, output)
+        `Clipping.response` of the table.
+    white : ndarray, (channel,)
+        Channel values of a white.
+    sides : tuple of int
+        Height and width of a block in pixels.
+
+    Returns
+    -------
+    ndarray, (map, block row, block col)
+        The degree to which a pixel takes the hue, and X/Y and Z/Y of the hue multiplied by this degree.
+    """
+    channels, *shape = means.shape
+    clipped = smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
+    trust, signals = (1 - clipped.max(axis=0)) ** 2, means.reshape(channels, -1)
+    numbers = np.flatnonzero((clipped.max(axis=0) > 0) & (clipped.min(axis=0) < 1))
+    (row, col), clipped = np.divmod(numbers, shape[1]), clipped[:, numbers]
+    own, unclipped = np.maximum(signals[:, numbers], MIN_SIGNAL), 1 - clipped
+
+    def scaled(signal: Array) -> tuple[Array, Array]:
+        """Return signals (channel, block) scaled to those of the clipped blocks, and their likeness."""
+        ratio = signal / own
+        scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
+        missing = 1 - scale * ratio
+        difference = (unclipped * missing**2 + clipped * np.maximum(missing, 0.0) ** 2).sum(axis=0)
+        return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0) ** 2
+
+    total, likeness, steps = np.zeros_like(own), np.zeros(numbers.size), np.arange(-HUE_STEPS, HUE_STEPS + 1)
+    for i, j in np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2):
+        down, right = row + i * hue_spacing(sides[0]), col + j * hue_spacing(sides[1])
+        inside = (down >= 0) & (down < shape[0]) & (right >= 0) & (right < shape[1])
+        there = np.where(inside, down * shape[1] + right, 0)
+        signal, alike = scaled(signals[:, there])
+        near = (HUE_STEPS + 1 - abs(i)) * (HUE_STEPS + 1 - abs(j)) / (HUE_STEPS + 1) ** 4
+        weight = near * inside * trust[there] * alike
+        likeness += weight
+        total += weight * signal
+    doubt = HUE_DOUBT + GREY_DOUBT * scaled(white[:, None])[1]
+    taken = clipped.max(axis=0) * (1 - clipped.min(axis=0)) * likeness / (likeness + doubt)
+    x, y, z = np.einsum("so,sb->ob", response[0, :-1], total)
+    hue = np.clip(np.stack([x, z]) / np.maximum(y, MIN_WEIGHT * MIN_WEIGHT), 0.0, MAX_HUE)
+    maps = np.zeros((MAPS - REPLACEMENT_MAPS, means[0].size))
+    maps[:, numbers] = np.concatenate([taken[None], taken * hue])
+    return maps.reshape(-1, *shape)
 
 
 def grey_level(signal: Array, white: Array) -> Array:

@@ -89,6 +89,16 @@ LAYERS = {
     "both directions, followed by a 1. d is the maximum, over the 3 x 3 blocks and the channels, of the range in a block "
     "and of the difference between the means of a block and of the middle block. The means of a block are 0 if no value "
     "reaches the fraction begins[0] of full scale, or if the block lacks a channel",
+    "hue of clipped areas": "after clipping, X = (1 - c) * X + x * Y and Z = (1 - c) * Z + z * Y. c, x and z are "
+    "computed for the same blocks and interpolated in the same way. s contains the means of the channels of a block, "
+    "which are not averaged over 3 x 3 blocks, and k = S(s; kept). Each block with max k > 0 and min k < 1 is compared "
+    "with 5 x 5 blocks within the frame, hue_spacing rows and columns of blocks apart. The other block has the means o, "
+    "t = o / max(s, hue_darkest), r = sum of (1 - k) * t / (sum of (1 - k) * t^2 + faintest), e = 1 - r * t, and the "
+    "likeness l = max(0, 1 - sum of ((1 - k) * e^2 + k * max(e, 0)^2) / hue_difference)^2. Its weight is v = l * (1 - "
+    "max S(o; kept))^2 * b / 81, where b is 1 2 3 2 1 in both directions. L is the sum of v, and l_0 is the likeness of "
+    "o = white. c = max k * (1 - min k) * L / (L + hue_doubt[0] + hue_doubt[1] * l_0), or 0 if L is 0. x = c * X / Y "
+    "and z = c * Z / Y, where X, Y, Z = sum over blocks of v * r * o * response[0], and both ratios are limited to 0 "
+    "... hue_most",
     "later class": "(site * levels + level // level_step) * kinds + kind, with the level and the case of the first layer. "
     "kind is the structure or the leaf if case <= spared_cases, otherwise structures - 1 + case - spared_cases. A layer "
     "with a tree has levels = 1",
@@ -284,6 +294,9 @@ def _constants(table: TransformTable) -> dict[str, Any]:
                    "clip_sides": list(clipping.block_sides(table.cfa)), "faintest": clipping.MIN_WEIGHT,
                    "begins": [clipping.BEGINS, clipping.CLIPS],
                    "kept": [clipping.KEPT, clipping.REPLACED], "plain": [clipping.PLAIN, clipping.TEXTURED],
+                   "hue_spacing": [clipping.hue_spacing(side) for side in clipping.block_sides(table.cfa)],
+                   "hue_darkest": clipping.MIN_SIGNAL, "hue_difference": clipping.MAX_DIFFERENCE,
+                   "hue_doubt": [clipping.HUE_DOUBT, clipping.GREY_DOUBT], "hue_most": clipping.MAX_HUE,
                    "gradient_top": GRADIENT, "tree_gradient_top": TOP, "tree_chroma_gradient_top": CHROMA_TOP,
                    "tree_noise_trace": NOISE_TRACE, "tree_dark": DARK, "tree_tests": [test.name for test in EVERY],
                    "tree_denominators": [test.denominator for test in EVERY]}  # fmt: skip

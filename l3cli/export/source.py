@@ -272,6 +272,15 @@ def _clipping_known(table: TransformTable) -> dict[str, float | int]:
         "clip_replaced": clipping.REPLACED,
         "clip_plain": clipping.PLAIN,
         "clip_textured": clipping.TEXTURED,
+        "hue_steps": clipping.HUE_STEPS,
+        "hue_weights": (clipping.HUE_STEPS + 1) ** 4,
+        "hue_rows": clipping.hue_spacing(rows),
+        "hue_columns": clipping.hue_spacing(columns),
+        "hue_difference": clipping.MAX_DIFFERENCE,
+        "hue_darkest": clipping.MIN_SIGNAL,
+        "hue_doubt": clipping.HUE_DOUBT,
+        "hue_grey_doubt": clipping.GREY_DOUBT,
+        "hue_most": clipping.MAX_HUE,
     }
 
 

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP, PLANE_TOP, RATIO_TAPS
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.clipping import limited_to_white
+from l3cli.classes.clipping import limited_to_white, replaced
 from l3cli.classes.planes import raw_middle
 from l3cli.classes.windows import Integers, window_channels
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
-from l3cli.rendering.reference import ReferenceRenderer, output_planes, refinement_outputs
+from l3cli.rendering.reference import ReferenceRenderer, mosaic_of, output_planes, refinement_outputs
 
 # Rows and columns of the test vector: wider than a block of the C source, and not a multiple of the period of any array
 VECTOR_SHAPE = (40, 150)
@@ -258,6 +258,10 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     expected, short = outputs(table.layers[-1].weights), outputs(words.in_floats(table))
     rounded = np.clip(np.rint(short / step), -OUTPUT_TOP, OUTPUT_TOP) * step
     whole = np.clip(expected, -OUTPUT_TOP * step, OUTPUT_TOP * step)
+    if table.later and (clipping := table.later[-1].clipping):
+        mosaic = mosaic_of(_drawn_frame(table), table)
+        whole = replaced(whole, mosaic, clipping.response, clipping.white)
+        rounded = np.rint(replaced(rounded, mosaic, clipping.response, clipping.white) / step) * step
     if table.clipped_white is not None:
         whole = limited_to_white(whole, table.clipped_white)
         rounded = np.rint(limited_to_white(rounded / step, np.rint(table.clipped_white / step))) * step
@@ -276,10 +280,13 @@ def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")
 
 
+def _drawn_frame(table: TransformTable) -> RawFrame:
+    return RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
+
+
 def _outputs(table: TransformTable) -> Callable[[NDArray[np.float32]], NDArray[np.float64]]:
     """Return a function that computes the outputs (output, row, col) of a random mosaic from weights of the last layer."""
-    frame = RawFrame("drawn", drawn_mosaic(table, SHAPE, SEED), table.black_level, table.white_level)
-    reference = ReferenceRenderer(table)
+    frame, reference = _drawn_frame(table), ReferenceRenderer(table)
     labels = reference.labels(frame, len(table.layers) - 1)
     if not table.later:
         first = table.first

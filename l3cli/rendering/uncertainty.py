@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.camera import QUANTISATION, CameraModel
 from l3cli.artifacts.layers import MosaicLayer
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.clipping import KEPT, block_means, block_sides, plain_blocks
+from l3cli.classes.clipping import KEPT, block_means, block_sides, hue_maps, plain_blocks
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.errors import RecipeError
 from l3cli.frames.frame import RawFrame, upright
@@ -236,19 +236,19 @@ def _flags(table: TransformTable) -> list[NDArray[np.uint8]]:
 
 
 def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
-    """Return a mask (row, col) that is CLIPPED where the outputs of uniform clipped areas are replaced, and 0 elsewhere."""
-    none = np.zeros(frame.values.shape, np.uint8)
-    if not table.later or not table.later[-1].clipping:
+    """Return a mask (row, col) that is CLIPPED where the outputs or the hue of clipped areas are replaced, otherwise 0."""
+    none, clipping = np.zeros(frame.values.shape, np.uint8), table.later[-1].clipping if table.later else None
+    if clipping is None:
         return none
     mosaic = mosaic_of(at_table_levels(frame, table), table)
     if mosaic.values.max() - mosaic.black_level < KEPT * (mosaic.white_level - mosaic.black_level):
         return none
-    means, spread = block_means(mosaic, len(table.channels))
+    (means, spread), sides = block_means(mosaic, len(table.channels)), block_sides(mosaic.cfa)
     numbers, _, _, share = plain_blocks(means, spread)
-    blocks = np.zeros_like(spread, np.uint8)
+    blocks = np.where(hue_maps(means, clipping.response, clipping.white, sides)[0] > 0, CLIPPED, 0).astype(np.uint8)
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
-    for axis, side in enumerate(block_sides(mosaic.cfa)):
+    for axis, side in enumerate(sides):
         # Each pixel is between the centres of two blocks. These are the blocks `low` and `low + 1` of the padded map.
         low = (np.arange(none.shape[axis]) + side // 2) // side
         replaced = replaced.take(low, axis) | replaced.take(low + 1, axis)

@@ -1,6 +1,7 @@
-// Replacement of the outputs in uniform areas where channels clip (l3cli/classes/clipping.py). For each block of the mosaic, the kernels
-// compute means and ranges, and from these four map values: the fraction of the outputs that is replaced, and the replacement of each
-// output. Quads (2 × 2 pixels) interpolate the maps.
+// Areas where channels clip (l3cli/classes/clipping.py). For each block of the mosaic, the kernels compute means and ranges, and from these
+// seven map values. If the area is uniform, the outputs are replaced: the first four maps are the fraction that is replaced, and the
+// replacement of each output. Then pixels take the hue of unclipped blocks nearby: the others are the degree to which they take it, and X/Y
+// and Z/Y of the hue multiplied by this degree. Quads (2 × 2 pixels) interpolate the maps.
 
 // Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -96,11 +97,11 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// Computes the maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks are skipped in
+// Computes the first four maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks are skipped in
 // two cases. A uniform block whose means are far below BEGINS has no bright neighbours. An ignored block next to a block that is not
 // ignored is not uniform. If no channel clips, the grey of the same brightness may still clip, so these blocks are not skipped.
-INLINE float4 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
-                      int columns) {
+INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
+                             int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
     float widest = means[CHANNELS * plane + at], brightest = 0.0f, signal[MEANS];
     float4 made = 0.0f;
@@ -139,6 +140,74 @@ INLINE float4 maps_of(int y, int x, __global const float *restrict means, __glob
     return (float4)(share, added[0], added[1], added[2]);
 }
 
+// Scales the signals of a block to those of a clipped block, of which `inverse` holds the reciprocals and `open` the degrees to
+// which the channels do not clip. likeness: of the scaled signals.
+INLINE float scale_to(const float *inverse, const float *open, const float *signal, float *likeness) {
+    float ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
+    for (int k = 0; k < CHANNELS; k++) {
+        ratio[k] = signal[k] * inverse[k];
+        const float part = open[k] * ratio[k];
+        sum += part;
+        squares += part * ratio[k];
+    }
+    const float scale = sum / squares;
+    for (int k = 0; k < CHANNELS; k++) {
+        const float missing = 1.0f - scale * ratio[k], counted = missing > 0.0f ? 1.0f : open[k];
+        difference += counted * missing * missing;
+    }
+    const float alike = 1.0f - difference * (1.0f / MAX_DIFFERENCE), part = MORE(alike, 0.0f);
+    *likeness = part * part;
+    return scale;
+}
+
+// The hue that block (y, x) takes from unclipped blocks nearby, as the last three maps.
+INLINE float3 hue_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
+                     int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
+    float inverse[CHANNELS], open[CHANNELS], signal[CHANNELS], total[CHANNELS] = {0.0f};
+    float most = 0.0f, least = 1.0f, likeness = 0.0f, alike;
+    for (int k = 0; k < CHANNELS; k++) {
+        const float mean = means[k * plane + at];
+        const float clipped = smooth_step(mean, KEPT_UP_TO, REPLACED_FROM);
+        inverse[k] = 1.0f / MORE(mean, MIN_SIGNAL);
+        open[k] = 1.0f - clipped;
+        most = MORE(most, clipped);
+        least = LESS(least, clipped);
+    }
+    if (most == 0.0f || least == 1.0f) return 0.0f;
+    for (int i = -HUE_STEPS; i <= HUE_STEPS; i++)
+        for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
+            const int down = y + i * HUE_ROWS, right = x + j * HUE_COLUMNS;
+            if (down < 0 || down >= rows || right < 0 || right >= columns) continue;
+            float brightest = 0.0f;
+            for (int k = 0; k < CHANNELS; k++) {
+                signal[k] = means[k * plane + (size_t)down * columns + right];
+                brightest = MORE(brightest, signal[k]);
+            }
+            if (brightest == 0.0f || brightest >= REPLACED_FROM) continue;
+            const float trust = 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
+            const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
+            const float scale = scale_to(inverse, open, signal, &alike);
+            const float weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike;
+            likeness += weight;
+            for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
+        }
+    if (likeness == 0.0f) return 0.0f;
+    for (int k = 0; k < CHANNELS; k++) signal[k] = response[(CHANNELS + 1) * (CHANNELS + 1) * 3 + k];
+    scale_to(inverse, open, signal, &alike);
+    const float taken = most * (1.0f - least) * likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike);
+    float output[3] = {0.0f, 0.0f, 0.0f};
+    for (int k = 0; k < CHANNELS; k++)
+        for (int o = 0; o < 3; o++) output[o] += total[k] * response[k * 3 + o];
+    const float luminance = MORE(output[1], FAINTEST * FAINTEST);
+    return taken * (float3)(1.0f, WITHIN(output[0] / luminance, 0.0f, MAX_HUE), WITHIN(output[2] / luminance, 0.0f, MAX_HUE));
+}
+
+INLINE float8 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
+                      int columns) {
+    return (float8)(replacement_of(y, x, means, response, rows, columns), hue_of(y, x, means, response, rows, columns), 0.0f);
+}
+
 // Position of a quad between two blocks along an axis.
 typedef struct {
     int low, high;  // block before the quad, and next block
@@ -152,16 +221,19 @@ INLINE Between between(int pixel, int side, int blocks) {
     return made;
 }
 
-INLINE float4 read_maps_at(Between down, Between across, __global const float4 *restrict maps, int block_columns) {
-    __global const float4 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
-    const float4 left = above[across.low] + down.share * (below[across.low] - above[across.low]);
-    const float4 right = above[across.high] + down.share * (below[across.high] - above[across.high]);
+INLINE float8 read_maps_at(Between down, Between across, __global const float8 *restrict maps, int block_columns) {
+    __global const float8 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
+    const float8 left = above[across.low] + down.share * (below[across.low] - above[across.low]);
+    const float8 right = above[across.high] + down.share * (below[across.high] - above[across.high]);
     return left + across.share * (right - left);
 }
 
-INLINE void store_maps(__global float *restrict to, size_t at, size_t quads, float4 made) {
-    to[at] = made.x;
-    to[quads + at] = made.y;
-    to[2 * quads + at] = made.z;
-    to[3 * quads + at] = made.w;
+INLINE void store_maps(__global float *restrict to, size_t at, size_t quads, float8 made) {
+    to[at] = made.s0;
+    to[quads + at] = made.s1;
+    to[2 * quads + at] = made.s2;
+    to[3 * quads + at] = made.s3;
+    to[4 * quads + at] = made.s4;
+    to[5 * quads + at] = made.s5;
+    to[6 * quads + at] = made.s6;
 }

@@ -57,26 +57,27 @@ KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const
 }
 
 KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response,
-                         __global float4 *restrict maps, int rows, int columns) {
+                         __global float8 *restrict maps, int rows, int columns) {
     EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
 }
 
 // Number of blocks in a row from which the maps of LANES quads are interpolated
 #define BLOCKS_ACROSS (2 * LANES / BLOCK_COLUMNS + 2)
 
-COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float4 *restrict maps, __global float *restrict to, int first,
+COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict maps, __global float *restrict to, int first,
                                 int block_rows, int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
     const size_t quads = QUADS_PLANE(plane_rows, plane_columns);
     for (int y = y0; y < min(y0 + BAND, rows); y++) {
         const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows);
-        __global const float4 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
+        __global const float8 *above = maps + (size_t)down.low * block_columns, *below = maps + (size_t)down.high * block_columns;
         for (int x = x0; x < min(x0 + TILE, columns); x += LANES) {
             const int start = between(2 * x, BLOCK_COLUMNS, block_columns).low, end = min(start + BLOCKS_ACROSS, block_columns);
             const size_t at = (size_t)y * QUADS_STRIDE(plane_columns) + x;
-            float4 any = 0.0f;
+            float8 any = 0.0f;
             for (int b = start; b < end; b++) any += above[b] * above[b] + below[b] * below[b];
-            if (any.x + any.y + any.z + any.w == 0.0f)
-                for (int m = 0; m < 4; m++) STORE_FIRST(to + m * quads + at, (floats)0.0f, columns - x);
+            const float4 sums = any.lo + any.hi;
+            if (sums.x + sums.y + sums.z + sums.w == 0.0f)
+                for (int m = 0; m < MAPS; m++) STORE_FIRST(to + m * quads + at, (floats)0.0f, columns - x);
             else
                 for (int i = 0; i < min(LANES, columns - x); i++)
                     store_maps(to, at + i, quads,
@@ -85,7 +86,7 @@ COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float4 *restrict 
     }
 }
 
-KERNEL_OF_ONE read_maps(__global const float4 *restrict maps, __global float *restrict to, int first, int block_rows,
+KERNEL_OF_ONE read_maps(__global const float8 *restrict maps, __global float *restrict to, int first, int block_rows,
                         int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
     read_maps_of_tile(GROUP_COLUMN, GROUP_ROW, maps, to, first, block_rows, block_columns, plane_rows, plane_columns, rows, columns);
 }

@@ -113,13 +113,16 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// Replaces the outputs of LANES pixels in uniform clipped areas (l3cli/classes/clipping.py).
+// Replaces the outputs of LANES pixels in uniform clipped areas, and then the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     const floats left = 1.0f - of_quads(map);
     #pragma unroll
     for (int o = 0; o < 3; o++) made[o] = left * made[o] + of_quads(map + (1 + o) * quads);
+    const floats kept = 1.0f - of_quads(map + 4 * quads);
+    made[0] = kept * made[0] + of_quads(map + 5 * quads) * made[1];
+    made[2] = kept * made[2] + of_quads(map + 6 * quads) * made[1];
 }
 #else
 #define CLIPPING_PARAMETER

@@ -21,12 +21,12 @@ KERNEL_OF_TILE measure_blocks(__global const ushort *restrict raw, __global cons
 }
 
 KERNEL_OF_TILE map_blocks(__global const float *restrict means, __global const float *restrict response,
-                          __global float4 *restrict maps, int rows, int columns) {
+                          __global float8 *restrict maps, int rows, int columns) {
     ITS_PLACE;
     maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
 }
 
-KERNEL_OF_TILE read_maps(__global const float4 *restrict maps, __global float *restrict to, int first, int block_rows,
+KERNEL_OF_TILE read_maps(__global const float8 *restrict maps, __global float *restrict to, int first, int block_rows,
                          int block_columns, int plane_rows, int plane_columns, int rows, int columns) {
     ITS_PLACE;
     const Between down = between(first + 2 * y, BLOCK_ROWS, block_rows), across = between(2 * x, BLOCK_COLUMNS, block_columns);

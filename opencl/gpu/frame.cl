@@ -233,10 +233,11 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     }
 #endif
 #ifdef CLIPPING
-    // Replace the outputs of uniform clipped areas (l3cli/classes/clipping.py).
+    // Replace the outputs of uniform clipped areas, and then the hue of all clipped areas (l3cli/classes/clipping.py).
     const size_t quads = QUADS_PLANE(source_rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);
+    total[0].xz = (1.0f - map[4 * quads]) * total[0].xz + (float2)(map[5 * quads], map[6 * quads]) * total[0].y;
 #endif
     tap output[4 * FOURS];
     for (int f = 0; f < FOURS; f++) {

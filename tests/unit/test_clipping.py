@@ -23,7 +23,7 @@ from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.exposure import LightMeter, still_scale
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import ReferenceRenderer
+from l3cli.rendering.reference import ReferenceRenderer, mosaic_of
 from l3cli.training.clipping import learned_clipping
 from tests.helpers.cameras import BAYER, X_TRANS
 from tests.helpers.paths import CONFIGS
@@ -76,6 +76,9 @@ def test_backends_agree(monkeypatch: pytest.MonkeyPatch, array: str, variant: st
     changed = np.abs(ReferenceRenderer(bare).exact_outputs(frames[0]) - ReferenceRenderer(table).exact_outputs(frames[0]))
     assert changed.max() > 0.05
     assert not changed[:, :, :10].any()  # nothing is near clipping
+    clipping = table.later[-1].clipping
+    assert clipping is not None
+    assert clipping_maps(mosaic_of(frames[0], table), clipping.response, clipping.white)[4].max() > 0.05
     whole = device.outputs(frames[0])
     monkeypatch.setattr(work, "BAND_PIXELS", 10 * 131)
     np.testing.assert_array_equal(OpenCLRenderer(table, variant=variant).outputs(frames[0]), whole)
@@ -166,6 +169,38 @@ def test_vivid_colours_become_white_in_small_steps(name: str, most: float) -> No
         seen = lab(displayed_xyz(picture), daylight())[0]
         largest.append(delta_e_2000(seen[1:], seen[:-1]).max())
     assert np.mean(largest) < most
+
+
+def test_clipped_areas_take_the_hue_of_the_same_surface_nearby() -> None:
+    """Columns of one surface are exposed more and more. Clipped ones take the colour of darker ones."""
+    camera, radiance, _, to_signals, clipping = learned("bayer")
+    skin = np.interp(camera.wavelength, [400, 500, 600, 700], [0.15, 0.3, 0.6, 0.7]) * radiance
+    signals, colour = skin @ to_signals, skin @ spectra.xyz_weights(camera.wavelength).T
+    over = np.repeat([0.5, 0.8, 1.3, 1.5, 9.0], 12)  # of the exposure that fills the first channel
+    rows, cols = np.indices((60, 60))
+    values = np.minimum(over * (signals / signals.max())[camera.cfa[rows % 2, cols % 2]], 1.0)
+    mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    maps = clipping_maps(mosaic, clipping.response, clipping.white)[4:, 20:40]
+    assert not maps[:, :, :20].any()  # nothing clips
+    assert not maps[:, :, 54:].any()  # every channel clips
+    taken, x, z = maps[:, :, 28:34]
+    assert taken.min() > 0.8
+    np.testing.assert_allclose(x / taken, colour[0] / colour[1], rtol=0.03)
+    np.testing.assert_allclose(z / taken, colour[2] / colour[1], rtol=0.06)
+
+
+def test_a_white_that_clips_keeps_its_hue_beside_vivid_surfaces() -> None:
+    camera, radiance, _, to_signals, clipping = learned("bayer")
+    signals = radiance @ to_signals
+    vivid = (radiance * np.interp(camera.wavelength, [540, 560], [0.1, 1.0])) @ to_signals
+    rows, cols = np.indices((48, 64))
+    channel = camera.cfa[rows % 2, cols % 2]
+    for exposure in (1.1, 1.4, 3.0):
+        paper = exposure * signals / signals.max()
+        values = np.minimum(np.where(cols < 32, 0.7 * (vivid / vivid.max())[channel], paper[channel]), 1.0)
+        mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+        taken = clipping_maps(mosaic, clipping.response, clipping.white)[4]
+        assert taken.max() < 0.1
 
 
 def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:

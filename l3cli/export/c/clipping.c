@@ -1,14 +1,15 @@
 
 /* --------------------------------------------------------------------------------------------------- uniform clipped areas */
 
-#define MAPS 4
+#define MAPS 7
 #define CLIP_BLOCKS(length, side) (((length) + (side) - 1) / (side))
 
 /* Values of blocks of whole CFA periods. README.md ("Uniform clipped areas") contains the formulas. */
 typedef struct {
     float *means; /* (block row, block column, channel + 1) means as fractions of full scale, then the largest range of a channel,
                      or -1 if the block is too dark or lacks a channel */
-    float *maps;  /* (block row, block column, MAPS) fraction of the outputs that is replaced, then the replacement of each output */
+    float *maps;  /* (block row, block column, MAPS) fraction of the outputs that is replaced, then the replacement of each output; the
+                     degree to which a pixel takes another hue, then X/Y and Z/Y of this hue, multiplied by the degree */
 } Clipping;
 
 static Clipping clipping_in(Room *room, int rows, int columns) {
@@ -110,6 +111,63 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
     add_clipped(grey, -plain, map + 1);
 }
 
+/* The factor that scales the signals of a block to those of a clipped block, and how alike they are then. */
+static float scale_to(const float *own, const float *clipped, const float *signal, float *likeness) {
+    float sum = 0, squares = L3_CLIP_FAINTEST, difference = 0;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float ratio = signal[c] / own[c];
+        sum += (1 - clipped[c]) * ratio;
+        squares += (1 - clipped[c]) * ratio * ratio;
+    }
+    const float scale = sum / squares;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float missing = 1 - scale * signal[c] / own[c], lacking = missing > 0 ? missing : 0;
+        difference += (1 - clipped[c]) * missing * missing + clipped[c] * lacking * lacking;
+    }
+    const float alike = 1 - difference / L3_HUE_DIFFERENCE;
+    *likeness = alike > 0 ? alike * alike : 0;
+    return scale;
+}
+
+static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
+
+/* The hue that the block at (y, x) takes from unclipped blocks nearby -> the last three maps, which are 0. */
+static void map_hue(const float *means, int y, int x, int rows, int columns, float *map) {
+    const float *signal = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
+    float own[L3_CHANNELS], clipped[L3_CHANNELS], total[L3_CHANNELS] = {0}, most = 0, least = 1, likeness = 0, alike;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        own[c] = signal[c] > L3_HUE_DARKEST ? signal[c] : L3_HUE_DARKEST;
+        clipped[c] = smooth_step(signal[c], L3_CLIP_KEPT, L3_CLIP_REPLACED);
+        if (clipped[c] > most) most = clipped[c];
+        if (clipped[c] < least) least = clipped[c];
+    }
+    if (most <= 0 || least >= 1) return;
+    for (int i = -L3_HUE_STEPS; i <= L3_HUE_STEPS; i++)
+        for (int j = -L3_HUE_STEPS; j <= L3_HUE_STEPS; j++) {
+            const int row = y + i * L3_HUE_ROWS, column = x + j * L3_HUE_COLUMNS;
+            if (row < 0 || row >= rows || column < 0 || column >= columns) continue;
+            const float *there = means + ((ptrdiff_t)row * columns + column) * (L3_CHANNELS + 1);
+            float brightest = 0;
+            for (int c = 0; c < L3_CHANNELS; c++)
+                if (there[c] > brightest) brightest = there[c];
+            const float open = 1 - smooth_step(brightest, L3_CLIP_KEPT, L3_CLIP_REPLACED);
+            const int near = (L3_HUE_STEPS + 1 - (i < 0 ? -i : i)) * (L3_HUE_STEPS + 1 - (j < 0 ? -j : j));
+            const float scale = scale_to(own, clipped, there, &alike);
+            const float weight = (float)near / L3_HUE_WEIGHTS * open * open * alike;
+            likeness += weight;
+            for (int c = 0; c < L3_CHANNELS; c++) total[c] += weight * scale * there[c];
+        }
+    if (likeness <= 0) return;
+    (void)scale_to(own, clipped, l3_clip_white, &alike);
+    float output[3] = {0};
+    for (int c = 0; c < L3_CHANNELS; c++)
+        for (int o = 0; o < 3; o++) output[o] += total[c] * l3_clip_response[c * 3 + o];
+    const float tiny = L3_CLIP_FAINTEST * L3_CLIP_FAINTEST, luminance = output[1] > tiny ? output[1] : tiny;
+    map[4] = most * (1 - least) * likeness / (likeness + L3_HUE_DOUBT + L3_HUE_GREY_DOUBT * alike);
+    map[5] = map[4] * within_hue(output[0] / luminance);
+    map[6] = map[4] * within_hue(output[2] / luminance);
+}
+
 /* Returns the last block whose middle is before the middle of the pixel's 2 x 2 group, or -1. `share` is the weight of the next block. */
 static int block_before(int pixel, int side, float *share) {
     const int place = 2 * (pixel / 2 * 2 + 1) + side;
@@ -117,7 +175,7 @@ static int block_before(int pixel, int side, float *share) {
     return place / (2 * side) - 1;
 }
 
-/* Replaces the outputs of uniform areas in which channels clip. */
+/* Replaces the outputs of uniform areas in which channels clip, and then the hue of all areas in which channels clip. */
 static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                             L3Output *outputs) {
     const int down = CLIP_BLOCKS(rows, L3_CLIP_ROWS), across = CLIP_BLOCKS(columns, L3_CLIP_COLUMNS);
@@ -127,7 +185,11 @@ static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows,
             measure_block(padded, y, x, rows, columns, phase_row, phase_column,
                           c->means + ((ptrdiff_t)y * across + x) * (L3_CHANNELS + 1));
     for (int y = 0; y < down; y++)
-        for (int x = 0; x < across; x++) map_block(c->means, y, x, down, across, c->maps + ((ptrdiff_t)y * across + x) * MAPS);
+        for (int x = 0; x < across; x++) {
+            float *map = c->maps + ((ptrdiff_t)y * across + x) * MAPS;
+            map_block(c->means, y, x, down, across, map);
+            map_hue(c->means, y, x, down, across, map);
+        }
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < columns; x++) {
             float low, side, made[MAPS];
@@ -139,9 +201,12 @@ static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows,
                 const float first = above[left + m] + low * (below[left + m] - above[left + m]);
                 made[m] = first + side * (above[right + m] + low * (below[right + m] - above[right + m]) - first);
             }
-            for (int o = 0; o < 3; o++) {
-                L3Output *output = outputs + o * pixels + (ptrdiff_t)y * columns + x;
-                *output = changed(*output, made[1 + o] - made[0] * ((float)*output / (1 << L3_OUTPUT_FRACTION)));
-            }
+            L3Output *output = outputs + (ptrdiff_t)y * columns + x;
+            float by[3];
+            for (int o = 0; o < 3; o++) by[o] = made[1 + o] - made[0] * ((float)output[o * pixels] / (1 << L3_OUTPUT_FRACTION));
+            const float luminance = (float)output[pixels] / (1 << L3_OUTPUT_FRACTION) + by[1];
+            for (int o = 0; o < 3; o += 2)
+                by[o] += made[5 + o / 2] * luminance - made[4] * ((float)output[o * pixels] / (1 << L3_OUTPUT_FRACTION) + by[o]);
+            for (int o = 0; o < 3; o++) output[o * pixels] = changed(output[o * pixels], by[o]);
         }
 }

@@ -18,6 +18,7 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
+BLOCK_MAPS = 8  # maps of a block in memory, where OpenCL stores them as a float8; the last one is not used
 READ_AHEAD = 16  # number of elements after the end of the data that vector loads may read
 
 
@@ -121,7 +122,7 @@ class DeviceClipping:
         quads = -(-shape[0] // QUAD), -(-shape[1] // QUAD)
         context, size = track.queue.context, 4 * blocks[0] * blocks[1]
         track.means = scratch(context, track.means, size * (len(table.channels) + 1))
-        track.maps = scratch(context, track.maps, size * MAPS)
+        track.maps = scratch(context, track.maps, size * BLOCK_MAPS)
         track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + READ_AHEAD) + READ_AHEAD))
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
