@@ -57,7 +57,7 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     """Return the mixture of a table's illuminants that is closest to the white of a scene.
 
     The two illuminants with the nearest colour temperatures are mixed in proportion to the reciprocal colour temperature. If
-    the scene is warmer or cooler than all illuminants of the table, the mixture consists of the nearest illuminant alone.
+    the scene is warmer or cooler than all illuminants of the table, the mixture consists only of the nearest illuminant.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     """Return a mixture that consists of only the nearer illuminant in the result of `mix_for`.
 
-    This is used for frames whose channels are multiplied by gains for the white, which also makes illuminants more similar.
+    It is used for pictures, whose white balance corrects the remaining difference between the illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -291,7 +291,7 @@ def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
 def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
     """Return the largest noise fraction at which each set of transforms for less noise is used.
 
-    The limit lies between the noise of the set and the next larger noise, at a quarter of the logarithmic distance.
+    The limit is between the noise of the set and the next larger noise, at a quarter of the logarithmic distance.
 
     Returns
     -------

@@ -20,7 +20,7 @@ from l3cli.physics.display import white_percentile
 from l3cli.rendering.white.scene_white import WhiteBalance, balanced_patches, followed_share
 
 GRID = (32, 48)  # largest number of rows and of columns in the grid of sampled pixels
-# Relative difference of luminance that noise alone can cause where channels clip, because fewer channels measure it there.
+# Relative difference in luminance that noise can cause if some channels clip, so that fewer channels measure the luminance.
 NOISE_WHERE_CLIPPED = 0.05
 
 

@@ -66,7 +66,9 @@ class LearningRecipe(Recipe):
     # (docs/method.md#second-pass)
     error_power: ErrorPower = 0.25
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y (docs/method.md#noise-weights)
+    # weight of the noise covariance for Y; spectral outputs have this weight, too, but at most 1
+    # (docs/method.md#noise-weights)
+    luminance_noise: NotNegative = 1.5
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
     # weights of the samples from classes one level away, two levels away and so on (docs/method.md#classes-with-few-patches)
     level_pool: tuple[float, ...] = (0.5, 0.25)
@@ -114,14 +116,14 @@ class LayerRecipe(Recipe):
     # fraction of the pixels of a mosaic that become samples; smaller values make mosaics larger for the same `rows`
     density: Annotated[float, msgspec.Meta(gt=0, le=1)] = 1.0
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y
+    luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y, or for spectral outputs
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma planes
     # training samples have the weight (Y / level)^-power; without this key, the power is that of [learning]
     brightness_power: Share | None = None
     # training samples have the weight (e² + ¼)^-power, where e is the error of the previous layers; without this key, the
     # power is that of [learning]
     error_power: ErrorPower | None = None
-    # last layer only: whether the transforms also read the chroma that shading alone would cause
+    # last layer only: whether the transforms also read the chroma that a pixel would have if only the shading varied
     # (docs/method.md#colour-ratios)
     colour_ratios: bool = False
     # with colour_ratios only: whether the transforms also read the mean chroma of similar pixels

@@ -242,7 +242,7 @@ def _kinds(layer: dict[str, Any]) -> str:
 
 
 def class_meaning(recipe: TrainingRecipe, source: RecipeSource) -> Meaning:
-    """Return the `class_figures` of a recipe, and no further lines of text, for ``l3 check``."""
+    """Return the `class_figures` of a recipe and an empty list of text lines, for ``l3 check``."""
     return class_figures(recipe, source.camera), []
 
 

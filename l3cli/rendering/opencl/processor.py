@@ -1,9 +1,9 @@
 """Selects the target processor for PoCL 3.0 from PyPI if its compiler is older than the processor.
 
-PoCL asks its compiler, LLVM 14 from 2022, for the name of the processor. LLVM calls newer processors "generic", but does not
-accept this name as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option
-for another name. This module therefore replaces the name in PoCL's device structure. The new name is that of a processor
-that LLVM knows, and all of whose instruction sets the actual processor supports (docs/limits.md).
+PoCL gets the name of the processor from its compiler, LLVM 14 from 2022. For newer processors, the name is "generic", which
+LLVM does not accept as a target, so no kernel can be compiled (https://github.com/pocl/pocl/issues/1049). PoCL has no option
+to change the name. This module therefore replaces the name in PoCL's device structure by that of an older processor, which
+LLVM supports. The actual processor must have all instruction sets of the older processor (docs/limits.md).
 """
 
 import ctypes

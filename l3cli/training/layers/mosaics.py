@@ -360,9 +360,8 @@ class _Transforms:
         -------
         planes : ndarray, (plane, row, col)
         clean_planes : ndarray or None, (plane, row, col)
-        made : ndarray, (version, row, col, output)
-            Results of the floating-point transforms. Version 0 has noise. Version 1, without noise, exists if `clean` is
-            given.
+        outputs : ndarray, (version, row, col, output)
+            Results of the floating-point transforms. Version 0 has noise. If `clean` is not None, version 1 has no noise.
         """
         _, rows, cols = noisy.shape
         reach = np.arange(side) - side // 2

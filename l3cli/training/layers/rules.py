@@ -183,7 +183,7 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
     The gain is −∞ if one side of the split would have too few samples.
     """
     taps = site.columns.shape[1] - OUTPUTS
-    passed = site.passed(test, cuts, chosen)  # samples with the same number lie between the same two thresholds
+    passed = site.passed(test, cuts, chosen)  # samples with the same number are between the same two thresholds
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, chosen.size - below])
     good = many.min(axis=0) >= SAMPLES_PER_TAP * taps
