@@ -248,7 +248,10 @@ def solve(
 def _averaged(
     sums: ClassSums, parents: ClassSums, batch: NDArray[np.intp], turns: list[Turn], rule: ClassRule, recipe: LearningRecipe
 ) -> tuple[Array, Array]:
-    """Return the supported moments (class, column, column) and noise (class, tap) of a batch, averaged over `turns`."""
+    """Apply `shrunk` to a batch of classes, and average over `turns`.
+
+    Returns the moments (class, column, column) and the noise (class, tap).
+    """
     width = width_of(sums.moments)
     moments, noise = np.zeros((batch.size, sums.moments.shape[1])), np.zeros((batch.size, sums.noise.shape[1]))
     for turn in turns:

@@ -127,7 +127,10 @@ def add(sums: ClassSums | LayerSums, more: ClassSums | LayerSums) -> None:
 
 
 def grid_steps(rule: ClassRule, camera: CameraModel, outputs: int) -> Array:
-    """Return the grid steps of the first layer's moments (level, pair). Each step is a power of two."""
+    """Return the grid steps to which the sums of the first layer are rounded, for each level and pair of columns.
+
+    All steps are powers of two.
+    """
     return steps_of_columns(intercept_scale(rule, camera), rule.patch**2, outputs)
 
 
@@ -141,7 +144,7 @@ def intercept_scale(rule: ClassRule, camera: CameraModel) -> Array:
 
 
 def steps_of_columns(intercept: Array, taps: int, outputs: int) -> Array:
-    """Return the grid steps (level, pair) of moments whose intercept column has the scale `intercept` (level)."""
+    """Return the grid steps for each level and pair of columns. `intercept` is the scale of the intercept at each level."""
     scale = np.ones((len(intercept), taps + 1 + outputs))
     scale[:, taps] = intercept
     row, col = pairs(scale.shape[1])

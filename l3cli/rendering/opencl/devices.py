@@ -203,7 +203,7 @@ def _platforms() -> list[tuple[str, list[Any], str]]:
 
 
 def choose_device(wanted: str) -> Any:
-    """Return an OpenCL device.
+    """Choose an OpenCL device by number or by name.
 
     Parameters
     ----------

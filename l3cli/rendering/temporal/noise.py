@@ -64,9 +64,9 @@ class Grid:
         return self.cell[0] * self.cell[1]
 
     def window(self, level: int) -> tuple[int, int]:
-        """Return the rows and columns of the window with which the vector of a block is searched in a plane.
+        """Return the size of the windows that the motion search compares in a plane, as rows and columns.
 
-        The window is the block. If the block is small, the window is two samples larger on each side.
+        The window of a block is the block itself. For a small block, the window is two samples larger on each side.
         """
         units = (side // (period << level) for side, period in zip(self.block, self.period, strict=True))
         rows, cols = (count + 4 if count <= 4 else count for count in units)

@@ -196,7 +196,7 @@ class OpenCLFilter:
             return replace(frame, values=made[:rows, :cols], noise_share=share, noise_left=of_cells)
 
     def history(self) -> NDArray[np.uint16]:
-        """Return the state (row, col) of the filter after the latest frame, in u."""
+        """Return the state (row, col) of the filter after the latest frame, in the units u of the module `noise`."""
         values = np.empty(self._grid.shape, np.uint16)
         pyopencl().enqueue_copy(self._device.queue, values, self._buffers.history[0])
         return values

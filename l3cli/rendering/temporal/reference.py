@@ -52,7 +52,7 @@ class Blend:
 
 
 def first_blend(values: NDArray[np.uint16], grid: Grid) -> Blend:
-    """Return the state after the first frame of a scene. `values` (row, col) contains whole blocks, in u."""
+    """Return the state after the first frame of a scene. `values` (row, col) contains whole blocks, in units u."""
     return Blend(values, np.full(grid.cells, ONE, np.int64))
 
 

@@ -232,7 +232,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction of a change that exposure and white balance follow within one frame. `rate` is in frames/s."""
+    """Return the fraction by which exposure and white balance approach a new value per frame. `rate` is in frames/s."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 

@@ -298,7 +298,7 @@ class LayerPass:
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return the grid steps of the moments (level, pair)."""
+        """Return the grid steps to which the sums of the layer are rounded, for each level and pair of columns."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property

@@ -1,6 +1,6 @@
 """Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
 
-A tree is grown from a random part of the samples. Each step splits the leaf whose split lowers the squared error most. To
+A tree is grown from a random part of the samples. Each step chooses the split that lowers the squared error most. To
 evaluate a split, the filters on both sides are fitted to their samples. Two filters have twice as many taps as one filter
 and always fit better. This expected gain is subtracted, and the remaining gain must be too large to be a coincidence. All
 sites share one tree, but each site has its own filters.

@@ -97,7 +97,7 @@ def empty_sums(rule: PlaneRule, reading: Reading) -> LayerSums:
 
 
 def grid_steps(rule: PlaneRule, first: ClassRule, camera: CameraModel, taps: int, outputs: int) -> NDArray[np.float64]:
-    """Return the grid steps of the moments of a refinement layer, (level, pair).
+    """Return the grid steps to which the sums of a refinement layer are rounded, for each level and pair of columns.
 
     If a level of the layer joins several levels of the first layer, the darkest of them determines the step.
     """
