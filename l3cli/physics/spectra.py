@@ -36,7 +36,7 @@ def colour_science() -> Any:
 
 
 def photons_from_energy(wavelength: Array, energy: Array) -> Array:
-    """Convert a spectrum (…, wavelength) from a unit of power, such as W/nm, to photons/s in place of W."""
+    """Convert a spectrum (…, wavelength) from power to photons per second, by division by the energy of a photon."""
     return energy * (wavelength * 1e-9) / (PLANCK * LIGHT_SPEED)
 
 
