@@ -202,7 +202,7 @@ def test_a_wrong_recipe_is_one_line(
     ("lines", "words"),
     [
         (["400,1", "450,1", "700,1"], "gap"),
-        (["400,1", "410,nan", "420,1"], "every value"),
+        (["400,1", "410,nan", "420,1"], "a value is not a number"),
         (["400,1", "410,,", "420,1"], "row of numbers"),
         (["420,1", "410,1", "430,1"], "increase"),
         ([f"{nm},1" for nm in range(450, 620, 10)], "still has power"),
