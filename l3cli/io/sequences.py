@@ -148,8 +148,8 @@ def find_frames(
     stills = len(inputs) > 1
     series = _series_of_files("the inputs", inputs, table, known) if stills else _series(inputs[0], table, known, dataset)
     if known.gains and series.numbers is not None and len(series.expected or series.numbers) != len(known.gains):
-        count = len(series.expected or series.numbers)
-        text = f"{count} frames, but ‹gains› lists {len(known.gains)} gains; list one gain per frame"
+        existing = len(series.expected or series.numbers)
+        text = f"{existing} frames, but ‹gains› lists {len(known.gains)} gains; list one gain per frame"
         raise InputFileError(f"{series.what}: {text}")
     if series.numbers is None:
         count = None if selection is None else len(selection)

@@ -607,7 +607,7 @@ FORMATS = (
     SpectrumFormat(
         "JCAMP-DX",
         (".jdx", ".dx", ".jcamp"),
-        "one spectrum over nm, µm or Å, compressed (ASDF) or not; from a file of SpectraSuite, l3 reads the processed "
+        "one spectrum over nm, µm or Å, compressed (ASDF) or not; in a file of SpectraSuite, l3 reads the processed "
         "spectrum",
         is_jcamp,
         _jcamp,
@@ -627,4 +627,4 @@ SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 def formats_table() -> str:
     """Return the Markdown table of FORMATS for docs/own-lab.md."""
     rows = [f"| {each.name} | {' '.join(f'`{suffix}`' for suffix in each.suffixes)} | {each.holds} |" for each in FORMATS]
-    return "\n".join(["| format | file names | content |", "|---|---|---|", *rows])
+    return "\n".join(["| format | suffixes | content |", "|---|---|---|", *rows])

@@ -127,7 +127,7 @@ def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, re
     other = folder_of(tmp_path / "other", [picture[:16] for picture in pictures()])
     assert "16×32 and 24×32" in refused(3, *call, other)
     write_picture(few / "0003.png", pictures()[0][:16])
-    assert "0003.png is 16×32" in refused(3, *call, few)
+    assert "0003.png has 16×32 pixels" in refused(3, *call, few)
     (few / "0003.png").unlink()
     (few / "0001.png").unlink()
     assert "number 1 is missing" in refused(3, *call, few / "%04d.png")

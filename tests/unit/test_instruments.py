@@ -113,7 +113,7 @@ def test_percent_become_shares(tmp_path: Path) -> None:
         ("Wavelength;a\n400;1,5\n410;2.5\n", "commas and points"),
         (
             "Wavelength (nm);a (W/m²/nm)\n400;1\n410;2\n",
-            "not of spectral radiance; measure the radiance that the camera sees",
+            "not of spectral radiance; measure the radiance that the camera records",
         ),
         ("\x00\x01\x02", "not a text file"),
     ],
