@@ -1,8 +1,8 @@
-# l3cli: every target installs what it needs, and no more, into .venv (Python ≥ 3.11; no compiler).
+# Every target installs the packages that it needs into .venv. It needs Python 3.11 or newer, but no compiler.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Python compiles what it imports, a fifth of what pip would.
+# Python compiles the modules that it imports. pip would compile all modules, five times as many.
 INSTALL := python -m pip install --disable-pip-version-check --no-compile
 WITH ?= test lint docs
 PYTHON312 ?= python3.12
@@ -15,7 +15,7 @@ WEB := build/web
 RELEASE := build/release
 KERNELS := $(CURDIR)/build/kernels
 OCLGRIND ?= /usr/lib/oclgrind/liboclgrind-rt-icd.so
-# What demo and curve are made by; a change of it makes them again.
+# Source files on which the targets demo, web and curve depend
 CODE := $(shell find l3cli opencl -name '*.py' -o -name '*.cl')
 JOBS ?= 2
 INPUTS ?= 20000
@@ -29,14 +29,14 @@ unexport PYTHONDONTWRITEBYTECODE
 .DELETE_ON_ERROR:
 .SECONDARY:
 
-help: ## this list
+help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# One call of pip for the runtime and the extras that a target needs, if one of them is not there as pyproject.toml says.
-install: $(BIN)/python ## a .venv with l3, PoCL and the development tools (WITH="test lint docs", extras of pyproject.toml)
+# If the runtime or an extra that a target needs is missing or older than pyproject.toml, a single call of pip installs all of them.
+install: $(BIN)/python ## make a .venv with l3, PoCL and the development tools (WITH="test lint docs" selects extras of pyproject.toml)
 	@for each in runtime $(WITH); do [ $(VENV)/$$each -nt pyproject.toml ] || missing=1; done; [ -z "$$missing" ] || \
 	{ set -x; $(BIN)/$(INSTALL) -e ".$(if $(WITH),[$(subst $() ,$(comma),$(strip $(WITH)))])" && \
 	  touch $(addprefix $(VENV)/,runtime $(WITH)); }
@@ -44,7 +44,7 @@ install: $(BIN)/python ## a .venv with l3, PoCL and the development tools (WITH=
 comma := ,
 needs = @$(MAKE) --no-print-directory install WITH="$(1)"
 
-demo: ## a five-band camera from virtual lab to rendered picture; again, only what a change of recipes or code reaches
+demo: ## run the pipeline for a five-band camera, from virtual lab to rendered picture; later calls repeat only what changed
 	$(call needs,)
 	$(MAKE) --no-print-directory demo-steps
 
@@ -75,38 +75,38 @@ $(DEMO)/rendered.png: $(DEMO)/table.h5 $(DEMO)/unseen.h5
 $(DEMO)/report.html: $(DEMO)/camera.h5 $(DEMO)/training.h5 $(DEMO)/table.h5 $(DEMO)/unseen.h5
 	$(TIMED) $(L3) report $^ -o $@ --force
 
-# One process more than there are cores: many tests wait for processes that they start. Files go in their order, small ones
-# last: none is begun late that takes long.
-test: ## the test suite
+# There is one process more than there are cores, because many tests wait for processes that they start. The files keep their order, with
+# small files last, so that no long file begins late.
+test: ## run the test suite
 	$(call needs,test)
 	$(BIN)/python -m pytest -n $$(( $(JOBS) + 1 )) --dist loadfile --no-loadscope-reorder
 
-snakemake: ## the tests of the Snakefile that l3 init lays beside recipes (one minute)
+snakemake: ## test the Snakefile that l3 init writes (one minute)
 	$(call needs,test snakemake)
 	$(BIN)/python -m pytest tests/commands/test_pipelines.py -k snakemake
 
-docs: docs-build ## the pages of docs/ as a site, on http://127.0.0.1:8000 until Ctrl-C (PORT=…)
+docs: docs-build ## build the site from docs/ and serve it on http://127.0.0.1:8000 until Ctrl-C (PORT=… changes the port)
 	$(BIN)/python -m http.server --directory "$(DOCS)/html" --bind 127.0.0.1 $(PORT)
 
-docs-build: notebooks $(if $(shell command -v wasm-ld),web) ## the same without serving (DOCS=folder); fails on any warning and any link that leads nowhere
+docs-build: notebooks $(if $(shell command -v wasm-ld),web) ## build the site without serving it (DOCS=folder); fails if there is a warning or a broken link
 	$(BIN)/python docs/site/build.py "$(DOCS)"
 
-gallery: ## docs/gallery.md and its pictures, two arrays at a time (eight minutes of two quiet cores); ARRAYS="bayer xtrans" for some
+gallery: ## make docs/gallery.md and its pictures (eight minutes on two idle cores); ARRAYS="bayer xtrans" selects arrays
 	$(call needs,)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/gallery/gallery.py $(ARRAYS) --jobs $(JOBS)
 
-peers: ## docs/peers.md: ours beside other methods, from the pictures of L3_DATA (an hour on two cores); PARTS="bayer noise" for some, PARTS="noise --seconds" for times alone, PARTS="noise --ours" for ours beside rivals as they were
+peers: ## make docs/peers.md, which compares l3 with other methods on the pictures in L3_DATA (an hour on two cores); PARTS="bayer noise" selects parts, "noise --seconds" measures only times, "noise --ours" repeats only l3
 	$(call needs,peers)
 	PYTHONPATH="$$PWD" $(BIN)/python docs/peers/peers.py $(PARTS) --jobs $(JOBS)
 
-notebooks: ## the notebooks of docs/ are run, and written as pages of code and outputs (half a minute)
+notebooks: ## run the notebooks of docs/ and write pages with their code and outputs (half a minute)
 	$(call needs,test docs)
 	rm -rf $(NOTEBOOKS)
 	$(BIN)/python -m pytest tests/unit/test_notebooks.py
 	$(BIN)/python docs/site/execute_notebooks.py $(NOTEBOOKS)
 
-# The demo of the site: a table for a Bayer camera, as a page, and a frame of that camera.
-web: ## build/web/demo.html renders raw files in the browser (a minute; needs clang and wasm-ld, Debian's clang and lld)
+# The demo on the site consists of a page with the table of a Bayer camera, and a frame of this camera.
+web: ## make build/web/demo.html, which renders raw files in the browser (a minute; needs clang and wasm-ld, Debian packages clang and lld)
 	$(call needs,)
 	$(MAKE) --no-print-directory $(WEB)/demo.html
 
@@ -120,7 +120,7 @@ $(WEB)/demo.html: configs/cameras/bayer.toml configs/scenes/default.toml configs
 	$(MAKE) -C $(WEB)/source page
 	cp $(WEB)/source/l3_page.html $@
 
-wheels: ## dist/: source distribution, the wheel built from it, both checked, and the wheel tried alone
+wheels: ## build and check the source distribution and the wheel in dist/, and test the wheel in an empty environment
 	$(PYTHON) -m venv --clear $(RELEASE)
 	$(RELEASE)/bin/$(INSTALL) --quiet build twine
 	rm -rf dist && $(RELEASE)/bin/python -m build --outdir dist .
@@ -130,35 +130,35 @@ wheels: ## dist/: source distribution, the wheel built from it, both checked, an
 	cd $(RELEASE) && bin/python -I -m l3cli info --version && bin/python -I -m l3cli init bayer camera && \
 	  ! bin/python -I -c "import tests" 2>/dev/null
 
-# VapourSynth has wheels for Python ≥ 3.12 alone.
+# VapourSynth has wheels only for Python 3.12 and newer.
 $(NEWER)/installed: pyproject.toml
 	$(PYTHON312) -m venv $(NEWER)
 	$(NEWER)/bin/$(INSTALL) --quiet -e ".[vapoursynth,video]" vapoursynth-bestsource pytest hypothesis
 	touch $@
 
-vapoursynth: $(NEWER)/installed ## the tests of the VapourSynth filter, under PYTHON312=python3.12 or newer
+vapoursynth: $(NEWER)/installed ## test the VapourSynth filter with Python 3.12 or newer (PYTHON312=python3.12)
 	$(NEWER)/bin/python -m pytest tests/commands/test_vapoursynth.py
 
-study: ## calibration over 21 seeds, quality, time and memory of large inputs (ten minutes)
+study: ## measure calibrations with 21 seeds, quality, and time and memory of large inputs (ten minutes)
 	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s --ignore tests/studies/test_video_rate.py
 
-soak: ## every stage killed forty times, full disks, endurance, sweeps of which `make test` has one of each kind (half an hour)
+soak: ## kill every stage forty times, fill disks, test endurance, and run sweeps of which `make test` runs one case each (half an hour)
 	$(call needs,test)
 	$(BIN)/python -m pytest -m soak -s
 
-video: ## rate and memory of 1800 raw frames to video, beside the encoder alone (six minutes)
+video: ## measure the frame rate and memory for a video of 1800 raw frames, compared with the encoder alone (six minutes)
 	$(call needs,test)
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_video_rate.py
 
-fuzz: ## 20 000 corrupted inputs (ten minutes); failures are kept in build/fuzz
+fuzz: ## test 20 000 corrupted inputs (ten minutes); failing inputs are kept in build/fuzz
 	$(call needs,test snakemake)
 	PYTHONPATH="$$PWD" nice $(BIN)/python -m tests.helpers.fuzz --inputs $(INPUTS) --jobs $(JOBS)
 
-# Oclgrind 21.10 knows no intrinsic of prefetching, and none that inlining leaves: kernels are compiled as they are written.
-kernels: ## kernels under Oclgrind, for accesses out of bounds and races, and on Intel's OpenCL (a quarter of an hour)
+# Oclgrind 21.10 does not support prefetching and the intrinsics that inlining creates, so the kernels are compiled without both.
+kernels: ## check the kernels for out-of-bounds accesses and data races in Oclgrind, and test them on Intel's OpenCL (a quarter of an hour)
 	$(call needs,test)
-	@test -e $(OCLGRIND) || { echo "Oclgrind is missing: apt-get install oclgrind, or name its liboclgrind-rt-icd.so by OCLGRIND=" >&2; exit 1; }
+	@test -e $(OCLGRIND) || { echo "Oclgrind is missing; install it with apt-get install oclgrind, or set OCLGRIND to the path of liboclgrind-rt-icd.so" >&2; exit 1; }
 	rm -rf $(KERNELS) && mkdir -p $(KERNELS)/oclgrind $(KERNELS)/intel
 	echo $(OCLGRIND) > $(KERNELS)/oclgrind/oclgrind.icd
 	OCL_ICD_VENDORS=$(KERNELS)/oclgrind L3_DEVICE=Oclgrind OCLGRIND_DATA_RACES=1 OCLGRIND_LOG=$(KERNELS)/oclgrind.log \
@@ -171,7 +171,7 @@ kernels: ## kernels under Oclgrind, for accesses out of bounds and races, and on
 	OCL_ICD_VENDORS=$(KERNELS)/intel L3_DEVICE=0 $(BIN)/python -m pytest tests/unit/test_render.py tests/unit/test_encoder.py \
 	  tests/unit/test_smoothing.py tests/unit/test_temporal.py tests/science/test_corrections.py tests/science/test_trees.py
 
-curve: ## Bayer and RGBW over luminance: which is better where (ten minutes)
+curve: ## compare a Bayer and an RGBW camera as a function of luminance (ten minutes)
 	$(call needs,)
 	$(MAKE) --no-print-directory $(CURVE)/curve.html
 
@@ -190,7 +190,7 @@ $(CURVE)/%.json: $(CURVE)/%.table.h5 $(CURVE)/%.unseen.h5
 $(CURVE)/curve.html: $(CURVE)/bayer.json $(CURVE)/rgbw.json
 	$(L3) compare $^ --figure mean_delta_e --figure scielab --figure psnr -o $@ --force
 
-lint: ## ruff format and check, mypy
+lint: ## run ruff format --check, ruff check and mypy
 	$(call needs,test lint)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -199,16 +199,16 @@ lint: ## ruff format and check, mypy
 	$(BIN)/mypy docs/gallery
 	$(BIN)/mypy docs/peers
 
-format: ## format the sources, fix what ruff can
+format: ## format the sources, and fix the findings that ruff can fix
 	$(call needs,lint)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: ## frame times by stage; beside the bare multiply-adds, Menon; simulation
+bench: ## measure the time per frame of each stage, compared with bare multiply-adds and with Menon's method, and the time of simulations
 	$(call needs,test)
 	$(L3) bench
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py
 
-clean: ## remove what the other targets made
+clean: ## remove all files that other targets made
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -314,7 +314,7 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workpl
 
     make = "make JOBS=1 BORDER=4"
     refused = workplace.start(folder, make)
-    assert "training/ is missing: put RGB pictures into it" in refused.communicate(timeout=600)[1]
+    assert "the folder training is missing; make it and put RGB pictures into it" in refused.communicate(timeout=600)[1]
     for seed, name in enumerate(("training", "test")):
         (folder / name).mkdir()
         noise = np.random.default_rng(seed).random((3, 64, 80))
