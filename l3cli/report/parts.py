@@ -345,6 +345,6 @@ def _stages(name: str, stages: tuple[Stage, ...]) -> Subsection:
 
 
 def _digests(role: str, digests: list[str]) -> str:
-    """List the input files of one role, for example "camera", by the first 12 digits of their SHA-256. At most four."""
+    """List up to four input files of one role, such as "camera", each by the first 12 digits of its SHA-256."""
     more = f" … ({len(digests)} files)" if len(digests) > 4 else ""
     return " ".join((role, *(digest[:12] for digest in digests[:4]))) + more
