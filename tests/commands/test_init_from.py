@@ -76,7 +76,7 @@ def test_a_photo_without_a_table_gets_the_commands_that_lead_to_its_picture(
     swapped = refused(2, "render", "my photo.dng", "table.h5", "-o", "p.png")
     assert "name the table before the raw files: l3 render table.h5 'my photo.dng' -o p.png" in swapped
     assert "missing.dng does not exist" in refused(3, "render", "missing.dng", "-o", "p.png")
-    assert "with --photo" in refused(2, "calibrate", named, "-o", "camera.h5")
+    assert "write --photo" in refused(2, "calibrate", named, "-o", "camera.h5")
 
 
 def test_a_camera_by_its_matrices_and_noise_profile(bayer: CameraModel, photo: Path, tmp_path: Path, l3: L3) -> None:
@@ -389,7 +389,7 @@ def test_a_mixed_folder_is_sorted_by_camera(bayer: CameraModel, photo: Path, tmp
 def test_wrong_calls(photo: Path, bayer: CameraModel, tmp_path: Path, refused: Refused) -> None:
     assert "specify a new folder" in refused(2, "init", "--from", photo)
     assert "specify the raw files with --from" in refused(2, "init", "bayer", tmp_path / "new", "--light", "A")
-    assert "--phase is for raw files" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
+    assert "--phase is only for raw files" in refused(2, "init", "bayer", tmp_path / "new", "--phase", "0,1")
     dng_files.write_dng(tmp_path / "other.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags={272: (ASCII, list(b"X\0"))})
     both = ("init", "--from", photo, tmp_path / "other.dng", tmp_path / "new", "--phase", "0,1")
     assert "--phase applies to one camera" in refused(2, *both)
