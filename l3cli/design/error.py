@@ -1,9 +1,9 @@
-"""Predicts the error of any CFA from the statistical moments of spectral patches (docs/method.md#designs).
+"""Prediction of the error of any CFA from moments of spectral patches (docs/method.md#designs).
 
-The moments are computed once for one lens, pixel and illuminant, and the sums of several scenes can be added. The error of
-an array then follows in closed form, without training. Patches have the weight (Y + 0.02)^(-2/3), which is the slope of
-CIELAB around a grey, or 1. An error of 1 is about one ΔE00. If a filter clips on average in a group of patches, it
-contributes no information there.
+The moments are computed once for a lens, a pixel and an illuminant. The error of an array then follows in closed form,
+without training. For the error in CIELAB, a patch with luminance Y has the weight (Y + 0.02)^(-2/3), which is the slope of
+CIELAB at a grey, so that an error of 1 is about one ΔE00. For linear errors, all weights are 1. If a filter clips on average
+in a group of patches, it contributes no information in this group.
 """
 
 from dataclasses import dataclass, replace
@@ -18,18 +18,19 @@ from l3cli.artifacts.design import GROUPS, KINDS, SHARP, SIDE, SOFT, WEIGHTINGS,
 Array = NDArray[np.floating]
 Sums = dict[str, NDArray[np.float64]]  # "patches", "weight", "mean" and "moment", as in LightMoments
 
-EDGE_CONTRAST, LEVEL_LIMITS = 0.25, (0.06, 0.25)  # limits between groups: contrast; mean luminance relative to white
-NEUTRAL = 5.0  # largest ratio of chroma to luminance for a patch without hue
-CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # d(a*, b*) / d(XYZ over white), halved
-LUMINANCE_OFFSET = 0.02  # luminance offset relative to white, which limits the weights of dark patches
-POWER = 2 / 3  # exponent of the slope of CIELAB
+EDGE_CONTRAST = 0.25  # contrast above which a patch belongs to a group of edges
+LEVEL_LIMITS = (0.06, 0.25)  # limits between groups of luminance, as fractions of white
+NEUTRAL = 5.0  # largest ratio of chroma to luminance of a patch without hue
+CHROMA = np.array([[250, -250, 0], [0, 150, -150]]) / 3.0  # half of the derivative of (a*, b*) with respect to XYZ / white
+LUMINANCE_OFFSET = 0.02  # offset of the luminance, as a fraction of white, that limits the weights of dark patches
+POWER = 2 / 3  # negative exponent in the slope of CIELAB
 KEPT_POWER = 0.9999  # fraction of the spectral power that the principal spectra represent
-SOFTNESS = 2.0  # pixels; standard deviation of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
-WINDOW = 2  # pixels; the group of a patch depends on its pixels up to this distance from the centre
+SOFTNESS = 2.0  # standard deviation in pixels of the blur of chroma, as in S-CIELAB at about 50 pixels per degree
+WINDOW = 2  # half of the side, in pixels, of the square around the centre of a patch that determines the group of the patch
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return zero sums, with `terms` principal spectra per tap."""
+    """Return sums of zero for `terms` principal spectra."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -37,14 +38,19 @@ def empty_sums(terms: int) -> Sums:
 
 
 def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the second moment (wavelength, wavelength) of the photon spectra of a scene, relative to the scene's mean.
+    """Return the second moment of the photon spectra of a scene, divided by the mean square of the reflectance.
 
     Parameters
     ----------
     reflectance : ndarray, (row, col, band)
         The scene.
     rate : ndarray, (wavelength, band)
-        Photons for a reflectance of 1 in each band.
+        Photons at each wavelength for a reflectance of 1 in each band.
+
+    Returns
+    -------
+    ndarray, (wavelength, wavelength)
+        Second moment.
     """
     pixels = reflectance.reshape(-1, reflectance.shape[-1]).astype(np.float64)
     bands = pixels.T @ pixels / max(float(np.square(pixels.mean())), 1e-12) / len(pixels)
@@ -52,14 +58,19 @@ def spectral_power(reflectance: NDArray[np.floating], rate: NDArray[np.floating]
 
 
 def principal_spectra(power: Array, white: Array) -> NDArray[np.float64]:
-    """Return the principal spectra of scenes: a basis (wavelength, term) that represents the fraction KEPT of the power.
+    """Return the principal spectra of scenes: a basis that represents the fraction KEPT_POWER of the spectral power.
 
     Parameters
     ----------
     power : ndarray, (wavelength, wavelength)
         Second moment of the photon spectra.
-    white : ndarray, (wavelength)
-        Photons from a white. The basis is scaled to their mean.
+    white : ndarray, (wavelength,)
+        Photons from a white. The basis is multiplied by the mean of these values.
+
+    Returns
+    -------
+    ndarray, (wavelength, term)
+        Principal spectra.
     """
     values, vectors = np.linalg.eigh(power)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -77,18 +88,18 @@ def gather(
     patches: int,
     rng: np.random.Generator,
 ) -> None:
-    """Add patches at random positions of a scene to the sums.
+    """Add patches at random positions in a scene to the sums.
 
     Parameters
     ----------
     sums : dict
-        Sums. They are changed in place.
+        Sums, which are changed in place.
     planes : ndarray, (term, row, col)
-        Coefficients of the principal spectra, with the blur of the lens.
-    target : ndarray, (XYZ, row, col)
+        Coefficients of the principal spectra in the image behind the lens.
+    target : ndarray, (3, row, col)
         XYZ relative to white.
     sharp : ndarray, (term, row, col)
-        Coefficients without the blur of the lens.
+        Coefficients of the principal spectra without the blur of the lens.
     patches : int
         Number of patches.
     rng : numpy.random.Generator
@@ -112,14 +123,14 @@ def gather(
 
 
 def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the group (patch) of each patch.
+    """Return the index of the group of each patch.
 
-    Like classes, groups differ in contrast, luminance and hue. Patches without visible colour have no hue.
+    Groups, like classes, are defined by contrast, luminance and hue. All patches without visible colour have the same hue.
 
     Parameters
     ----------
-    around : ndarray, (XYZ, patch, row, col)
-        XYZ relative to white around the centre of each patch.
+    around : ndarray, (3, patch, row, col)
+        XYZ relative to white, around the centre of each patch.
     """
     mean = around.mean(axis=(2, 3))
     contrast = around[1].std(axis=(1, 2)) / (mean[1] + 1e-4)
@@ -141,12 +152,12 @@ def in_all_orientations(sums: Sums, terms: int) -> Sums:
     return sums | {"mean": mean, "moment": moment}
 
 
-Cfa = NDArray[np.integer]  # (row, col) index of the filter at each site
+Cfa = NDArray[np.integer]  # (row, col), index of the filter at each site
 
-OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # d(L*, a*, b*) / d(XYZ over white), with halved chroma
+OPPONENT = np.vstack([[[0, 116 / 3, 0]], CHROMA])  # derivative of (L*, a* / 2, b* / 2) with respect to XYZ / white
 TAP_RIDGE = 1e-6  # regularisation, as a fraction of the mean power of a tap
-EMPTY = 1.0  # noise added to groups without patches, so that the equations have a solution
-NOTHING = 1e6  # noise of a clipped tap relative to its power, so high that the tap contributes no information
+EMPTY_NOISE = 1.0  # noise variance added in groups without patches, so that the equations have a solution
+CLIPPED_NOISE = 1e6  # noise variance of a clipped tap relative to its power; the tap then contributes no information
 
 
 @dataclass(frozen=True)
@@ -160,7 +171,7 @@ class Noise:
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise of a camera's pixels, assuming that all channels have the same exposure and gain."""
+    """Return the noise of the pixels of a camera, assuming that all channels have the same exposure and gain."""
     noise = camera.noise
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
@@ -173,7 +184,7 @@ class Level:
     name: str
     light: int  # index of the illuminant in the moments
     share: float | None  # signal of white in the brightest filter, as a fraction of full scale; None for a fixed exposure
-    luminance: float = 1.0  # cd/m² of a perfect white
+    luminance: float = 1.0  # cd/m², luminance of a perfect white
     seconds: float = 0.0  # s, fixed exposure time
 
 
@@ -192,32 +203,34 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs, for each group of patches under one illuminant.
 
-    They cover all filters of a library, so that the moments for an array are a selection of rows and columns. The same
-    structure is used for the coefficients of principal spectra, before there are filters. `white` is then empty.
+    The moments contain all filters of a library, so that the moments for an array are a selection of rows and columns. This
+    class also stores moments of the coefficients of principal spectra, which do not depend on any filters. The axis "filter"
+    is then the principal spectrum, and `white` is empty.
     """
 
     signal: Array  # (filter, filter, group, tap, tap)
     cross: Array  # (group, output, tap, filter)
     mean: Array  # (group, tap, filter)
-    target: Array  # (group) trace of the second moments of the outputs; errors are root sums of squares over outputs
-    weight: Array  # (group) sum of the weights of the patches
-    patches: Array  # (group) number of patches
-    white: Array  # (filter) e-/s for a perfect white of 1 cd/m²
+    target: Array  # (group,), trace of the second moments of the outputs, because an error is a root sum of squares
+    weight: Array  # (group,), mean square of the weights of the patches
+    patches: Array  # (group,), number of patches
+    white: Array  # (filter,), signal of a perfect white of 1 cd/m², in e-/s
 
     @property
     def share(self) -> Array:
+        """Fraction of the patches in each group."""
         return np.asarray(self.patches / self.patches.sum())
 
 
 def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -> Seen:
-    """Return the moments of principal spectra and of the outputs that a recipe asks for.
+    """Return the moments of the principal spectra and of the outputs of a design recipe.
 
     Parameters
     ----------
     moments : LightMoments
         Moments under one illuminant.
     output, counts : str
-        Values of these keys in the design recipe.
+        Values of the keys `output` and `counts` in the design recipe.
     curves : ndarray, (filter, wavelength)
         Quantum efficiencies, which define the outputs if `output` is "bands".
     """
@@ -237,9 +250,16 @@ def spectra_of(moments: LightMoments, output: str, counts: str, curves: Array) -
 
 
 def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Array) -> tuple[Array, str]:
-    """Return the matrix (output, target) that converts the targets of a patch to outputs, and the name of the weighting.
+    """Return the matrix that converts the targets of a patch to outputs, and the weighting of the patches.
 
-    The outputs are colour differences if the targets are XYZ, and otherwise percent of white.
+    The outputs are colour differences for XYZ, unless `counts` is "linear", and otherwise percent of white.
+
+    Returns
+    -------
+    ndarray, (output, target)
+        Matrix.
+    str
+        Name of the weighting, one of WEIGHTINGS.
     """
     count = SOFT.stop
     white = moments.basis.T @ moments.white_photons / np.square(moments.basis).sum(axis=0)
@@ -259,7 +279,14 @@ def wanted_outputs(moments: LightMoments, output: str, counts: str, curves: Arra
 def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
     """Convert moments of principal spectra to moments of filter signals.
 
-    `curves` (filter, wavelength) are the quantum efficiencies of the filters.
+    Parameters
+    ----------
+    curves : ndarray, (filter, wavelength)
+        Quantum efficiencies.
+    moments : LightMoments
+        Moments under one illuminant.
+    spectra : Seen
+        Moments of the principal spectra.
     """
     to = curves @ moments.basis
     signal = np.einsum("fi,gj,ijKpq->fgKpq", to, to, spectra.signal, optimize=True)
@@ -268,29 +295,32 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the index of the filter (site, tap) at each tap of the patch around each site of an array."""
+    """Return the index of the filter at each tap of the patch around each site of an array, (site, tap)."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Return the predicted error (group) of an array, averaged over its sites."""
+    """Return the predicted error of an array for each group of patches, averaged over the sites of the array."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
     power, mean = np.einsum("sKpp->sKp", matrix), seen.mean[:, tap, filters].transpose(1, 0, 2)
     dose, seconds = exposure(level, noise, float(seen.white[np.unique(cfa)].max()))
     variance = (noise.floor + noise.dark * seconds) * weight / dose**2 + mean / dose + noise.prnu**2 * power
-    variance += TAP_RIDGE * power.mean(axis=2, keepdims=True) + EMPTY * (seen.patches == 0)[:, None]
+    variance += TAP_RIDGE * power.mean(axis=2, keepdims=True) + EMPTY_NOISE * (seen.patches == 0)[:, None]
     clipped = mean / np.maximum(weight, 1e-12) * dose > noise.full
-    matrix[..., tap, tap] += np.where(clipped, NOTHING * power, variance)
+    matrix[..., tap, tap] += np.where(clipped, CLIPPED_NOISE * power, variance)
     explained = np.einsum("sKpy,sKpy->sK", cross, np.linalg.solve(matrix, cross))
     return np.asarray(np.sqrt(np.maximum(seen.target - explained, 0.0)).mean(axis=0))
 
 
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
-    """Whether every filter clips on average in every group of patches, even if it determines the exposure alone."""
+    """Whether each filter clips, on average, in each group of patches.
+
+    If the exposure is automatic, it is chosen for each filter as if the array consisted of this filter only.
+    """
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)
     return bool((signals > noise.full).all())

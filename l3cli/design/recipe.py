@@ -1,4 +1,4 @@
-"""The design recipe DESIGN.toml: pixel, filters, candidate arrays, illuminants and exposures, and the error to minimise."""
+"""The design recipe: pixel, filters, candidate arrays, illuminants and exposures, and the error to minimise."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -40,95 +40,100 @@ from l3cli.recipes.toml import (
 from l3cli.spectra.file import read_table
 from l3cli.system.text import printable
 
-MOST_FILTERS, MOST_SIDE = 16, 8  # largest number of filters in a recipe, and of rows or columns in an array
-Side = Annotated[int, msgspec.Meta(ge=1, le=MOST_SIDE)]
-LEAST_EFFICIENCY = 1e-3  # a filter with a lower peak quantum efficiency counts as opaque
+MAX_FILTERS = 16  # largest number of filters in a recipe
+MAX_SIDE = 8  # largest number of rows or columns of an array
+Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
+OPAQUE_EFFICIENCY = 1e-3  # a filter with a lower peak quantum efficiency is opaque
 Curves = NDArray[np.float64]  # (filter, wavelength)
 
 
 class PixelRecipe(Recipe):
     """The pixel, which is the same under all filters."""
 
-    camera: str = "bayer"  # camera recipe (name or file) or camera.h5, for sensor, noise and lens; its CFA is ignored
-    # Quantum efficiency of the pixel without filter but with the lens, as a number or CSV file. The transmittances of the
-    # filters are multiplied by it.
+    camera: str = "bayer"  # camera recipe (name or file) or camera model with the sensor, the noise and the lens
+    # Quantum efficiency of the pixel without a filter but with the lens, as a number or as the name of a CSV file. It is
+    # multiplied by the transmittance of each filter.
     bare: float | str = 0.6
     pitch_um: Positive | None = None
-    well_e: Positive | None = None  # full well; the range of the A/D converter is scaled in proportion
+    well_e: Positive | None = None  # full-well capacity; the gain changes so that full scale is reached at a full well
     read_noise_e: NotNegative | None = None
     f_number: Positive | None = None
 
 
 class FilterRecipe(Recipe):
-    """A colour filter: a Gaussian, a measured curve, two stacked filters, or a channel of a camera.
+    """A colour filter.
 
-    A filter without any of these is clear.
+    It is a Gaussian curve (`centre_nm`), a measured curve (`file`), two stacked filters (`stack`) or a channel of a camera
+    (`channel`). A filter without any of these keys is clear.
     """
 
     centre_nm: Positive | None = None
     sigma_nm: Positive | None = None
     peak: Share = 0.9  # transmittance at the centre
     floor: Share = 0.04  # transmittance far from the centre
-    file: str | None = None  # CSV file with wavelength in nm and transmittance
-    column: str | int = 1  # column of the file, as a name or as a number from 1
-    stack: tuple[str, str] | None = None  # names of two other filters
-    channel: str | None = None  # channel of the pixel's camera; its quantum efficiency is used unchanged, without `bare`
+    file: str | None = None  # CSV file with wavelengths in nm and transmittances
+    column: str | int = 1  # name of a column in the file, or its number, counted from 1
+    stack: tuple[str, str] | None = None  # names of two filters of the recipe
+    channel: str | None = None  # channel of pixel.camera, whose quantum efficiency is used without the factor `bare`
 
 
 class PatternRecipe(Recipe):
-    """Candidate arrays: either all arrays of a shape, optionally with a given count of each filter, or a list of arrays."""
+    """Candidate arrays: either all arrays of a shape, or a list of arrays."""
 
     shape: tuple[Side, Side] | None = None  # rows and columns
-    filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all
-    counts: dict[str, Count] | None = None  # filter → number of its sites
-    arrays: list[list[str]] = msgspec.field(default_factory=list)  # each array is a list of rows: names separated by spaces
+    filters: list[str] = msgspec.field(default_factory=list)  # filters that the arrays may contain; default: all filters
+    counts: dict[str, Count] | None = None  # number of sites of each filter; default: any number
+    arrays: list[list[str]] = msgspec.field(default_factory=list)  # arrays as lists of rows; a row is "r g", for example
 
 
 class LevelRecipe(Recipe):
-    """An illuminant and an exposure: automatic (`share`), or fixed (`exposure_s` with a luminance or illuminance)."""
+    """An illuminant and an exposure.
+
+    The exposure is automatic (`share`) or fixed (`exposure_s` with a luminance or an illuminance).
+    """
 
     name: str | None = None
-    illuminant: str = "D65"  # illuminant; the moments must contain it
+    illuminant: str = "D65"  # one of the illuminants of the moments
     share: Positive | None = None  # fraction of full scale that white reaches in the brightest filter of each array
     luminance_cd_m2: Positive | None = None  # luminance of a perfect white
-    lux: Positive | None = None  # illuminance, an alternative to luminance_cd_m2
+    lux: Positive | None = None  # illuminance, as an alternative to luminance_cd_m2
     exposure_s: Positive | None = None
 
 
 class OptimiseRecipe(Recipe):
-    """An array whose Gaussian filters are optimised: their centres, their widths and, if `peaks` is set, their peaks."""
+    """An array whose Gaussian filters are optimised."""
 
     pattern: list[str]  # rows of filter names
-    peaks: bool = False
+    peaks: bool = False  # whether the peaks are optimised, in addition to the centres and the widths
 
 
 class DesignRecipe(Recipe):
-    """A search for the best array of filters from a library, for a given pixel and given illuminants."""
+    """A search for the best array that can be made from a library of filters, for a pixel and for several illuminants."""
 
     title: ClassVar[str] = "a design recipe"
 
     name: str
-    filters: Annotated[dict[str, FilterRecipe], msgspec.Meta(min_length=1, max_length=MOST_FILTERS)]
+    filters: Annotated[dict[str, FilterRecipe], msgspec.Meta(min_length=1, max_length=MAX_FILTERS)]
     pattern: Annotated[list[PatternRecipe], msgspec.Meta(min_length=1)]
     level: Annotated[list[LevelRecipe], msgspec.Meta(min_length=1)]
     pixel: PixelRecipe = msgspec.field(default_factory=PixelRecipe)
     output: Literal["XYZ", "bands", "reflectance"] = "XYZ"
-    # error metric for XYZ: "lab" is about ΔE00; "scielab" blurs chroma as the eye does; "luminance" ignores chroma; "linear"
-    # is percent of white
+    # Error metric for XYZ: "lab" approximates ΔE00. "scielab" first blurs the chroma like the eye. "luminance" ignores the
+    # chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # other arrays that --truth trains, as rows of names
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays to train with --truth, as lists of rows
 
     @property
     def needed(self) -> int:
-        """Number of independent outputs that an array must provide."""
+        """Smallest number of independent outputs that an array must have."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3
 
     @property
     def tuned(self) -> list[str]:
-        """Names of the filters that are tuned."""
+        """Names of the filters that are optimised."""
         used = {name for row in (self.optimise.pattern if self.optimise else []) for name in row.split()}
         return [name for name, one in self.filters.items() if name in used and one.centre_nm is not None]
 
@@ -137,7 +142,7 @@ class DesignRecipe(Recipe):
 
 
 def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
-    """Yield all faults of a design recipe, except faults in the files that it names."""
+    """Yield all faults of a design recipe, except faults in its files of curves."""
     for name, one in recipe.filters.items():
         yield from inside(_filter_faults(name, one, recipe.filters), "filters", name)
     arrays: list[tuple[str, KeyPath, list[str]]] = []
@@ -151,12 +156,15 @@ def design_faults(recipe: DesignRecipe) -> Iterator[Fault]:
     if recipe.optimise is not None:
         arrays.append(("optimise.pattern", ("optimise", "pattern"), recipe.optimise.pattern))
         if not recipe.tuned:
-            yield fault("optimise.pattern needs a Gaussian filter; give one of its filters centre_nm", "optimise.pattern")
+            yield fault(
+                "optimise.pattern contains no Gaussian filter; set centre_nm and sigma_nm for one of its filters",
+                "optimise.pattern",
+            )
     for where, key, rows in arrays:
         yield from inside(_array_faults(where, rows, recipe.filters), *key)
 
 
-WHOLE: KeyPath = ()  # the table itself
+WHOLE: KeyPath = ()  # the TOML table, if a fault does not concern one of its keys
 
 
 def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
@@ -164,53 +172,61 @@ def _filter_faults(name: str, one: FilterRecipe, known: Mapping[str, FilterRecip
     if name.split() != [name] or "/" in name:
         yield fault(f'filter "{name}": the name contains a blank or a slash; rename the filter', WHOLE)
     if len(kinds) > 1:
-        yield fault(f"filter {name}: give one of centre_nm, file, stack and channel", kinds[1])
+        yield fault(f"filter {name}: the keys {kinds[0]} and {kinds[1]} exclude each other; remove one of them", kinds[1])
     if (one.centre_nm is None) != (one.sigma_nm is None):
-        yield fault(f"filter {name}: give both centre_nm and sigma_nm, or neither", WHOLE)
+        yield fault(f"filter {name}: a Gaussian needs two keys; set both centre_nm and sigma_nm", WHOLE)
     if one.floor > one.peak:
-        yield fault(f"filter {name}: floor is {one.floor:g}; it must not be above peak", "floor")
+        yield fault(f"filter {name}: floor {one.floor:g} is above peak {one.peak:g}; set a lower floor", "floor")
     for other in one.stack or ():
         if other not in known:
-            yield fault(f'filter {name}: stack names "{other}"; {suggestion(other, known)}', "stack")
+            yield fault(f'filter {name}: "{other}" in stack is not a filter; {suggestion(other, known)}', "stack")
         elif known[other].stack is not None or known[other].channel is not None:
-            yield fault(f"filter {name}: {other} cannot be stacked; stack only filters from Gaussians or files", "stack")
+            yield fault(
+                f"filter {name}: stack contains {other}, which is a stack or a channel; stack only Gaussian filters and "
+                "filters from files",
+                "stack",
+            )
 
 
 def _pattern_faults(where: str, pattern: PatternRecipe, known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     counts = pattern.counts or {}
     if (pattern.shape is None) == (not pattern.arrays):
-        yield fault(f"{where}: give either shape or arrays", WHOLE)
+        yield fault(f"{where} needs either shape or arrays; set exactly one of these keys", WHOLE)
     for name in sorted({*pattern.filters, *counts} - {*known}):
         yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
     if counts and pattern.filters:
-        yield fault(f"{where}: counts already names the filters; leave filters out", "filters")
+        yield fault(f"{where}: the keys counts and filters exclude each other; remove one of them", "filters")
     if pattern.shape is not None:
         (rows, cols), total = pattern.shape, sum(counts.values())
         if counts and total != rows * cols:
-            yield fault(f"{where}: counts add up to {total}, but the shape has {rows * cols} sites", "counts", WHOLE)
+            yield fault(
+                f"{where}: the sum of counts is {total}, but the shape has {rows * cols} sites; change counts or shape",
+                "counts",
+                WHOLE,
+            )
 
 
 def _array_faults(where: str, rows: list[str], known: Mapping[str, FilterRecipe]) -> Iterator[Fault]:
     lengths = {len(row.split()) for row in rows}
     if len(lengths) != 1 or 0 in lengths:
-        yield fault(f"{where}: all rows must have the same number of filter names, separated by spaces", WHOLE)
-    elif max(len(rows), *lengths) > MOST_SIDE:
-        yield fault(f"{where} is larger than {MOST_SIDE}×{MOST_SIDE}", WHOLE)
+        yield fault(f"{where}: the rows differ in length; write the same number of filter names in each row", WHOLE)
+    elif max(len(rows), *lengths) > MAX_SIDE:
+        yield fault(f"{where} is larger than {MAX_SIDE}×{MAX_SIDE} sites; use a smaller array", WHOLE)
     for name in sorted({name for row in rows for name in row.split()} - {*known}):
         yield fault(f'{where}: "{name}" is not a filter; {suggestion(name, known)}', WHOLE)
 
 
 def _level_faults(where: str, level: LevelRecipe) -> Iterator[Fault]:
     if (level.share is None) == (level.exposure_s is None):
-        yield fault(f"{where}: give either share (automatic) or exposure_s", WHOLE)
+        yield fault(f"{where} needs either share (automatic exposure) or exposure_s; set exactly one of these keys", WHOLE)
     if level.luminance_cd_m2 is not None and level.lux is not None:
-        yield fault(f"{where}: give either luminance_cd_m2 or lux", "lux")
+        yield fault(f"{where}: luminance_cd_m2 and lux exclude each other; remove one of them", "lux")
     if level.exposure_s is not None and level.luminance_cd_m2 is None and level.lux is None:
-        yield fault(f"{where}: exposure_s needs luminance_cd_m2 or lux", "exposure_s")
+        yield fault(f"{where}: exposure_s needs luminance_cd_m2 or lux; add one of them", "exposure_s")
 
 
 def level_name(level: LevelRecipe) -> str:
-    """Return the name of a level, or a description if it has none."""
+    """Return the name of a level or, if it has no name, a description."""
     light = "" if level.illuminant == "D65" else f" {level.illuminant}"
     if level.name is not None:
         return level.name
@@ -230,18 +246,23 @@ def curve_files(recipe: DesignRecipe, folder: Path) -> list[Path]:
 
 
 def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency (filter, wavelength) of every filter on the pixel.
+    """Return the quantum efficiency of the pixel behind each filter.
 
     Parameters
     ----------
     recipe : DesignRecipe
         Filters and pixel.
     camera : CameraModel
-        The pixel's camera, for filters that are one of its channels.
-    wavelength : ndarray, (wavelength)
+        The camera of the pixel. A filter may be a channel of this camera.
+    wavelength : ndarray, (wavelength,)
         Wavelengths in nm.
     folder : Path
         Folder to which file names are relative.
+
+    Returns
+    -------
+    ndarray, (filter, wavelength)
+        Quantum efficiencies.
 
     Raises
     ------
@@ -253,27 +274,38 @@ def filter_curves(recipe: DesignRecipe, camera: CameraModel, wavelength: Curves,
         if one.channel is not None:
             if one.channel not in camera.channels:
                 known = suggestion(one.channel, camera.channels)
-                raise RecipeError(f'filter {name}: the pixel\'s camera has no channel "{one.channel}"; {known}')
+                raise RecipeError(f'filter {name}: the camera of the pixel has no channel "{one.channel}"; {known}')
             channel = camera.responsivity[camera.channels.index(one.channel)]
             curves.append(np.interp(wavelength, camera.wavelength, channel, 0.0, 0.0))
         else:
             parts = [_transmittance(recipe.filters[part], wavelength, folder) for part in one.stack or (name,)]
             curves.append(np.prod([bare, *parts], axis=0))
-        if (peak := curves[-1].max()) < LEAST_EFFICIENCY:
+        if (peak := curves[-1].max()) < OPAQUE_EFFICIENCY:
             span = f"{wavelength[0]:g}…{wavelength[-1]:g} nm"
-            raise RecipeError(f"filter {name} is opaque: its highest quantum efficiency in {span} is {peak:.2g}")
+            raise RecipeError(
+                f"filter {name} is opaque, because its highest quantum efficiency in {span} is {peak:.2g}; change or remove "
+                "the filter"
+            )
     return np.array(curves)
 
 
 def bare_efficiency(bare: float | str, wavelength: Curves, folder: Path) -> Curves:
-    """Return the quantum efficiency (wavelength) of a pixel without a filter. Raises RecipeError if it is not within 0…1."""
+    """Return the quantum efficiency of a pixel without a filter, at each wavelength.
+
+    Raises
+    ------
+    RecipeError
+        If a value is not within 0…1.
+    """
     if isinstance(bare, str):
         table = read_table(folder / bare).counted(1)
         curve = spectra.average(table.efficiencies(False)[0], table.wavelength, wavelength)
     else:
         curve = np.full(wavelength.size, bare)
     if not 0 < curve.max() <= 1 or curve.min() < 0:
-        raise RecipeError(f"pixel.bare has a peak of {curve.max():g}; a quantum efficiency lies between 0 and 1")
+        raise RecipeError(
+            f"pixel.bare contains values from {curve.min():g} to {curve.max():g}; use quantum efficiencies between 0 and 1"
+        )
     return curve
 
 
@@ -287,7 +319,7 @@ def _transmittance(one: FilterRecipe, wavelength: Curves, folder: Path) -> Curve
 
 
 def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor: float) -> Curves:
-    """Return the transmittance (wavelength) of a Gaussian filter."""
+    """Return the transmittance of a Gaussian filter at each wavelength."""
     return np.asarray(floor + (peak - floor) * np.exp(-0.5 * ((wavelength - centre) / sigma) ** 2))
 
 
@@ -298,12 +330,12 @@ def is_design(path: Path) -> bool:
 
 
 def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
-    """Read the camera of a file, or the pixel of a design recipe as a camera.
+    """Read a camera, or a camera with the pixel of a design recipe.
 
     Returns
     -------
     CameraModel
-        A camera with this lens and pixel. For a design recipe, its CFA and filters have no meaning.
+        A camera with the lens and the pixel. For a design recipe, the CFA and the responsivities have no meaning.
     list of Path
         The files that were read.
     """
@@ -314,17 +346,24 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
 
 
 def base_camera(pixel: PixelRecipe, folder: Path) -> Path:
-    """Return the camera file on which a pixel is based, relative to the recipe or among those that come with l3."""
+    """Return the camera file on which a pixel is based: a file relative to `folder`, or a recipe that comes with l3."""
     own = folder / pixel.camera
     return own if own.is_file() else find_recipe(pixel.camera, "cameras")
 
 
 def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
-    """Return a camera with the pixel of a recipe. Its CFA and filters have no meaning."""
+    """Return a camera with the pixel of a recipe. The CFA and the responsivities of this camera have no meaning.
+
+    Raises
+    ------
+    RecipeError
+        If the quantum efficiency of the base camera is unknown.
+    """
     base = load_camera(base_camera(pixel, folder))
     if not base.absolute:
         raise RecipeError(
-            f"pixel.camera: {base.name} has only a relative responsivity; give a camera with known quantum efficiency"
+            f"pixel.camera is {base.name}, which has only relative responsivities; choose a camera with known quantum "
+            "efficiency"
         )
     noise, optics, gain = base.noise, base.optics, base.gain
     if pixel.read_noise_e is not None:
@@ -338,14 +377,14 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:
-    """Return the texts of a camera recipe and of its file of curves, by file name.
+    """Return the texts of a camera recipe and of its curve file, by file name.
 
     Parameters
     ----------
     camera : CameraModel
         A camera whose channels all have the same exposure and gain.
     origin : str
-        Comment on the first line.
+        Comment for the first line of the recipe.
     """
     pitch = round(camera.pixel_pitch * 1e6, 6)
     tables: dict[str, Recipe] = {

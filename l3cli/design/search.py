@@ -1,6 +1,6 @@
-"""Searches for the best array by enumerating all distinct arrays, or by simulated annealing if there are too many.
+"""Search for the best array of filters: enumeration of all distinct arrays or, if there are too many, simulated annealing.
 
-Two arrays count as the same if they differ only by a shift, rotation or reflection.
+Arrays are equivalent if they differ only by a shift, rotation or reflection. Of equivalent arrays, only one is evaluated.
 """
 
 import functools
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from l3cli.artifacts.design import overall
 from l3cli.design.error import Cfa, Level, Noise, Seen, array_errors
 
-MOST_ENUMERATED, MOST_JUDGED = 4_000_000, 100_000  # largest number of enumerated arrays, and of distinct arrays among them
-INDEPENDENT = 1e-3  # a singular value above this fraction of the largest counts as an independent output
-HOT, COLD = 0.03, 0.0005  # first and last temperature of annealing, relative to the error
-Arrays = NDArray[np.integer]  # (array, site) index of the filter
+MAX_ENUMERATED = 4_000_000  # largest number of arrays, including equivalent arrays, that are enumerated
+MAX_EVALUATED = 100_000  # largest number of distinct arrays that are evaluated
+INDEPENDENT = 1e-3  # a singular value above this fraction of the largest singular value is an independent output
+START_TEMPERATURE, END_TEMPERATURE = 0.03, 0.0005  # temperatures of simulated annealing, relative to the error
+Arrays = NDArray[np.integer]  # (array, site), index of the filter
 Allowed = Callable[[Sequence[int]], bool]  # returns whether an array may consist of the given filters
 
 
@@ -31,28 +32,31 @@ class Problem:
     noise: Noise
 
     def errors(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the error (level, group) of an array."""
+        """Return the predicted errors of an array, (level, group)."""
         return np.array([array_errors(self.seen[level.light], cfa, self.noise, level) for level in self.levels])
 
     @functools.cached_property
     def share(self) -> NDArray[np.float64]:
-        """Fraction of the patches (level, group) in each group."""
+        """Fraction of the patches in each group, (level, group)."""
         return np.array([self.seen[level.light].share for level in self.levels])
 
     def means(self, cfa: Cfa) -> NDArray[np.float64]:
-        """Return the error (level) of an array, averaged over groups."""
+        """Return the predicted error of an array at each level, averaged over groups."""
         return np.asarray((self.errors(cfa) * self.share).sum(axis=1))
 
     def score(self, cfa: Cfa) -> float:
-        """Return the geometric mean over levels of an array's error."""
+        """Return the geometric mean of the errors of an array over all levels."""
         return float(overall(self.means(cfa)))
 
 
 @functools.cache
 def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
-    """Return all permutations of sites (symmetry, site) that turn an array into an equivalent one.
+    """Return the permutations of sites that turn an array into an equivalent array.
 
-    They are the shifts, rotations and reflections that preserve the shape of the array.
+    Returns
+    -------
+    ndarray, (symmetry, site)
+        All shifts, rotations and reflections that preserve the shape of the array.
     """
     sites = np.arange(math.prod(shape)).reshape(shape)
     turned = [np.rot90(each, turn) for each in (sites, sites.T) for turn in range(4)]
@@ -61,13 +65,13 @@ def symmetries(shape: tuple[int, int]) -> NDArray[np.intp]:
 
 
 def canonical(cfa: Cfa) -> bytes:
-    """Return a key of an array. Arrays of one shape have the same key if they differ only by `symmetries`."""
+    """Return a key of an array. Equivalent arrays of the same shape have the same key."""
     orders = symmetries((cfa.shape[0], cfa.shape[1]))
     return min(row.tobytes() for row in cfa.astype(np.uint8).ravel()[orders])
 
 
 def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
-    """Return `arrays` (array, site) without arrays that differ from an earlier one only by symmetries."""
+    """Return `arrays` without the arrays that are equivalent to an earlier array."""
     digits = np.int64(filters) ** np.arange(arrays.shape[1])[::-1]
     least = functools.reduce(np.minimum, (arrays[:, order] @ digits for order in symmetries(shape)))
     _, first = np.unique(least, return_index=True)
@@ -75,7 +79,7 @@ def distinct(arrays: Arrays, shape: tuple[int, int], filters: int) -> Arrays:
 
 
 def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
-    """Yield every distinct arrangement of a multiset in which element i occurs `counts[i]` times."""
+    """Yield all distinct arrangements of a multiset in which element i occurs `counts[i]` times."""
     if len(counts) == 1:
         yield [0] * counts[0]
         return
@@ -89,7 +93,7 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
 def every_array(
     shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape, or None if there are too many.
+    """Return all distinct arrays of a shape, or None if the number of arrays is too large.
 
     Parameters
     ----------
@@ -98,23 +102,23 @@ def every_array(
     filters : sequence of int
         Filters that the arrays may contain.
     counts : sequence of int, optional
-        Number of sites of each filter.
+        Number of sites of each filter. By default, any number.
     allowed : callable
-        Returns whether an array may consist of a given set of filters.
+        Function that returns whether an array may consist of a set of filters.
     """
     sites, base = math.prod(shape), len(filters)
     size = math.factorial(sites) // math.prod(map(math.factorial, counts)) if counts else base**sites
-    if size > MOST_ENUMERATED or base**sites >= 2**62:
+    if size > MAX_ENUMERATED or base**sites >= 2**62:
         return None
     every = list(arrangements(counts)) if counts else np.arange(size)[:, None] // base ** np.arange(sites)[::-1] % base
     single = np.asarray(filters)[distinct(np.asarray(every), shape, base)]
     known = functools.cache(lambda used: allowed(list(used)))
     arrays = [row.reshape(shape) for row in single if known(frozenset(row.tolist()))]
-    return None if len(arrays) > MOST_JUDGED else arrays
+    return None if len(arrays) > MAX_EVALUATED else arrays
 
 
 def independent_outputs(responses: NDArray[np.floating]) -> int:
-    """Return the number of independent outputs that filters provide, given their responses (filter, term) to spectra."""
+    """Return the number of independent outputs of filters with the given responses to principal spectra, (filter, term)."""
     scaled = responses / np.maximum(np.linalg.norm(responses, axis=1, keepdims=True), 1e-30)
     strength = np.linalg.svd(scaled, compute_uv=False)
     return int((strength > INDEPENDENT * strength[0]).sum())
@@ -129,10 +133,27 @@ def anneal(
     rng: np.random.Generator,
     steps: int,
 ) -> Cfa:
-    """Search for the best array with simulated annealing.
+    """Search for the array with the smallest error with simulated annealing.
 
-    Each step changes the filter of one site or swaps two sites. If `swapped` is true, steps only swap, which preserves the
-    count of each filter. Arrays that are not `allowed` have an infinite error.
+    A step either changes the filter at one site or swaps the filters of two sites. Arrays that are not allowed have an
+    infinite error.
+
+    Parameters
+    ----------
+    problem : Problem
+        The illuminants, exposures and noise.
+    start : ndarray, (row, col)
+        The first array.
+    filters : sequence of int
+        Filters that the array may contain.
+    swapped : bool
+        Whether steps only swap filters, so that the number of sites of each filter stays the same.
+    allowed : callable
+        Function that returns whether an array may consist of a set of filters.
+    rng : numpy.random.Generator
+        Source of random numbers.
+    steps : int
+        Number of steps.
     """
     known: dict[bytes, float] = {}
 
@@ -151,7 +172,8 @@ def anneal(
             other[one] = rng.choice(filters)
         now, then = error(cfa), error(other)
         rise = then / now - 1 if np.isfinite(now) else -1.0 if np.isfinite(then) else 0.0
-        if rise < 0 or rng.random() < np.exp(-rise / (HOT * (COLD / HOT) ** (step / steps))):
+        temperature = START_TEMPERATURE * (END_TEMPERATURE / START_TEMPERATURE) ** (step / steps)
+        if rise < 0 or rng.random() < np.exp(-rise / temperature):
             cfa = other
         best = min(best, cfa, key=error)
     return best

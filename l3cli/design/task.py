@@ -1,7 +1,7 @@
-"""Carries out a design recipe and ranks its arrays for the report.
+"""Computation of a design recipe.
 
-`Task` loads the illuminants, levels, filters and arrays, evaluates arrays and optimises filters. `designed` collects the
-results.
+`Task` loads the illuminants, levels, filters and arrays, predicts the errors of arrays, and optimises filters. `designed`
+ranks the arrays and collects the results.
 """
 
 import dataclasses
@@ -34,9 +34,9 @@ from l3cli.errors import InputFileError, RecipeError, listed
 from l3cli.recipes.faults import refuse_first
 from l3cli.recipes.load import load_recipe
 
-ANNEALING = 1000  # number of steps of simulated annealing
-MOST_REPEATED = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array
-SAME = 1e-6  # numbers agree if their relative difference is smaller
+ANNEALING_STEPS = 1000  # number of steps of simulated annealing
+MAX_REPEATED_FILTERS = 8  # with at most this many filters, annealing starts from repetitions of the best 2×2 array
+PIXEL_TOLERANCE = 1e-6  # relative difference up to which two pixel pitches or two f-numbers are equal
 BOUNDS = np.array([[400.0, 700.0], [10.0, 150.0], [0.1, 1.0]])  # range of centre (nm), sigma (nm) and peak
 VARIABLE_UNITS = np.array([10.0, 10.0, 0.1])  # units of the optimiser's variables: centre (nm), sigma (nm) and peak
 START_DEVIATIONS = np.array([25.0, 15.0, 0.0])  # standard deviation of random starts in centre (nm), sigma (nm) and peak
@@ -45,23 +45,23 @@ DESCENT = {"maxiter": 60, "eps": 1e-4}  # options of the optimiser
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """A design recipe, together with the scene moments and files that it needs.
+    """A design recipe, together with the scene moments and the files that the recipe needs.
 
-    Only the two paths are pickled, so that each worker process reads the files itself, once.
+    Only the two paths are pickled. Each worker process reads the files once.
 
     Parameters
     ----------
     recipe : Path
-        The design recipe.
+        File of the design recipe.
     moments : Path
-        Scene moments, written by `l3 design moments`.
+        File of scene moments that `l3 design moments` has written.
     """
 
     recipe: Path
     moments: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _task, (self.recipe, self.moments)  # _task is cached, so that each process reads the files once
+        return _task, (self.recipe, self.moments)  # _task has a cache, so that each process reads the files only once
 
     @functools.cached_property
     def wanted(self) -> DesignRecipe:
@@ -84,17 +84,26 @@ class Task:
 
     @functools.cached_property
     def curves(self) -> NDArray[np.float64]:
-        """Quantum efficiency (filter, wavelength)."""
+        """Quantum efficiencies, (filter, wavelength)."""
         return filter_curves(self.wanted, self.pixel, self.scenes.wavelength, self.recipe.parent)
 
     @functools.cached_property
     def lights(self) -> list[LightMoments]:
-        """Moments under each illuminant of the levels. Raises RecipeError if an illuminant is missing from the moments."""
+        """Moments under each illuminant of the levels.
+
+        Raises
+        ------
+        RecipeError
+            If the file of moments lacks an illuminant.
+        """
         known = {light.illuminant: light for light in self.scenes.light}
         for level in self.wanted.level:
             if level.illuminant not in known:
-                text = f"{self.moments} has moments under {', '.join(known)} only"
-                raise RecipeError(f'level "{level_name(level)}": {text}; gather moments under {level.illuminant}')
+                raise RecipeError(
+                    f'level "{level_name(level)}" needs moments under {level.illuminant}, but {self.moments} contains only '
+                    f'moments under {", ".join(known)}; add "{level.illuminant}" to illuminants of the scene recipe, and '
+                    'run "l3 design moments" again'
+                )
         return [known[name] for name in dict.fromkeys(level.illuminant for level in self.wanted.level)]
 
     @functools.cached_property
@@ -108,7 +117,7 @@ class Task:
 
     @functools.cached_property
     def spectra(self) -> list[Seen]:
-        """Moments of principal spectra and outputs under each illuminant."""
+        """Moments of the principal spectra and of the outputs, for each illuminant."""
         return [spectra_of(light, self.wanted.output, self.wanted.counts, self.curves) for light in self.lights]
 
     @functools.cached_property
@@ -116,30 +125,33 @@ class Task:
         return self.problem_of(self.curves)
 
     def problem_of(self, curves: NDArray[np.float64]) -> Problem:
-        """Return the problem for filters with other quantum efficiencies (filter, wavelength)."""
+        """Return the problem for filters with the quantum efficiencies `curves`, (filter, wavelength)."""
         seen = tuple(seen_by(curves, *each) for each in zip(self.lights, self.spectra, strict=True))
         return Problem(seen, self.levels, noise_of(self.pixel))
 
     # ------------------------------------------------------------------------------------------------- arrays
 
     def allowed(self, filters: Sequence[int]) -> bool:
-        """Whether an array of these filters provides enough independent outputs."""
+        """Whether an array of these filters has enough independent outputs."""
         responses = self.curves[list(filters)] @ self.lights[0].basis
         return len(filters) >= self.wanted.needed and independent_outputs(responses) >= self.wanted.needed
 
     def numbered(self, rows: list[str]) -> Cfa:
-        """Convert an array of filter names to filter indices."""
+        """Convert an array, written as rows of filter names, to filter indices."""
         return sites("/".join(rows), self.names)
 
     def choice(self, pattern: PatternRecipe) -> tuple[list[int], list[int] | None]:
-        """Return the filters that a pattern may contain and, if the recipe states it, the number of sites of each."""
+        """Return the filters that the arrays of a pattern may contain and, if the recipe specifies it, their site counts."""
         filters = [self.names.index(name) for name in (pattern.counts or pattern.filters or self.names)]
         return filters, list(pattern.counts.values()) if pattern.counts else None
 
     def arrays_of(self, pattern: PatternRecipe, number: int) -> list[Cfa] | None:
-        """Return the arrays of a pattern to evaluate, or None if there are too many and annealing is needed.
+        """Return the arrays of a pattern, or None if a pattern has too many arrays and simulated annealing is needed.
 
-        Raises RecipeError if a listed array, or every array of a shape, provides too few independent outputs.
+        Raises
+        ------
+        RecipeError
+            If an array in the recipe has too few independent outputs, or if no array of a shape has enough.
         """
         shortage = f"fewer than {self.wanted.needed} independent outputs; add a filter"
         where = f"{self.recipe}: pattern {number + 1}"
@@ -151,28 +163,31 @@ class Task:
         filters, counts = self.choice(pattern)
         every = every_array(pattern.shape, filters, counts, self.allowed) if self.allowed(filters) else []
         if every == []:
-            raise RecipeError(f"{where}: every array of this shape has {shortage}, or make the shape larger")
+            raise RecipeError(f"{where}: every array of this shape has {shortage}, or set a larger shape")
         return every
 
     def bayer(self, filters: Sequence[int]) -> list[Cfa]:
-        """Return the Bayer arrays of any three of the filters.
+        """Return the Bayer array of each combination of three filters.
 
-        The filter with the middle wavelength takes the place of green. The other two take the places of red and blue.
+        The filter with the second-longest wavelength is at the green sites, and the two other filters are at the red and the
+        blue sites.
         """
         centres = self.curves @ self.scenes.wavelength / self.curves.sum(axis=1)
         threes = (sorted(three, key=lambda each: float(centres[each])) for three in itertools.combinations(filters, 3))
         return [np.array([[green, red], [blue, green]]) for blue, green, red in threes if self.allowed([blue, green, red])]
 
     def require_same_pixel(self) -> None:
-        """Raise InputFileError if the moments are for another lens or pixel."""
+        """Raise InputFileError if the moments were computed for another lens or another pixel pitch."""
         wanted, given = (self.pixel.pixel_pitch, self.pixel.optics.f_number), (self.scenes.pixel_pitch, self.scenes.f_number)
-        if not np.allclose(wanted, given, rtol=SAME, atol=0):
+        if not np.allclose(wanted, given, rtol=PIXEL_TOLERANCE, atol=0):
             theirs, ours = (f"pixels of {1e6 * pitch:g} µm at f/{f_number:g}" for pitch, f_number in (given, wanted))
-            text = f"{self.moments} is for {theirs}, but the design is for {ours}"
-            raise InputFileError(f"{text}; gather moments with ‹camera› {self.recipe}")
+            raise InputFileError(
+                f"{self.moments} contains moments for {theirs}, but the design is for {ours}; run l3 design moments with "
+                f"‹camera› {self.recipe}"
+            )
 
     def judged(self, arrays: Sequence[Cfa]) -> dict[str, NDArray]:
-        """Return the errors (array, level, group) of arrays."""
+        """Return the predicted errors of arrays, as "errors", (array, level, group)."""
         return {"errors": np.array([self.problem.errors(cfa) for cfa in arrays])}
 
     def annealed(self, seed: int, which: tuple[int, int]) -> dict[str, NDArray]:
@@ -185,6 +200,11 @@ class Task:
         which : tuple of int
             Number of the pattern, and number of the run. If possible, run 0 starts from repetitions of the best 2×2 array.
             All other runs start from a random array.
+
+        Returns
+        -------
+        dict
+            "cfa" is the array.
         """
         (number, run), rng = which, np.random.default_rng([seed, *which])
         pattern = self.wanted.pattern[number]
@@ -192,15 +212,26 @@ class Task:
         (rows, cols), (filters, counts) = pattern.shape, self.choice(pattern)
         sites = rng.permutation(np.repeat(filters, counts)) if counts else rng.choice(filters, rows * cols)
         start = sites.reshape(rows, cols)
-        if run == 0 and not counts and not rows % 2 and not cols % 2 and len(filters) <= MOST_REPEATED:
+        if run == 0 and not counts and not rows % 2 and not cols % 2 and len(filters) <= MAX_REPEATED_FILTERS:
             small = every_array((2, 2), filters, None, self.allowed) or [start[:2, :2]]
             start = np.tile(min(small, key=self.problem.score), (rows // 2, cols // 2))
-        return {"cfa": anneal(self.problem, start, filters, bool(counts), self.allowed, rng, ANNEALING)}
+        return {"cfa": anneal(self.problem, start, filters, bool(counts), self.allowed, rng, ANNEALING_STEPS)}
 
     # ------------------------------------------------------------------------------------------------- tuning
 
     def tuned_curves(self, parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantum efficiencies (filter, wavelength) for the given parameters (optimised filter, 3)."""
+        """Return the quantum efficiencies of all filters for parameters of the optimised filters.
+
+        Parameters
+        ----------
+        parameters : ndarray, (optimised filter, 3)
+            Centre in nm, sigma in nm, and peak.
+
+        Returns
+        -------
+        ndarray, (filter, wavelength)
+            Quantum efficiencies.
+        """
         curves, wavelength = self.curves.copy(), self.scenes.wavelength
         bare = bare_efficiency(self.wanted.pixel.bare, wavelength, self.recipe.parent)
         for name, (centre, sigma, peak) in zip(self.wanted.tuned, parameters.tolist(), strict=True):
@@ -218,12 +249,13 @@ class Task:
         seed : int
             Seed of the random numbers.
         number : int
-            Number of the starting point. Number 0 is the filters of the recipe, the others are random.
+            Number of the starting point. Starting point 0 is the set of filters in the recipe. All others are random.
 
         Returns
         -------
         dict
-            "score" is the logarithm of the smallest error. "parameters" (optimised filter, 3) are centres, sigmas and peaks.
+            "score" is the logarithm of the smallest error. "parameters", (optimised filter, 3), are the centres, sigmas and
+            peaks.
         """
         asked, tuned = self.wanted.optimise, [self.wanted.filters[name] for name in self.wanted.tuned]
         assert asked is not None
@@ -251,33 +283,32 @@ class Task:
 
 @functools.lru_cache(maxsize=1)
 def _task(recipe: Path, moments: Path) -> Task:
-    """Return this process's copy of a task."""
+    """Return a task, which is cached, so that a process reads its files only once."""
     return Task(recipe, moments)
 
 
 UNITS = {"lab": "ΔE00", "scielab": "ΔE of soft chroma", "luminance": "L*", "linear": "% of white"}
-# Number of best arrays in the report. It also lists the best Bayer array and the best array of each level.
-LISTED_ARRAYS = 100
+LISTED_ARRAYS = 100  # number of best arrays that a design lists, in addition to the best Bayer array and each level's best
 SHIFT = 5.0  # nm; shift of a filter in the sensitivity analysis
 DOSES = 10.0 ** np.arange(-2.0, 1.26, 0.25)  # cd s/m²; exposures in the plot of error against exposure
 
 
 def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> Design:
-    """Rank the arrays and assemble the design.
+    """Rank arrays by their errors and assemble the design.
 
     Parameters
     ----------
     task : Task
         The task.
     arrays : sequence of ndarray, (row, col)
-        Evaluated arrays.
+        The arrays.
     errors : ndarray, (array, level, group)
         Errors of the arrays.
 
     Returns
     -------
     Design
-        The best arrays, with the best Bayer array and the best array of each level.
+        The best arrays overall, the best Bayer array, and the best array at each level.
     """
     problem, names = task.problem, task.names
     levels = (errors * problem.share).sum(axis=2)
@@ -318,9 +349,14 @@ def designed(task: Task, arrays: Sequence[Cfa], errors: NDArray[np.float64]) -> 
 
 
 def sensitivity(task: Task, cfa: Cfa) -> NDArray[np.float64]:
-    """Return the relative change (filter) of the error of an array if one filter is shifted by SHIFT nm.
+    """Return how much the error of an array changes if the curve of one filter is shifted by SHIFT nm.
 
-    Each filter is shifted in the direction that increases the error more.
+    Each filter is shifted in both directions. The larger change counts.
+
+    Returns
+    -------
+    ndarray, (filter,)
+        Relative changes of the error.
     """
     changes, given, grid = np.zeros(len(task.curves)), task.problem.score(cfa), task.scenes.wavelength
     for place in np.unique(cfa):

@@ -1,6 +1,6 @@
-"""The scene recipe (SCENES.toml): which scenes are simulated, under which illuminants and with which exposures.
+"""The scene recipe: it lists the scenes to simulate, the illuminants and the exposures.
 
-The number of frames is scenes × illuminants × luminances × exposures.
+Each scene is simulated under each illuminant, at each luminance and with each exposure.
 """
 
 import itertools
@@ -28,63 +28,66 @@ EXPOSURES = {"exposure_share": "share", "exposure_saturated": "saturated", "expo
 
 
 class Lens(Recipe):
-    """Simulated lens aberrations, and settings that replace the lens of the camera recipe (docs/method.md#optics)."""
+    """Lens effects to simulate, and settings that replace the lens of the camera (docs/method.md#optics)."""
 
     diffraction: bool = True
-    off_axis: bool = False  # darker corners; a table is the same everywhere in the frame and cannot correct them
+    off_axis: bool = False  # whether corners are darker; a table cannot correct this, because it is the same everywhere
     defocus_um: NotNegative = 0.0  # standard deviation of a Gaussian blur on the sensor
-    # number or CSV file; the camera's responsivity is multiplied by it
+    # Transmittance as a number or as the name of a CSV file. The responsivities of the camera are multiplied by it.
     transmittance: Annotated[float, msgspec.Meta(gt=0, le=1)] | str | None = None
     focal_length_mm: Positive | None = None
     f_number: Positive | None = None
-    magnification: NotNegative | None = None  # |image size / object size|; 0 is an object at infinity
+    magnification: NotNegative | None = None  # |image size / object size|; 0 for an object at infinity
 
 
 class SensorSetting(Recipe):
     """Noise and gain of the sensor."""
 
-    noise: Literal["all", "shot", "none"] = "all"  # "shot": of light and dark current; "none": only quantisation
+    # "shot": only the shot noise of light and dark current. "none": only quantisation.
+    noise: Literal["all", "shot", "none"] = "all"
     noise_model: str | None = None  # name of a noise model from an installed package (docs/python.md#a-noise-model)
-    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # the camera's gain is multiplied by this factor
+    analog_gain: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0  # factor on the gain of the camera
 
 
 class TargetRecipe(Recipe):
-    """What the table should compute from the raw frame."""
+    """The outputs that the table computes from a raw frame."""
 
-    # Alternatives: "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both 400…700 nm), "camera"
-    # (the camera's bands), or a CSV file of matching functions.
+    # "CIE 1931", "CIE 1964", "luminance", "CIE 1931 + IR", "reflectance 31" or "radiance 31" (both at 400…700 nm), "camera"
+    # (the bands of the camera), or the name of a CSV file of matching functions.
     outputs: str = "CIE 1931"
-    illuminant: str | None = None  # illuminant of the target if it is not the frame's own (illuminant correction)
+    illuminant: str | None = None  # illuminant of the target, for illuminant correction; default: that of the frame
 
 
 class Pair(Recipe):
-    """A raw file and the picture that it should become, registered pixel by pixel."""
+    """A raw file and the picture that a table should compute from it. The two are registered pixel by pixel."""
 
     raw: str  # path relative to the recipe
-    picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target's outputs
-    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column of the raw frame at the picture's first pixel
+    picture: str  # encoded sRGB, or an EXR file whose channels have the names of the target outputs
+    offset: tuple[CountOrNone, CountOrNone] = (0, 0)  # row and column in the raw frame of the first pixel of the picture
     phase: tuple[int, int] | None = None  # row and column of the CFA at the first raw pixel; default: read from the file
-    # A picture value × scale is the fraction of full scale that a white surface of the same brightness reaches. Default:
-    # fitted.
+    # A picture value multiplied by this scale is the fraction of full scale that a white surface of the same brightness
+    # reaches. By default, the scale is fitted.
     scale: Positive | None = None
 
 
 class SceneRecipe(Recipe):
-    """A scene recipe as a whole."""
+    """A complete scene recipe."""
 
     title: ClassVar[str] = "a scene recipe"
 
     scene: list[sources.Source] = msgspec.field(default_factory=list)
     pair: list[Pair] = msgspec.field(default_factory=list)
-    # CIE names, "3200K", "D6000K", files of spectra, mixtures such as "0.7 D65 + 0.3 lamp.csv", or "scene" for the scene's
-    # own illuminant
+    # CIE names, "3200K", "D6000K", files of spectra, mixtures such as "0.7 D65 + 0.3 lamp.csv", or "scene" for the
+    # illuminant that is stored with a scene
     illuminants: Annotated[list[str], msgspec.Meta(min_length=1)] = msgspec.field(default_factory=lambda: ["D65"])
-    luminances_cd_m2: Several | None = None  # of a perfect white; default: 100
-    lux: Several | None = None  # illuminance (π times the luminance of the white), an alternative to luminances_cd_m2
-    exposure_share: Several | None = None  # automatic: fraction of full scale that the brightest channel of a white reaches
-    # automatic: fraction of pixels that reach full scale
+    luminances_cd_m2: Several | None = None  # luminances of a perfect white; default: 100
+    lux: Several | None = None  # illuminances, as an alternative to luminances_cd_m2; π times the luminance of white
+    # automatic exposure: fraction of full scale that the brightest channel of a white reaches
+    exposure_share: Several | None = None
+    # automatic exposure: fraction of the pixels that reach full scale
     exposure_saturated: Annotated[list[Annotated[float, msgspec.Meta(gt=0, lt=1)]], msgspec.Meta(min_length=1)] | None = None
-    exposure_mean: Several | None = None  # automatic: mean of the mosaic without clipping, as a fraction of full scale
+    # automatic exposure: mean of the mosaic before clipping, as a fraction of full scale
+    exposure_mean: Several | None = None
     exposure_s: Several | None = None  # fixed exposure time
     lens: Lens = msgspec.field(default_factory=Lens)
     sensor: SensorSetting = msgspec.field(default_factory=SensorSetting)
@@ -97,29 +100,31 @@ class SceneRecipe(Recipe):
         return self.luminances_cd_m2 or [100.0]
 
     def exposures(self) -> tuple[str, list[float]]:
-        """Return the kind of exposure (a value of EXPOSURES) and its settings.
+        """Return the type of exposure, which is a value of EXPOSURES, and its settings.
 
         Raises
         ------
         RecipeError
-            If the recipe gives no exposure or more than one kind.
+            If the recipe does not contain exactly one of the keys of EXPOSURES.
         """
         given = {kind: values for key, kind in EXPOSURES.items() if (values := getattr(self, key)) is not None}
         if len(given) != 1:
+            found = " and ".join(key for key in EXPOSURES if getattr(self, key) is not None)
+            what = f"the keys {found} exclude each other" if given else "the recipe contains no exposure"
             automatic = "exposure_share, exposure_saturated, exposure_mean (automatic)"
-            raise RecipeError(f"give exactly one of {automatic} and exposure_s (fixed)")
+            raise RecipeError(f"{what}; set exactly one of {automatic} and exposure_s (fixed)")
         return next(iter(given.items()))
 
 
 def recorded_lights(recipe: SceneRecipe) -> list[str]:
-    """Return the illuminants under which scenes were recorded, according to the recipe."""
+    """Return the illuminants under which scenes were recorded, as stated in the recipe."""
     return [
         source.light for source in recipe.scene if isinstance(source, sources.Spectral | sources.IsetScenes) and source.light
     ]
 
 
 def curve_files(recipe: SceneRecipe) -> dict[str, str]:
-    """Return the spectrum files in a recipe, each with its role: "light", "transmittance" or "functions"."""
+    """Return the files of spectra in a recipe, each with its role: "light", "transmittance" or "functions"."""
     lights = [*recipe.illuminants, *filter(None, [recipe.target.illuminant])]
     lights += recorded_lights(recipe)
     curves = {name: "light" for text in lights for _, name in mixture(text) if names_file(name)}
@@ -136,11 +141,11 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     Parameters
     ----------
     camera : CameraModel
-        The camera as calibrated.
+        The calibrated camera.
     recipe : SceneRecipe
         The recipe.
     curves : mapping of str to Curve
-        Contents of the spectrum files.
+        Content of each file of spectra.
 
     Returns
     -------
@@ -159,14 +164,17 @@ def set_up(camera: CameraModel, recipe: SceneRecipe, curves: Mapping[str, Curve]
     if lens.magnification is not None:
         distance = focal * (1.0 + 1.0 / lens.magnification) if lens.magnification > 0 else 0.0
     if 0 < distance <= focal:
-        raise RecipeError("lens: the object must be farther away than the focal length; lower focal_length_mm")
+        raise RecipeError("lens: the object is closer than the focal length; set a smaller focal_length_mm")
     if isinstance(lens.transmittance, str):
         grid, values = curves[lens.transmittance]
         passed = spectra.average(values[0], grid, camera.wavelength)
     else:
         passed = np.full(camera.wavelength.size, 1.0 if lens.transmittance is None else lens.transmittance)
     if not (passed.min() >= 0 and 0 < passed.max() <= 1):
-        raise RecipeError("lens.transmittance must lie between 0 and 1 and be above 0 at some wavelength")
+        raise RecipeError(
+            f"lens.transmittance contains values from {passed.min():g} to {passed.max():g}; use values between 0 and 1 that "
+            "are not all 0"
+        )
     fitted = replace(camera, responsivity=camera.responsivity * passed, optics=Optics(focal, f_number, distance))
     return with_analog_gain(fitted, recipe.sensor.analog_gain)
 
@@ -187,46 +195,49 @@ def scene_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterator[Fa
         A message and the keys to which it refers.
     """
     if not (recipe.scene or recipe.pair):
-        yield fault("scene or pair must have an entry", "scene", "pair")
+        yield fault("the recipe contains no scenes; add [[scene]] or [[pair]]", "scene", "pair")
     if recipe.luminances_cd_m2 is not None and recipe.lux is not None:
-        yield fault("give either luminances_cd_m2 or lux", "lux", "luminances_cd_m2")
+        yield fault("luminances_cd_m2 and lux exclude each other; remove one of them", "lux", "luminances_cd_m2")
     if recipe.scene:
         yield from _exposure_faults(recipe, camera)
     for number, source in enumerate(recipe.scene):
         name, key = f"scene {number + 1}", ("scene", number)
         yield from inside(sources.source_faults(source, camera, name), *key)
         if SCENE_LIGHT in recipe.illuminants and not sources.has_light(source):
-            message = f'{name} has no light of its own; leave "{SCENE_LIGHT}" out of illuminants'
+            message = f'{name} has no illuminant of its own; remove "{SCENE_LIGHT}" from illuminants'
             yield fault(message, "illuminants", key)
         if recipe.illuminants != [SCENE_LIGHT] and not sources.can_be_relit(source):
-            message = f'{name} contains radiance under an unknown light; give light, or illuminants = ["{SCENE_LIGHT}"]'
+            message = f'{name} contains radiance under an unknown illuminant; set light, or illuminants = ["{SCENE_LIGHT}"]'
             yield fault(message, (*key, "light"), "illuminants")
         elif recipe.target.outputs == UNLIT and not sources.can_be_relit(source):
-            message = f"{name} contains radiance under an unknown light, so its reflectance is not known; give light"
+            message = f"{name} contains radiance under an unknown illuminant, so its reflectances are unknown; set light"
             yield fault(message, (*key, "light"), "target.outputs")
     if recipe.sensor.noise_model is not None:
         yield from _noise_faults(recipe.sensor, recipe.sensor.noise_model)
     outputs = recipe.target.outputs
     if any(map(sources.holds_codes, recipe.scene)) and (outputs != CAMERA or recipe.target.illuminant is not None):
-        message = f'pictures of codes have no spectra; give target.outputs = "{CAMERA}" and no target.illuminant'
+        message = (
+            f'a scene with holds = "codes" has no spectra; set target.outputs = "{CAMERA}", and remove target.illuminant'
+        )
         yield fault(message, "target.outputs", "target.illuminant")
     if outputs not in (*OUTPUTS, CAMERA) and not names_file(outputs):
         known = suggestion(outputs, (*OUTPUTS, CAMERA))
         yield fault(f'target.outputs "{outputs}" is unknown; {known} (or a file of spectra)', "target.outputs")
     if outputs == UNLIT and recipe.target.illuminant is not None:
-        message = f'target.outputs "{UNLIT}" is the same under every light; leave target.illuminant out'
+        message = f'target.outputs "{UNLIT}" does not depend on the illuminant; remove target.illuminant'
         yield fault(message, "target.illuminant")
     if recipe.target.illuminant == SCENE_LIGHT:
-        yield fault(f'target.illuminant cannot be "{SCENE_LIGHT}"; leave it out', "target.illuminant")
+        message = f'target.illuminant "{SCENE_LIGHT}" is not an illuminant; remove target.illuminant'
+        yield fault(message, "target.illuminant")
     if recipe.pair and outputs == CAMERA:
-        message = 'the target of a pair is a picture; target.outputs cannot be "camera"'
+        message = f'target.outputs "{CAMERA}" cannot be used with [[pair]], whose target is a picture; set other outputs'
         yield fault(message, "target.outputs", "pair")
 
 
 def _noise_faults(setting: SensorSetting, model: str) -> Iterator[Fault]:
     if setting.noise != "all":
         yield fault(
-            f'sensor.noise = "{setting.noise}" selects parts of the camera\'s own noise; give either noise or noise_model',
+            f'sensor.noise "{setting.noise}" has no effect with sensor.noise_model; remove one of these keys',
             "sensor.noise",
         )
     try:
@@ -243,19 +254,19 @@ def _exposure_faults(recipe: SceneRecipe, camera: CameraModel | None) -> Iterato
         yield fault(str(error), *given, *(key for key in EXPOSURES if key not in given))
         return
     if unit == "seconds" and camera is not None and not camera.absolute:
-        message = f"{camera.name} has only a relative responsivity; give exposure_share instead of exposure_s"
+        message = f"exposure_s needs absolute responsivities, which {camera.name} does not have; use exposure_share"
         yield fault(message, "exposure_s")
 
 
 @dataclass(frozen=True)
 class Shot:
-    """The light and exposure of one frame."""
+    """Illuminant, luminance and exposure of one frame."""
 
-    index: int  # number of the frame
+    index: int  # number of the frame in the training set
     illuminant: str
     luminance: float  # cd/m²
-    exposure: float  # in seconds, or a fraction of full scale or of pixels, as stated by SceneRecipe.exposures
-    moment: int = 0  # number of the frame within its clip
+    exposure: float  # s, or a fraction, depending on the type of exposure that SceneRecipe.exposures returns
+    moment: int = 0  # number of the frame in its clip
 
 
 def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[sources.WantedScene, list[Shot]]]:
@@ -273,7 +284,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
     scene : WantedScene
         The scene.
     frames : list of Shot
-        Its frames. They are numbered consecutively through the whole recipe.
+        Frames of the scene. Frames are numbered consecutively through the whole recipe.
     """
     index = itertools.count()
     for source, paths in zip(recipe.scene, files, strict=True):
@@ -284,7 +295,7 @@ def shots(recipe: SceneRecipe, files: list[list[Path]]) -> Iterator[tuple[source
 
 
 def curve_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of the illuminants and the spectrum files that a recipe names."""
+    """Yield the faults in the illuminants and in the files of spectra of a recipe."""
     lens, target = recipe.lens, recipe.target
     for text, key in _lights(recipe):
         yield from _light_faults(text, key, source)
@@ -317,7 +328,7 @@ def _light_faults(text: str, key: KeyPath, source: RecipeSource) -> Iterator[Fau
 
 
 def _require_named(name: str, path: Path) -> None:
-    """Raise RecipeError if `name` is not a known illuminant. If it is a file, the message names the permitted suffixes."""
+    """Raise RecipeError if `name` is not a known illuminant."""
     if path.is_file():
-        raise RecipeError(f"{path} does not have the suffix of a spectrum file; use one of {' '.join(SUFFIXES)}")
+        raise RecipeError(f"{path} does not have the suffix of a file of spectra; use one of {' '.join(SUFFIXES)}")
     spectra.require_illuminant(name)

@@ -1,4 +1,4 @@
-"""The [[scene]] tables of a scene recipe: where a scene comes from, and how it is placed on the sensor.
+"""The [[scene]] tables of a scene recipe: the source of a scene, and its position on the sensor.
 
 A scene can be cropped, mirrored, rotated and scaled. This module also converts stored spectral cubes to scenes.
 """
@@ -25,36 +25,36 @@ from l3cli.simulation.light import Light
 from l3cli.simulation.motion import Motion, motion_faults, room
 from l3cli.spectra.file import other_unit
 
-CODED = ("r", "g", "b")  # channels of a picture that contains camera codes instead of colours, in this order
-MIN_SIDE_PIXELS = 16  # pixels; smallest permitted number of rows and of columns
+CODED = ("r", "g", "b")  # order of the channels in a picture with holds = "codes"
+MIN_SIDE_PIXELS = 16  # smallest permitted number of rows or columns
 
 
 class Framing(Recipe, kw_only=True):
-    """Crop, orientation and scale of a scene, applied in this order."""
+    """Crop, orientation and scale of a scene, which are applied in this order."""
 
-    # first row, first column, number of rows, number of columns, in samples of the scene
+    # first row, first column, number of rows and number of columns, in samples of the scene
     crop: tuple[CountOrNone, CountOrNone, CountOrNone, CountOrNone] | None = None
     flip: Literal["rows", "cols"] | None = None
     rotate: Literal[0, 90, 180, 270] = 0  # degrees counter-clockwise
-    scale: Positive | None = None  # pixels per sample; a scene that becomes larger than the sensor is cropped to its centre
-    # width of the scene as an angle seen through the lens, an alternative to scale
+    scale: Positive | None = None  # pixels per sample; if the result is larger than the sensor, only the centre is used
+    # horizontal angle of view of the scene, as an alternative to scale
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0, lt=179)] | None = None
-    motion: Motion | None = None  # simulates a clip whose frames show parts of the scene
+    motion: Motion | None = None  # if set, a clip is simulated, whose frames show parts of the scene
 
 
 class Synthetic(Framing, kw_only=True):
-    """A scene that l3 draws itself, without a file."""
+    """A scene that l3 generates without a file."""
 
-    size: tuple[Count, Count]  # rows, cols
+    size: tuple[Count, Count]  # rows and columns
 
 
 class Random(Synthetic, kw_only=True):
     count: Count = 1  # number of scenes
-    seed: Seed = 0  # combined with --seed; recipes with different seeds have no scene in common
+    seed: Seed = 0  # combined with --seed; with different seeds, all scenes differ
 
 
 class DeadLeaves(Random, tag_field="source", tag="dead leaves", kw_only=True):
-    patterned: Share = 0.0  # fraction of the leaves with gratings, lattices or lettering
+    patterned: Share = 0.0  # fraction of the leaves that show gratings, lattices or letters
 
 
 class Composition(Random, tag_field="source", tag="composition", kw_only=True):
@@ -70,7 +70,7 @@ class Foliage(Random, tag_field="source", tag="foliage", kw_only=True):
 
 
 class Surfaces(Random, tag_field="source", tag="surfaces", kw_only=True):
-    """A chart of paints, plastics and textiles for training colours. It contains no ColorChecker patches."""
+    """A chart of paints, plastics and textiles, which trains colours. It contains no patches of the ColorChecker."""
 
     patches: tuple[Count, Count] = (6, 9)
 
@@ -80,27 +80,27 @@ class ColorChecker(Synthetic, tag_field="source", tag="colorchecker", kw_only=Tr
 
 
 class Munsell(Synthetic, tag_field="source", tag="munsell", kw_only=True):
-    """A regular grid of colours: hue varies across, lightness and chroma vary down. All reflectances are smooth."""
+    """A regular grid of colours with smooth reflectances. Hue varies along rows; lightness and chroma, along columns."""
 
 
 class SlantedEdge(Synthetic, tag_field="source", tag="slanted edge", kw_only=True):
     angle_deg: float = 5.0  # angle from the vertical
     dark: float = 0.05  # reflectance to the left of the edge
-    bright: float = 0.8
+    bright: float = 0.8  # reflectance to the right of the edge
 
 
 class ZonePlate(Synthetic, tag_field="source", tag="zone plate", kw_only=True):
-    highest: float = 0.5  # cycles per pixel; frequency at the nearest sides
+    highest: float = 0.5  # cycles per pixel; frequency at the nearest sides of the frame
 
 
 class Frequencies(Synthetic, tag_field="source", tag="frequencies", kw_only=True):
-    """A row of gratings, each with twice the frequency of its left neighbour. The contrast decreases from top to bottom."""
+    """A row of gratings. The frequency doubles from grating to grating, and the contrast decreases from top to bottom."""
 
-    orders: Count = 6  # number of gratings; the last has 0.5 cycles per pixel
+    orders: Count = 6  # number of gratings; the last grating has 0.5 cycles per pixel
 
 
 class GreyRamp(Synthetic, tag_field="source", tag="grey ramp", kw_only=True):
-    octaves: float = 14.0  # the darkest grey is 2^-octaves
+    octaves: float = 14.0  # the darkest grey has a reflectance of 2^-octaves
 
 
 class FileSource(Framing, kw_only=True):
@@ -108,31 +108,33 @@ class FileSource(Framing, kw_only=True):
 
 
 class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
-    light: str | None = None  # name or CSV file of the illuminant, for scenes that do not state their own
+    light: str | None = None  # name or CSV file of the illuminant, for scene files without an illuminant
 
 
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
-    # "sRGB": colours; "codes": linear signals of the camera's channels r, g and b
+    # "sRGB": the values are colours. "codes": the values are linear signals of the camera channels r, g and b.
     holds: Literal["sRGB", "codes"] = "sRGB"
     shrink: Count = 1  # averages blocks of shrink × shrink pixels, which also removes JPEG and demosaicking artifacts
 
 
 class Spectral(FileSource, kw_only=True):
-    """A spectral cube. The keys supply what its file does not state."""
+    """A spectral cube. The keys supply information that its file does not contain."""
 
     wavelengths_nm: list[float] | None = None  # wavelengths of the bands; default: read from the file
-    wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step, an alternative to wavelengths_nm
-    holds: Literal["reflectance", "radiance", "photons"] = "reflectance"  # radiance: power per nm; photons: counts per nm
-    # Stored value of a perfect white. Default: the value in the file, otherwise 1 for floats, 255 for 8-bit integers, and
-    # 65535 for 16-bit integers that use the whole range. It is required for all other integers.
+    wavelength_range_nm: tuple[float, float, float] | None = None  # first, last and step; an alternative to wavelengths_nm
+    # "radiance": the values are power per nm. "photons": the values are numbers of photons per nm.
+    holds: Literal["reflectance", "radiance", "photons"] = "reflectance"
+    # Stored value of a perfect white. By default, it is read from the file. If the file does not contain it, it is 1 for
+    # floats, 255 for 8-bit integers, and 65535 for 16-bit integers that use the whole range. It is required for all other
+    # integers.
     white: Positive | None = None
-    # stored value that marks pixels without data, which training ignores; default: the value in the file
+    # Stored value that marks pixels without data, which training ignores. By default, it is read from the file.
     ignored: float | Literal["nan"] | None = None
     light: str | None = None  # name or CSV file of the illuminant under which radiance was measured
 
 
 class BandFolder(Spectral, tag_field="source", tag="bands", kw_only=True):
-    """A folder with one picture per band, sorted by file name."""
+    """A folder with one picture per band. The order of the bands is the order of the file names."""
 
 
 class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
@@ -140,10 +142,10 @@ class Envi(Spectral, tag_field="source", tag="envi", kw_only=True):
 
 
 class Cube(Spectral, tag_field="source", tag="cube", kw_only=True):
-    """A MATLAB (any version), HDF5 or .npy file."""
+    """A MATLAB file (any version), HDF5 file or .npy file."""
 
     variable: str | None = None  # name of the variable; default: the only cube in the file
-    axes: str = "row col band"  # order of the axes as MATLAB or numpy shows it
+    axes: str = "row col band"  # order of the axes, as MATLAB or numpy displays them
 
 
 class ImageChannels(Spectral, tag_field="source", tag="channels", kw_only=True):
@@ -159,7 +161,7 @@ Source = (
 
 @dataclass(frozen=True)
 class WantedScene:
-    """One scene of a recipe: a file, or for a synthetic source the scene with index `number`."""
+    """One scene of a recipe: a file or, for a synthetic source, the scene with the index `number`."""
 
     source: Source
     path: Path | None = None
@@ -173,29 +175,36 @@ class WantedScene:
 
     @property
     def error(self) -> type[L3Error]:
-        """Exception class for faults of the scene: InputFileError if it is a file, otherwise RecipeError."""
+        """Class of errors about this scene: InputFileError if the scene is a file, otherwise RecipeError."""
         return RecipeError if self.path is None else InputFileError
 
 
 def name_of(source: Source) -> str:
-    """Return the name of a kind of source, as in a recipe."""
+    """Return the name of the type of a source, as it is written in the recipe."""
     return str(source.__struct_config__.tag)
 
 
 def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
-    """Return the scenes of one source. `files` are the files that match its path or pattern."""
+    """Return the scenes of a source. `files` contains the scene files of the source."""
     if isinstance(source, FileSource):
         return [WantedScene(source, path) for path in files]
     return [WantedScene(source, number=number) for number in range(getattr(source, "count", 1))]
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """Yield the faults of the source called `name`. If `camera` is given, also check that the scene suits its sensor."""
+    """Yield the faults of a source. `name` is the name of the source in messages.
+
+    If `camera` is not None, the size of the scene is compared with the size of the sensor.
+    """
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
-        yield fault(f"{name}: give either scale or field_of_view_deg", "field_of_view_deg", "scale")
+        message = f"{name}: scale and field_of_view_deg exclude each other; remove one of them"
+        yield fault(message, "field_of_view_deg", "scale")
     if source.crop and min(source.crop[2:]) < 1:
-        message = f"{name}: crop needs at least one row and one column; give first row, first column, rows, columns"
+        message = (
+            f"{name}: crop {list(source.crop)} is empty; set crop to first row, first column, number of rows and number of "
+            "columns"
+        )
         yield fault(message, "crop")
     if isinstance(source, Synthetic):
         try:
@@ -206,12 +215,13 @@ def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iter
     if source.motion is not None:
         yield from _motion_faults(source.motion, camera, name)
     if isinstance(source, Cube) and sorted(source.axes.split()) != ["band", "col", "row"]:
-        yield fault(f'{name}: axes must name row, col and band once each; give, for example, "row col band"', "axes")
+        message = f'{name}: axes "{source.axes}" must contain row, col and band once each; set, for example, "row col band"'
+        yield fault(message, "axes")
     if isinstance(source, Spectral):
         yield from _spectral_faults(source, name)
     if camera is not None and holds_codes(source) and sorted(camera.channels) != sorted(CODED):
-        what = f"codes require a camera with channels r, g and b, and this one has {', '.join(camera.channels)}"
-        yield fault(f'{name}: {what}; leave out holds = "codes"', "holds")
+        what = f'holds = "codes" needs the channels r, g and b, but {camera.name} has {", ".join(camera.channels)}'
+        yield fault(f"{name}: {what}; remove holds", "holds")
 
 
 def _motion_faults(motion: Motion, camera: CameraModel | None, name: str) -> Iterator[Fault]:
@@ -224,59 +234,77 @@ def _motion_faults(motion: Motion, camera: CameraModel | None, name: str) -> Ite
 
 def _spectral_faults(source: Spectral, name: str) -> Iterator[Fault]:
     if source.wavelengths_nm is not None and source.wavelength_range_nm is not None:
-        message = f"{name}: give either wavelengths_nm or wavelength_range_nm"
+        message = f"{name}: wavelengths_nm and wavelength_range_nm exclude each other; remove one of them"
         yield fault(message, "wavelength_range_nm", "wavelengths_nm")
     listed = source.wavelengths_nm or []
     steps = [later - earlier for earlier, later in itertools.pairwise(listed)]
     if not (all(step > 0 for step in steps) or all(step < 0 for step in steps)):
-        message = f"{name}: wavelengths_nm must increase or decrease; name them in the order of the bands"
+        message = f"{name}: wavelengths_nm neither increases nor decreases; list the wavelengths in the order of the bands"
         yield fault(message, "wavelengths_nm")
     given = {"wavelengths_nm": (listed, -1), "wavelength_range_nm": (source.wavelength_range_nm or (), 1)}
     for key, (each, end) in given.items():
         if each and (other := other_unit(min(each[0], each[end]), max(each[0], each[end]))):
-            yield fault(f"{name}: {other[0]}; give them in nm", key)
+            yield fault(f"{name}: {other[0]}; convert {key} to nm", key)
     if source.wavelength_range_nm is not None:
         first, last, step = source.wavelength_range_nm
         if not (0 < first < last and step > 0):
-            message = f"{name}: wavelength_range_nm must be first, last and step, with first < last and a positive step"
+            message = (
+                f"{name}: wavelength_range_nm {[first, last, step]} is not a range; set first, last and step, with first < "
+                "last and a positive step"
+            )
             yield fault(message, "wavelength_range_nm")
     if source.light is not None and source.holds == "reflectance":
-        yield fault(f'{name}: reflectance needs no light; leave light out, or set holds to "radiance" or "photons"', "light")
+        message = f'{name}: light has no effect on reflectances; remove light, or set holds to "radiance" or "photons"'
+        yield fault(message, "light")
 
 
 def has_light(source: Source) -> bool:
-    """Return whether scenes of a source include their own illuminant, even if only as part of their radiance."""
+    """Whether the scenes of a source contain their own illuminant, separately or as a factor of their radiance."""
     return isinstance(source, IsetScenes) or (isinstance(source, Spectral) and source.holds != "reflectance")
 
 
 def of_measured_surfaces(source: Source) -> bool:
-    """Return whether scenes of a source are made of the measured reflectances that come with l3."""
+    """Whether the scenes of a source consist of the measured reflectances that come with l3."""
     if isinstance(source, Synthetic):
         return not isinstance(source, SlantedEdge | ZonePlate | Frequencies | GreyRamp)
     return isinstance(source, RgbPictures) and not holds_codes(source)
 
 
 def holds_codes(source: Source) -> bool:
-    """Return whether scenes of a source are channel signals, without illuminant and spectra."""
+    """Whether the scenes of a source contain signals of the camera channels instead of spectra."""
     return isinstance(source, RgbPictures) and source.holds == "codes"
 
 
 def can_be_relit(source: Source) -> bool:
-    """Return whether the reflectances of a source are known. They are unknown for radiance under an unknown illuminant."""
+    """Whether the reflectances of a source are known. They are unknown for radiance under an unknown illuminant."""
     return not (isinstance(source, Spectral) and source.holds != "reflectance" and source.light is None)
 
 
 def check_size(size: tuple[int, ...], camera: CameraModel | None, error: type[L3Error], name: str) -> None:
-    """Raise `error` if a scene of `size` (rows, cols) is too small for training, or larger than the sensor of `camera`."""
+    """Raise `error` if a scene is too small for training, or larger than the sensor.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Rows and columns of the scene.
+    camera : CameraModel or None
+        The camera. If it is None, only the smallest size is checked.
+    error : type
+        Class of the error.
+    name : str
+        Name of the scene for the message.
+    """
     rows, cols = size
     if min(size) < MIN_SIDE_PIXELS:
-        larger = "give scale" if error is InputFileError else "make it larger"
+        larger = "set a larger scale" if error is InputFileError else "set a larger size"
         raise error(
-            f"{name} is {rows}×{cols}, but a scene needs at least {MIN_SIDE_PIXELS}×{MIN_SIDE_PIXELS} pixels; {larger}"
+            f"{name} has {rows}×{cols} pixels, but a scene needs at least {MIN_SIDE_PIXELS}×{MIN_SIDE_PIXELS}; {larger}"
         )
     if camera and (rows > camera.rows or cols > camera.cols):
-        smaller = "give scale, crop or (rgb only) shrink" if error is InputFileError else "make the scene smaller"
-        raise error(f"{name} is {rows}×{cols}, larger than the sensor of {camera.rows}×{camera.cols}; {smaller}")
+        smaller = "set scale, crop or (rgb only) shrink" if error is InputFileError else "set a smaller size"
+        raise error(
+            f"{name} has {rows}×{cols} pixels and is larger than the sensor of {camera.rows}×{camera.cols}; {smaller}"
+        )
 
 
 def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> NDArray[np.float32]:
@@ -311,7 +339,7 @@ def framed(cube: NDArray[np.float32], framing: Framing, camera: CameraModel) -> 
 def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
     """Apply `framed` to a scene and to its mask of ignored samples.
 
-    A pixel is ignored if any part of it shows an ignored sample.
+    A pixel is ignored if at least one ignored sample contributes to it.
     """
     ignored = scene.ignored
     if ignored is not None:
@@ -321,7 +349,13 @@ def on_sensor(scene: Scene, framing: Framing, camera: CameraModel) -> Scene:
 
 
 def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
-    """Crop, mirror and rotate a scene (row, col, band). Raises ValueError if the crop extends beyond the scene."""
+    """Crop, mirror and rotate a scene, (row, col, band).
+
+    Raises
+    ------
+    ValueError
+        If the crop extends beyond the scene.
+    """
     top, left, rows, cols = _cropped(cube.shape, framing)
     cube = cube[top : top + rows, left : left + cols]
     if framing.flip is not None:
@@ -330,12 +364,13 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the size (rows, cols) of the result of `framed` for a scene of `size`, or of each frame if it is a clip.
+    """Return the rows and columns of the result of `framed` for a scene of the given size. For a clip, return its frame
+    size.
 
     Raises
     ------
     ValueError
-        If the crop extends beyond the scene, or the camera moves beyond it.
+        If the crop extends beyond the scene, or if the camera moves beyond the scene.
     """
     _, _, rows, cols = _cropped(size, framing)
     if framing.rotate % 180:
@@ -355,7 +390,8 @@ def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, in
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
     if top + rows > size[0] or left + cols > size[1]:
-        raise ValueError(f"crop {list(framing.crop)} extends beyond the scene of {size[0]}×{size[1]}")
+        extent = f"the scene of {size[0]}×{size[1]} samples"
+        raise ValueError(f"crop {list(framing.crop)} extends beyond {extent}; set a smaller crop")
     return framing.crop
 
 
@@ -364,13 +400,13 @@ def _require_room(motion: Motion, size: tuple[int, int], scale: float) -> None:
     rows, cols = (math.ceil(min(length / scale - 1e-6, 1e9)) for length in room(motion))
     if rows > size[0] or cols > size[1]:
         raise ValueError(
-            f"the {motion.frames} frames of the clip may show an area of {rows}×{cols} samples, and the scene has only "
-            f"{size[0]}×{size[1]}; make the scene larger, or motion.size or the motion smaller"
+            f"the {motion.frames} frames of the clip may show an area of {rows}×{cols} samples, but the scene has only "
+            f"{size[0]}×{size[1]}; use a larger scene, or reduce motion.size or the motion"
         )
 
 
 def scale_of(framing: Framing, camera: CameraModel, cols: int) -> float | None:
-    """Return the number of pixels per sample for a scene that is `cols` samples wide, or None if they are the same."""
+    """Return the number of pixels per sample for a scene that is `cols` samples wide, or None if it is not resampled."""
     if framing.field_of_view_deg is None:
         return framing.scale
     width = 2.0 * camera.optics.image_distance * np.tan(np.radians(framing.field_of_view_deg) / 2.0)
@@ -382,15 +418,15 @@ def _pixels(length: int, scale: float) -> int:
 
 
 def _scaled(cube: NDArray[np.float32], scale: float, most: tuple[int, int]) -> NDArray[np.float32]:
-    """Resample a cube (row, col, band) to `scale` pixels per sample, and crop it to at most `most` (rows, cols)."""
+    """Resample a cube, (row, col, band), to `scale` pixels per sample. Crop it to at most `most` rows and columns."""
     down, across = (_resampling(length, scale, limit) for length, limit in zip(cube.shape, most, strict=False))
     return resampled(cube, down, across)
 
 
 def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.float32]:
-    """Resample a cube (row, col, band) with two sparse matrices (pixel, sample), for the rows and for the columns.
+    """Resample a cube, (row, col, band), with a sparse matrix (pixel, sample) for the rows and another for the columns.
 
-    The cube is processed row by row to limit the memory.
+    The columns are resampled row by row, which limits the memory.
     """
     rows, cols, bands = cube.shape
     tall = (down @ cube.reshape(rows, cols * bands)).reshape(-1, cols, bands)
@@ -401,9 +437,9 @@ def resampled(cube: NDArray[np.float32], down: Any, across: Any) -> NDArray[np.f
 
 
 def _resampling(length: int, scale: float, most: int) -> Any:
-    """Return the sparse matrix (pixel, sample) that resamples a line.
+    """Return the sparse matrix (pixel, sample) that resamples a line of samples.
 
-    It interpolates where pixels are smaller than samples, and averages where they are larger.
+    The line is interpolated if pixels are smaller than samples, and averaged if pixels are larger than samples.
     """
     from scipy.sparse import csr_array
 
@@ -420,11 +456,11 @@ def _resampling(length: int, scale: float, most: int) -> Any:
 
 
 AXES = ("row", "col", "band")
-BRIGHT = 0.999  # quantile of the pixels that counts as a perfect white if the white of radiance is unknown
-BRIGHTEST_USUAL = 2.0  # highest plausible median reflectance; higher values are probably percent, counts or radiance
-FULL_RANGE = 0.75  # if the brightest pixels reach this fraction of 16 bits, 65535 is assumed to be white
-SPARSE = 8  # the median is computed from every eighth row and column
-STRIP = 128  # number of rows converted at once
+BRIGHT_QUANTILE = 0.999  # quantile of the pixel values that is used as white if the radiance of white is unknown
+MAX_MEDIAN_REFLECTANCE = 2.0  # if the median is larger, the values are probably percent, counts or radiance
+FULL_RANGE = 0.75  # if the brightest pixels reach this fraction of 65535, l3 assumes that 65535 is white
+MEDIAN_STEP = 8  # the median is computed from every eighth row and column
+STRIP_ROWS = 128  # number of rows that are converted together, which limits the memory
 
 
 def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | None) -> Scene:
@@ -439,20 +475,20 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
     name : str
         Name of the scene.
     light : Light or None
-        Illuminant under which radiance was measured, if known.
+        Illuminant under which radiance was measured. None if it is unknown.
 
     Raises
     ------
     ValueError
-        If the cube contradicts the recipe, or its white or wavelengths are unknown.
+        If the cube contradicts the recipe, or if the white or the wavelengths of the cube are unknown.
 
     Notes
     -----
-    If the cube contains reflectance, its values are divided by the stored value of a perfect white. If it contains radiance,
-    its values are divided by the radiance of a perfect white under `light`. The absolute level is known only if the recipe
-    gives `white`. If the illuminant is unknown, it is assumed to be equal-photon, and the brightest pixels to be white.
+    Reflectances are divided by the stored value of a perfect white. Radiances are divided by the radiance of a perfect white
+    under `light`. If the illuminant is unknown, an equal-photon spectrum is assumed. If the recipe does not contain the key
+    `white`, the brightest pixels of a radiance scene are assumed to be white.
 
-    Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data get the
+    Small negative values become zero (docs/method.md#simulation). Bad bands are left out. Pixels without data obtain the
     reflectance of the nearest pixel with data, and are marked as ignored.
     """
     wavelength, values, ignored = _bands(cube, source)
@@ -467,59 +503,57 @@ def scene_of(cube: SpectralCube, source: Spectral, name: str, light: Light | Non
             illuminant = spectra.average(stored, light.wavelength, wavelength) * _photons(wavelength, source)
             if not (illuminant > 0).all():
                 dark = wavelength[illuminant <= 0][0]
-                raise ValueError(f"its light has no power at {dark:g} nm; give a light that covers all bands")
+                raise ValueError(f"the illuminant in light has no power at {dark:g} nm; set a light that covers all bands")
         illuminant = illuminant / illuminant.max()
         per_white /= illuminant
     reflectance = np.empty(values.shape, np.float32)
-    for top in range(0, len(values), STRIP):
-        reflectance[top : top + STRIP] = values[top : top + STRIP] * per_white.astype(np.float32)
+    for top in range(0, len(values), STRIP_ROWS):
+        reflectance[top : top + STRIP_ROWS] = values[top : top + STRIP_ROWS] * per_white.astype(np.float32)
     if ignored is not None:
         _fill(reflectance, ignored)
     if not np.isfinite(reflectance).all():
-        raise ValueError('contains values that are not finite (NaN or Inf); repair the cube, or give ignored = "nan"')
+        raise ValueError('the cube contains values that are not finite (NaN or Inf); repair it, or set ignored = "nan"')
     _require_no_mark(values, ignored)
     np.maximum(reflectance, 0.0, out=reflectance)
     if source.holds != "reflectance" and source.white is None:
         _normalise(reflectance)
-    usual = float(np.median(reflectance[::SPARSE, ::SPARSE]))
-    if source.holds == "reflectance" and usual > BRIGHTEST_USUAL:
+    usual = float(np.median(reflectance[::MEDIAN_STEP, ::MEDIAN_STEP]))
+    if source.holds == "reflectance" and usual > MAX_MEDIAN_REFLECTANCE:
         raise ValueError(
-            f"its median reflectance is {usual:.3g}, where 1 is white; set white (100 for percent), or correct holds"
+            f"the median reflectance of the cube is {usual:.3g} times white; set white (100 for percent), or correct holds"
         )
     return Scene(name, wavelength, reflectance, illuminant, ignored)
 
 
 def _usual_white(values: NDArray, source: Spectral, ignored: NDArray[np.bool_] | None) -> float:
-    """Guess the stored value of a perfect white from the data type. Raises ValueError if this is impossible."""
+    """Guess the stored value of a perfect white from the data type. Raise ValueError if this is impossible."""
     if values.dtype.kind not in "iu":
         return 1.0
     top = float(np.iinfo(values.dtype).max)
     if source.holds != "reflectance" or values.dtype.itemsize == 1:
-        return top  # radiance is scaled by its brightest pixels anyway, and 8-bit reflectances use the full range
+        return top  # radiance is scaled by its brightest pixels later, and 8-bit reflectances use the full range
     brightest = np.max(values, axis=2, where=True if ignored is None else ~ignored[..., None], initial=0)
-    reached = float(np.quantile(brightest, BRIGHT))
+    reached = float(np.quantile(brightest, BRIGHT_QUANTILE))
     if values.dtype.kind == "u" and values.dtype.itemsize == 2 and reached >= FULL_RANGE * top:
         return top
     raise ValueError(
-        f"its integers of {8 * values.dtype.itemsize} bits reach {reached:g}, and the file states no scale; give white, the "
+        f"the cube contains {8 * values.dtype.itemsize}-bit integers up to {reached:g}, but no scale; set white to the "
         f"stored value of a perfect white, such as 10000 or {top:g}"
     )
 
 
 def _fill(reflectance: NDArray[np.float32], ignored: NDArray[np.bool_]) -> None:
-    """Give pixels without data the reflectance of the nearest pixel with data. Raises ValueError if no pixel has data."""
+    """Fill each pixel without data with the nearest pixel with data. Raise ValueError if no pixel has data."""
     from scipy.ndimage import distance_transform_edt
 
     if ignored.all():
-        raise ValueError(
-            "all of its pixels are marked as missing; give a cube with valid data, or correct the key `ignored`"
-        )
+        raise ValueError("all pixels of the cube are marked as missing; use a cube with data, or correct the key ignored")
     rows, cols = distance_transform_edt(ignored, return_distances=False, return_indices=True)
     reflectance[ignored] = reflectance[rows[ignored], cols[ignored]]
 
 
 def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None:
-    """Raise ValueError if a pixel has the same negative number in all bands, which marks missing data rather than noise."""
+    """Raise ValueError if a pixel has the same negative value in all bands, which probably marks missing data."""
     if values.shape[2] < 2 or values.dtype.kind == "u":
         return
     for row, line in enumerate(values):
@@ -529,29 +563,38 @@ def _require_no_mark(values: NDArray, ignored: NDArray[np.bool_] | None) -> None
         if marked.any():
             mark = float(line[marked.argmax(), 0])
             raise ValueError(
-                f"contains pixels with the value {mark:g} in all bands; give ignored = {mark:g} if that marks missing data"
+                f"the cube contains pixels with the value {mark:g} in all bands; if this value marks missing data, set "
+                f"ignored = {mark:g}"
             )
 
 
 def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
-    """Return the photons (wavelength) per unit of the stored values, up to a common factor."""
+    """Return the number of photons per unit of the stored values at each wavelength, up to a common factor."""
     one = np.ones(wavelength.size)
     return spectra.photons_from_energy(wavelength, one) if source.holds == "radiance" else one
 
 
 def _normalise(reflectance: np.ndarray) -> None:
-    """Scale a scene so that nearly all pixels are at most a perfect white."""
-    peak = float(np.quantile(reflectance.max(axis=2), BRIGHT))
+    """Scale a scene so that the reflectances of nearly all pixels are at most 1."""
+    peak = float(np.quantile(reflectance.max(axis=2), BRIGHT_QUANTILE))
     if peak <= 0:
-        raise ValueError("is black everywhere")
+        raise ValueError("the scene is black everywhere; use another scene")
     reflectance /= np.float32(peak)
 
 
 def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray, NDArray[np.bool_] | None]:
     """Return the good bands of a cube in increasing order of wavelength.
 
-    The result is the wavelengths in nm, the values (row, col, band) and the mask (row, col) of pixels without data.
-    Wavelengths in the recipe take precedence over wavelengths in the file.
+    Wavelengths in the recipe replace the wavelengths in the file.
+
+    Returns
+    -------
+    ndarray, (band,)
+        Wavelengths in nm.
+    ndarray, (row, col, band)
+        Stored values.
+    ndarray, (row, col), or None
+        Mask of the pixels without data.
     """
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)
@@ -561,17 +604,19 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
     elif cube.wavelength is not None:
         wavelength = cube.wavelength
     else:
-        raise ValueError("contains no wavelengths; give wavelengths_nm or wavelength_range_nm in the recipe")
+        raise ValueError("the cube contains no wavelengths; set wavelengths_nm or wavelength_range_nm in the recipe")
     values, shape = cube.values, cube.values.shape
     if shape[2] != wavelength.size:
-        described = f"its {' × '.join(map(str, shape))} values (row × col × band) do not fit {wavelength.size} wavelengths"
+        sizes = " × ".join(map(str, shape))
+        described = f"the cube has {sizes} values (row × col × band), but {wavelength.size} wavelengths"
         if wavelength.size in shape[:2]:
             raise ValueError(
-                f"{described}: the bands lie along its {AXES[shape.index(wavelength.size)]} axis; turn the cube (axes)"
+                f"{described}, so the bands are probably along the {AXES[shape.index(wavelength.size)]} axis; correct the "
+                "key axes"
             )
         raise ValueError(f"{described}; correct wavelengths_nm")
     if not np.isfinite(wavelength).all():
-        raise ValueError("its wavelengths are not all numbers; give wavelengths_nm in the recipe")
+        raise ValueError("the cube contains wavelengths that are not finite; set wavelengths_nm in the recipe")
     good = np.ones(wavelength.size, bool) if cube.good is None else cube.good
     ignored = cube.ignored
     if source.ignored is not None:
@@ -580,10 +625,10 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
     order = order[good[order]]
     if (twice := np.diff(wavelength[order]) <= 0).any():
         raise ValueError(
-            f"{wavelength[order][twice.argmax()]:g} nm occurs twice among its wavelengths; give wavelengths_nm in the recipe"
+            f"the cube contains {wavelength[order][twice.argmax()]:g} nm twice; set wavelengths_nm in the recipe"
         )
     steps = np.unique(np.diff(order)) if order.size > 1 else np.ones(1, int)
-    if steps.size == 1 and abs(steps[0]) == 1:  # the bands are equally spaced, so a view suffices and nothing is copied
+    if steps.size == 1 and abs(steps[0]) == 1:  # the bands are adjacent, so that a view is sufficient and saves memory
         start, step = int(order[0]), int(steps[0])
         values = values[..., start : start + step * order.size if start + step * order.size >= 0 else None : step]
     else:

@@ -1,4 +1,4 @@
-"""Summaries of cameras, lab recipes and scene recipes, as values for JSON and as lines of text."""
+"""Summaries of cameras, lab recipes and scene recipes, as JSON data and as text."""
 
 from collections import Counter
 from typing import Any
@@ -15,7 +15,7 @@ from l3cli.simulation.light import camera_unknown, make_light, named_beyond_know
 from l3cli.system.text import array_lines, columns, seconds_text, size_text
 
 LIGHTS = ("D65", "A")
-LUMINANCE = 100.0  # cd/m²; luminance of a white indoors, for which exposure times are reported
+LUMINANCE = 100.0  # cd/m²; luminance of white, as indoors, for which exposure times are reported
 
 
 def camera_summary(camera: CameraModel) -> dict[str, Any]:
@@ -29,8 +29,8 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
     Returns
     -------
     dict
-        Values for JSON: the CFA, the curve of each channel, the response of each channel to white relative to the brightest
-        channel, and the exposures at which a white saturates a pixel.
+        JSON data: the CFA, a description of the curve of each channel, the response of each channel to white relative to the
+        brightest channel, and the exposures at which white saturates a pixel.
 
     Raises
     ------
@@ -40,8 +40,8 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
     lights = {name: make_light(name, {}, camera.wavelength) for name in LIGHTS}
     rates = {name: white_rates(camera, light) * camera.channel_gains for name, light in lights.items()}  # per cd/m²
     if dark := [name for name, rate in rates.items() if not rate.max() > 0]:
-        raise InputFileError(f"camera {camera.name} collects no light from {' and '.join(dark)}; check responsivity")
-    _ = camera.saturation_exposure  # raises InputFileError if the camera collects no electrons from D65 at its wavelengths
+        raise InputFileError(f"camera {camera.name} does not respond to {' and '.join(dark)}; check its responsivities")
+    _ = camera.saturation_exposure  # raises InputFileError if the camera collects no electrons from D65
     sites = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels))
     curves: dict[str, Any] = {}
     for number, name in enumerate(camera.channels):
@@ -74,7 +74,7 @@ def camera_summary(camera: CameraModel) -> dict[str, Any]:
 
 
 def camera_meaning(recipe: CameraRecipe | PhaseRecipe, source: RecipeSource) -> Meaning:
-    """Return the summary of a camera, with warnings and a note about unused columns in its file of curves."""
+    """Return the summary of a camera, with warnings and a note about unused columns in its curve file."""
     camera = load_camera(source.path)
     unknown = {"warnings": camera_unknown(source.path, camera, LIGHTS)}
     return camera_summary(camera) | {"note": columns_left_out(source.path)} | unknown, []
@@ -103,14 +103,17 @@ def camera_lines(camera: dict[str, Any], width: int | None) -> list[str]:
         *columns(headings, rows, width),
         "",
         f"efficiency: e-/photon, {first:g}…{last:g} nm; white: response to a white relative to the brightest channel",
-        f"a white saturates a pixel at {', '.join(filled)}: "
-        f"at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g} in {', '.join(times)}",
+        f"a white saturates a pixel at {', '.join(filled)}; "
+        f"exposure times at {camera['luminance_cd_m2']:g} cd/m² and f/{camera['f_number']:g}: {', '.join(times)}",
         *filter(None, [camera["note"]]),
     ]
 
 
 def lab_meaning(recipe: LabRecipe, source: RecipeSource) -> Meaning:
-    """Return the number of captures of each kind and the size of the frames. The result is empty without a camera."""
+    """Return what `l3 check` reports about a lab recipe: the number of captures of each type, and the size of the frames.
+
+    The result is empty if `source` has no camera.
+    """
     camera = source.camera
     if camera is None:
         return {}, []

@@ -58,8 +58,8 @@ size = [4000, 8]  # at least 16×16
 [[scene]]
 source = "cube"
 file = "cubes/*.npy"  # cubes/*.npy does not exist
-wavelengths_nm = [400, 500, 450]  # must increase or decrease
-axes = "row col"  # axes must name row, col and band
+wavelengths_nm = [400, 500, 450]  # neither increases nor decreases
+axes = "row col"  # must contain row, col and band
 [[pair]]
 raw = "a.dng"  # a.dng does not exist
 picture = "a.png"  # a.png does not exist

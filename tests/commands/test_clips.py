@@ -76,7 +76,7 @@ def test_the_exposure_that_is_reported_renders_as_bright_as_the_ideal(
     call = ("simulate", tmp_path / "clip.toml", "--camera", bayer_recipe, "-o", tmp_path / "clip.h5")
     code, _, err = l3(*call, "--pictures", tmp_path / "clip")
     assert code == 0
-    words = re.search(r"frames 0–2: --exposure (\S+) renders them", err)
+    words = re.search(r"frames 0–2: .* use --exposure (\S+)", err)
     assert words
     store.save(colorimetric_table(bayer), tmp_path / "table.h5")
     raws = tmp_path / "clip/%05d_grey-ramp-0-0_raw.tif"
@@ -115,7 +115,7 @@ def test_the_frames_are_the_same_however_they_are_shared_out(clip: Path, bayer: 
     ("change", "words"),
     [
         (("size = [96, 128]", "size = [66, 80]"), "an area of 67×91 samples"),
-        (("size = [32, 40]", "size = [12, 40]"), "motion.size is 12×40"),
+        (("size = [32, 40]", "size = [12, 40]"), "motion.size has 12×40"),
         (("size = [32, 40]", "size = [320, 400]"), "larger than the sensor"),
         (("shake_pixels", "shake_pixel"), "shake_pixels"),
         (("frames = 3", "frames = 0"), "use at least 1"),

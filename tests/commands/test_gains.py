@@ -57,7 +57,7 @@ def test_the_gain_of_frames_without_iso_speed_is_estimated(
     call = ("render", gain_tables / "several.h5", tmp_path / "in_%d.tif", "-o")
     code, _, words = l3(*call, tmp_path / "out")
     assert code == 0
-    found = re.search(r"in_0.tif: gain ([\d.]+) \(([\d.]+) to ([\d.]+)\) estimated from its noise, for all frames", words)
+    found = re.search(r"in_0.tif: the gain is estimated from the noise as ([\d.]+) \(([\d.]+) to ([\d.]+)\) and", words)
     assert found, words
     gain, low, high = map(float, found.groups())
     assert low < 8 < high
@@ -67,7 +67,7 @@ def test_the_gain_of_frames_without_iso_speed_is_estimated(
         assert (tmp_path / "out" / picture).read_bytes() == (tmp_path / "given" / picture).read_bytes()
 
     one = ("render", gain_tables / "several.h5", tmp_path / "textured.tif", "-o", tmp_path / "x.png")
-    assert "textured.tif: the gain is unknown (no area is uniform); 1 is assumed; give --gain" in l3(*one)[2]
+    assert "textured.tif: the gain is unknown (no area is uniform), so l3 assumes a gain of 1; set --gain" in l3(*one)[2]
 
 
 def test_transforms_for_a_gain_are_exported(gain_tables: Path, several: TransformTable, l3: L3, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def test_a_folder_by_name(tmp_path: Path, l3: L3) -> None:
     assert (code, out) == (0, "")
     assert "measured for rawtoaces" in err
     assert "assumed: peak efficiency, focal length, f-number; next: make -C" in err
-    assert "picture.png PHOTO=RAW; another" in err
+    assert "picture.png PHOTO=RAW; to render another" in err
     camera = load_camera(tmp_path / "mine/camera.toml")
     assert (camera.name, camera.rows, camera.cols, camera.bits) == ("Nikon D810", 4912, 7360, 14)
     assert camera.gains is not None

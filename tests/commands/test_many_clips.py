@@ -261,14 +261,14 @@ def test_a_full_disk_a_missing_device_or_another_table_stops_all(
         raise InputFileError("broken")
 
     monkeypatch.setattr(clips, "render", touched)
-    with pytest.raises(RecipeError, match="has changed since the run began"):
+    with pytest.raises(RecipeError, match="has changed during the run"):
         render_clips(table, sources, tmp_path / "out", options, Summary())
 
 
 def test_a_folder_of_clips_and_its_output_lie_apart(refused: Refused, table: Path, shots: Path) -> None:
     for path in (shots / "fold").parent.glob("pat*"):
         path.unlink()
-    assert "contains the other" in refused(2, "render", table, shots, *FAST, "-o", shots / "out")
+    assert "must not contain each other" in refused(2, "render", table, shots, *FAST, "-o", shots / "out")
 
 
 def test_a_folder_of_frames_is_one_clip_and_what_else_is_in_it_is_named(

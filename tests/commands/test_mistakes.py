@@ -70,7 +70,7 @@ MISTAKES = """
     2 simulate scenes.toml -o new.h5
         Missing option '--camera'
     2 simulate empty.toml --camera camera.h5 -o new.h5
-        empty.toml: scene or pair must have an entry
+        empty.toml: the recipe contains no scenes
     2 simulate scenes.toml --camera camera.h5 -o camera.h5 --force
         camera.h5 is an input; choose another output
     1 simulate scenes.toml --camera camera.h5 -o new.h5 --pictures raw.tif

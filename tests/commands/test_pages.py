@@ -261,7 +261,7 @@ def test_pages_are_of_one_size_and_there_or_not(l3: L3, refused: Refused, desk: 
     np.save(desk / "f_1.npy", np.zeros((20, 30), np.uint16))
     inputs = [desk / f"f_{number}.npy" for number in range(PAGES)]
     err = refused(3, "render", desk / "table.h5", *inputs, "-o", desk / "a.tif", "--backend", "reference")
-    assert "f_1.npy has 20×30 pixels, the first page 24×30" in err
+    assert "f_1.npy has 20×30 pixels, but the first page has 24×30" in err
     (desk / "b.tif").write_bytes(b"mine")
     assert "exists" in refused(1, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "b.tif")
     assert "a .tif" in refused(2, "render", desk / "table.h5", desk / "stack.npy", "-o", desk / "c.png")

@@ -115,7 +115,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     recipe.write_text((pipeline / "unseen.toml").read_text() + RECIPE.replace("telegraph", "telegraf"))
     assert 'no installed package has a noise model "telegraf"; did you mean' in refused(2, "simulate", recipe, *arguments)
     recipe.write_text((pipeline / "unseen.toml").read_text() + f'{RECIPE}\nnoise = "shot"')
-    assert "give either noise or noise_model" in refused(2, "simulate", recipe, *arguments)
+    assert "has no effect with sensor.noise_model" in refused(2, "simulate", recipe, *arguments)
 
 
 def test_pictures_of_a_rival_are_judged_like_ours(pipeline: Path, l3: L3, tmp_path: Path) -> None:

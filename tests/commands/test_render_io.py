@@ -319,4 +319,4 @@ def test_device_and_variant_are_chosen_for_one_run(l3: L3, refused: Refused, tmp
     assert np.abs(one.astype(int) - other).max() <= 1
     assert "no such device" in refused(4, "render", table, raw, "-o", tmp_path / "a.png", "--device", "no such device")
     wrong = ("render", table, raw, "-o", tmp_path / "a.png", "--backend", "reference", "--variant", "graphics")
-    assert "--variant applies only to the opencl backend" in refused(2, *wrong)
+    assert "--variant applies only to the backend opencl" in refused(2, *wrong)

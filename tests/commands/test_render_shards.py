@@ -79,9 +79,7 @@ def test_wrong_shards_are_one_line(l3: L3, tmp_path: Path, still_table: Path, st
     several = ("render", still_table, still_frames, still_frames, "-o", tmp_path / "out", *FAST)
     assert "--shard works only for one sequence" in refused(2, *several, "--shard", "1/2")
     stream = ("render", still_table, "-", "-o", tmp_path / "out", "--size", "40x52", *FAST)
-    assert "does not state its number of frames; give the frames of all shards together with --frames" in refused(
-        2, *stream, "--shard", "1/2"
-    )
+    assert "does not state its number of frames, which --shard needs; set --frames" in refused(2, *stream, "--shard", "1/2")
     assert not (tmp_path / "out").exists()
 
 

@@ -187,7 +187,7 @@ LEAVES = '[[scene]]\nsource = "dead leaves"\nsize = [32, 32]\n'
         (HEAD.replace("0.9", "-1") + LEAVES, 2, "is -1; use more than 0"),
         ("exposure_saturated = [1.0]\n" + LEAVES, 2, "exposure_saturated[1] is 1.0; use less than 1"),
         (HEAD + '[[pair]]\nraw = "a.dng"\npicture = "a.png"\n', 3, "a.dng"),
-        (HEAD, 2, "scene or pair"),
+        (HEAD, 2, "contains no scenes"),
     ],
 )
 def test_a_wrong_recipe_is_one_line(

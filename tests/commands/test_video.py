@@ -256,7 +256,7 @@ def test_frames_of_another_size_are_named(l3: L3, tmp_path: Path, table: Path) -
     pattern = tmp_path / "f_%d.npy"
     code, _, err = l3("render", table, pattern, "-o", tmp_path / "a.mp4", *FAST)
     assert (code, err.count("\n")) == (3, 1)
-    assert "f_1.npy has 18×28 pixels, the video 20×28" in err
+    assert "f_1.npy has 18×28 pixels, but the video has 20×28" in err
     assert not (tmp_path / "a.mp4").exists()
     code, _, err = l3("render", table, pattern, "-o", tmp_path / "a.mp4", "--skip-bad", *FAST)
     assert (code, err.count("\n")) == (1, 2)
@@ -364,7 +364,11 @@ def test_the_times_of_a_variable_rate_are_kept(rendered: Callable, tmp_path: Pat
 
 def test_times_that_an_output_cannot_hold_are_reported(rendered: Callable, tmp_path: Path) -> None:
     clip = write_raw_video(tmp_path / "v.mkv", times=UNEVEN)
-    for output, why in (("a.y4m", "y4m shows 24 a second"), ("pictures", "pictures have no times"), ("a.tif", "no times")):
+    for output, why in (
+        ("a.y4m", "y4m has a constant rate of 24 frames per second"),
+        ("pictures", "pictures have no times"),
+        ("a.tif", "no times"),
+    ):
         state, (warning,) = rendered(clip, output)
         assert state == "lost"
         assert "the time between frames varies (0.02–0.4 s), but" in warning
@@ -391,7 +395,7 @@ def test_gaps_in_the_numbers_of_a_folder_are_gaps_of_its_video(rendered: Callabl
     for number, mosaic in zip((1, 2, 3, 7, 8), frames(), strict=True):
         np.save(clip / f"f_{number}.npy", mosaic)
     gap = f"{clip}: frames are missing between 3 and 7"
-    assert rendered(clip, "a.mp4") == ("kept", [f"{gap}; the frame before the gap is shown for that time"])
+    assert rendered(clip, "a.mp4") == ("kept", [f"{gap}; the video shows the frame before a gap until the next frame"])
     np.testing.assert_allclose(frame_times(tmp_path / "a.mp4"), np.array([0, 1, 2, 6, 7]) / 30, atol=1e-4)
     state, (warning,) = rendered(clip, "a.y4m")
     assert (state, gap in warning) == ("lost", True)

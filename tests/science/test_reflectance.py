@@ -211,5 +211,5 @@ def test_what_cannot_be_is_refused(tmp_path: Path, refused: Refused) -> None:
         arguments = tmp_path / "scenes.toml", "--camera", "bayer", "-o", tmp_path / "set.h5"
         return str(refused(2, "simulate", *arguments))
 
-    assert "is the same under every light" in words('[target]\noutputs = "reflectance 31"\nilluminant = "D65"\n')
+    assert "does not depend on the illuminant" in words('[target]\noutputs = "reflectance 31"\nilluminant = "D65"\n')
     assert '"reflectance 31"' in words('[target]\noutputs = "reflectance 30"\n')

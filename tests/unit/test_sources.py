@@ -285,16 +285,16 @@ def write(path: Path, cube: np.ndarray) -> str:
 SPECTRAL = 'illuminants = ["scene"]\ntarget.outputs = "reflectance 31"\n'
 BAD = {
     "no wavelengths": (lambda p: write(p, a_cube()), 3, "contains no wavelengths"),
-    "out of order": (lambda p: write(p, a_cube()[..., :3]) + "wavelengths_nm = [500, 400, 600]\n", 2, "must increase"),
-    "band first": (lambda p: write(p, a_cube().transpose(2, 0, 1)) + RANGE, 3, "along its row axis"),
+    "out of order": (lambda p: write(p, a_cube()[..., :3]) + "wavelengths_nm = [500, 400, 600]\n", 2, "neither increases"),
+    "band first": (lambda p: write(p, a_cube().transpose(2, 0, 1)) + RANGE, 3, "along the row axis"),
     "NaN": (lambda p: write(p, np.where(a_cube() > 0.9, np.nan, a_cube())) + RANGE, 3, "not finite"),
     "Inf": (lambda p: write(p, np.where(a_cube() > 0.9, np.inf, a_cube())) + RANGE, 3, "not finite"),
     "too small": (lambda p: write(p, a_cube((8, 24))) + RANGE, 3, "at least 16×16"),
     "too large": (lambda p: write(p, a_cube((20, 300))) + RANGE, 3, "larger than the sensor"),
     "two axes": (lambda p: write(p, a_cube()[..., 0]) + RANGE, 3, "three axes"),
-    "no relighting": (lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "under an unknown light"),
+    "no relighting": (lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "under an unknown illuminant"),
     "no reflectance": (
-        lambda p: SPECTRAL + write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "its reflectance is not known"
+        lambda p: SPECTRAL + write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "its reflectances are unknown"
     ),
     "light of its own": (
         lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\nlight = "scene"\n', 2, '"scene" is unknown'

@@ -1,7 +1,7 @@
-"""Checkpoint of a rendering: which outputs are finished and what each was made from, so that `--resume` can continue.
+"""Checkpoint of a rendering: a list of finished outputs and of their inputs, with which `--resume` continues a run.
 
-A picture is finished if its file is as the run left it and was made from the same frame with the same settings. Files are
-identified by size, times and inode, because SHA-256 of all frames would take as long as a tenth of the rendering.
+A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same.
+Files are identified by size, times and inode. Computing SHA-256 digests would add about 10 % to the time of a rendering.
 """
 
 import contextlib
@@ -21,58 +21,63 @@ from l3cli.system.files import FINISHED, UNFINISHED, dated, fingerprint, refuse_
 
 
 class PictureCheckpoint(Checkpoint):
-    """The finished outputs of a run by file name, each with the state of its file and the origin of its frames.
+    """List of the finished outputs of a run: file name, state of the file, and origin of its frames.
 
-    During the run the file is called `.l3-unfinished`, and afterwards `.l3-finished`.
+    The origin of a picture is a digest of the frames and settings from which it was made. The name of the checkpoint file
+    ends in `.l3-unfinished` during the run, and in `.l3-finished` after the run.
 
     Parameters
     ----------
     path : Path
-        File of the checkpoint, beside the outputs.
+        File of the checkpoint, in the folder of the outputs.
     key : str
-        Digest of the table, of the options on which the bytes of the outputs depend, and of the paths of the inputs.
+        Digest of the table, of the paths of the inputs, and of the options that influence the outputs.
     """
 
     def __init__(self, path: Path, key: str) -> None:
         super().__init__(path, key)
-        self._unseen: set[str] = set()  # pictures of the earlier run whose frames have not come up yet
+        self._unseen: set[str] = set()  # pictures of the earlier run whose frames have not occurred in this run yet
 
     @property
     def finished(self) -> Path:
-        """File of the checkpoint after the end of the run."""
+        """Path of the checkpoint file after the end of the run."""
         return self.path.with_name(self.path.name.removesuffix(UNFINISHED) + FINISHED)
 
     def continue_run(self, output: Path, force: bool) -> None:
-        """Read which outputs an earlier run has finished, if there was one.
+        """Read the checkpoint of an earlier run, if there is one.
 
         Raises
         ------
         RecipeError
-            If the earlier run had another table, other options or inputs elsewhere, unless `force` is set.
+            If the earlier run had another table, other options or inputs in another place, unless `force` is set.
         """
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
             raise RecipeError(
-                f"{output} contains a run with another table, inputs or options; leave ‹resume› out, or add ‹force›"
+                f"{output} contains pictures of a run with another table, other inputs or other options; leave ‹resume› "
+                "out, or add ‹force›"
             )
         self._unseen = {name for name in self.items if self.is_ours(self.path.with_name(name))}
 
     def is_ours(self, file: Path) -> bool:
-        """Whether a file exists and is as the run left it."""
+        """Whether a file exists and has not changed since the run wrote it."""
         return file.name in self.items and dated(file) == self.items[file.name]["file"]
 
     def has(self, file: Path, origin: str) -> bool:
-        """Whether an output is finished and was made from this origin ("" if the origin is not known yet)."""
+        """Whether an output is finished and has the given origin. Return False if `origin` is "" (unknown)."""
         self._unseen.discard(file.name)
         return bool(origin) and self.is_ours(file) and self.items[file.name]["origin"] == origin
 
     def list_output(self, file: Path, temporary: Path, origin: str, **counts: int) -> None:
-        """List an output, with counts of its frames, just before its temporary file is renamed."""
+        """Add an output to the list, just before its temporary file is renamed. `counts` are numbers of frames."""
         self.add(file.name, {"file": dated(temporary), "origin": origin, **counts})
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
-        """Keep the checkpoint during the block. It stays if the block fails, unless nothing was finished."""
+        """Write the checkpoint during the block.
+
+        If the block fails, the checkpoint file remains, unless no output was finished.
+        """
         refuse_protected(self.finished)
         self.begin()
         self.finished.unlink(missing_ok=True)
@@ -86,12 +91,12 @@ class PictureCheckpoint(Checkpoint):
 
     @property
     def abandoned(self) -> list[Path]:
-        """Pictures of the earlier run whose frames are no longer among the inputs."""
+        """Pictures of the earlier run whose frames are not among the inputs of this run."""
         return [self.path.with_name(name) for name in sorted(self._unseen)]
 
 
 def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool) -> PictureCheckpoint:
-    """Return the checkpoint of a run, with the outputs that an earlier run has finished if `resume` is set."""
+    """Return the checkpoint of a run. If `resume` is set, it contains the finished outputs of an earlier run."""
     checkpoint = PictureCheckpoint(destination.checkpoint, key)
     if resume:
         checkpoint.continue_run(destination.path, force)
@@ -99,37 +104,37 @@ def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool)
 
 
 class FrameOrigins:
-    """Identifies what each picture is made from, as a digest.
+    """Computes the origin of each picture: a digest of everything from which the picture is made.
 
     Parameters
     ----------
     inputs : Path
-        The file with all frames, unless each frame has a file of its own.
+        File with all frames. Not used for frames that have files of their own.
     settings : object
-        Further facts on which all pictures depend, such as the estimated gain; ready for JSON.
+        Further settings that influence all pictures, such as the estimated gain, as JSON data.
     follow : bool
-        Whether a picture depends on all frames before it.
+        Whether each picture depends on all previous frames.
     """
 
     def __init__(self, inputs: Path, settings: Any, follow: bool) -> None:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Return the reference with its origin, if that is known before the frame is read.
+        """Return the reference with its origin, unless the origin is known only after the frame is read.
 
-        Call it before reading, because the file could change in between.
+        Call this method before the frame is read, because the file could change during reading.
         """
         source = reference.source or self._inputs
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Return the reference of a frame that was read, with its origin."""
+        """Return the reference of a frame with its origin, after the frame was read."""
         if reference.origin:
             return reference
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())
 
     def of_all(self, sequence: FrameSequence) -> str:
-        """Return the origin of a video or of the pages of a file; "" if it is not known before the frames are read."""
+        """Return the origin of a video or of a file with several pages, or "" if it depends on frames not read yet."""
         if not sequence.is_stream:
             return _digest([self.of(reference).origin for reference in sequence.frames] + [str(sequence.part)])
         if not self._inputs.is_file():

@@ -1,4 +1,4 @@
-"""Many clips in one call: each is rendered as if it were alone, and an error in one does not stop the others."""
+"""Rendering of several clips in one call. Clips are rendered separately, and an error in a clip does not stop the rest."""
 
 import contextlib
 import functools
@@ -26,34 +26,36 @@ from l3cli.system.console import Gathering
 from l3cli.system.files import FULL, STDIN, FilesUsed, dated, refuse_existing, refuse_filled_folder
 from l3cli.system.outputs import OutputGuard, refuse_unwritable
 
-RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # states of a clip
+RENDERED, KEPT, FAILED = "rendered", "kept", "failed"  # outcome of a clip; "kept": finished by an earlier run
 MAX_WARNINGS = 1000  # largest number of warnings in the report of a clip
 
 
 def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> tuple[Path, ...]:
-    """Return the inputs, with folders of clips replaced by their clips.
+    """Return the inputs. A folder that contains several clips is replaced by its clips.
 
     Raises
     ------
     RecipeError
-        If such a folder contains the output, or the output the folder.
+        If a folder of clips contains the output, or if the output contains a folder of clips.
     """
     clips: list[Path] = []
     sensor = functools.partial(load, TransformTable, table)
     for each in inputs:
         inside = clips_in(each, sensor, stated_overrides(options), options.console.warn) if each.is_dir() else []
-        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # resolves even a loop of links
+        source, target = (Path(os.path.realpath(path)) for path in (each, output))  # no error for a loop of links
         if inside and (source in (target, *target.parents) or target in source.parents):
-            raise RecipeError(f"one of {output} and {each} contains the other; name an output elsewhere")
+            raise RecipeError(
+                f"the output {output} and the folder of clips {each} must not contain each other; name another output folder"
+            )
         clips += [path for path in inside if os.path.realpath(path) != os.path.realpath(table)] or [each]
     return tuple(clips)
 
 
 def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, output: Path) -> bool:
-    """Return whether each input is a clip of its own.
+    """Whether each input is a separate clip.
 
-    This is so if there are several inputs and one of them is a sequence, or if videos are to be written into a folder.
-    Several files with one frame each are a single job.
+    This is the case if there are several inputs of which at least one is a sequence, or if the output is a folder of videos.
+    Several files with one frame each are rendered together.
     """
     if is_video(Path(f"clip.{options.format}")) and not is_video(output):
         return True
@@ -62,7 +64,7 @@ def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, outpu
 
 
 def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
-    """Return whether a file has several frames. Errors in the file are reported when it is rendered."""
+    """Whether a file contains several frames. Errors in the file are reported later, when the file is rendered."""
     with contextlib.suppress(L3Error, OSError):
         return path.is_file() and holds_several(path, sensor, known)
     return False
@@ -74,12 +76,12 @@ class ClipReport:
 
     clip: str
     output: str
-    state: str  # RENDERED, KEPT from an earlier run, or FAILED
-    frames: int = 0
-    left_out: int = 0  # frames
+    state: str  # RENDERED, KEPT or FAILED
+    frames: int = 0  # number of frames whose pictures exist
+    left_out: int = 0  # number of frames that were left out because of errors
     seconds: float = 0.0
     frames_per_s: float | None = None
-    frame_times: str | None = None  # as in Tally
+    frame_times: str | None = None  # Tally.frame_times
     warnings: list[str] = field(default_factory=list)
     error: str | None = None
 
@@ -89,8 +91,8 @@ class Summary:
     """Outcome of all clips so far."""
 
     clips: list[ClipReport] = field(default_factory=list)
-    first_error_code: int | None = None  # exit code of the first clip that failed
-    files: list[FilesUsed] = field(default_factory=list)  # of each rendered clip
+    first_error_code: int | None = None  # exit code for the error of the first failed clip
+    files: list[FilesUsed] = field(default_factory=list)  # files of each rendered clip
 
     def add(self, clip: str, output: Path, tally: Tally, warnings: list[str]) -> None:
         """Add a clip that was rendered."""
@@ -114,7 +116,7 @@ class Summary:
         return 1 if FAILED in states or any(clip.left_out for clip in self.clips) else 0
 
     def document(self) -> dict[str, Any]:
-        """Return the outcome, ready for JSON."""
+        """Return the outcome as a dictionary that can be written as JSON."""
         counts = Counter(clip.state for clip in self.clips)
         return {
             "clips": [asdict(clip) for clip in self.clips],
@@ -125,7 +127,7 @@ class Summary:
 
 
 def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
-    """Render one clip, or several files of one frame each. Errors are those of `render`."""
+    """Render one clip, or several files with one frame each. Errors are the same as in `render`."""
     gathering, summary = Gathering(options.console, MAX_WARNINGS), Summary()
     tally = render(table, inputs, output, replace(options, console=gathering))
     name = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
@@ -134,28 +136,32 @@ def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: Ren
 
 
 def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: RenderOptions, summary: Summary) -> None:
-    """Render each clip to a file or folder of its name. Errors in a clip are reported, and the others are rendered.
+    """Render each clip to a file or folder with the name of the clip.
+
+    An error in a clip is reported, and the next clip is rendered.
 
     Parameters
     ----------
     table : Path
+        File of the transform table.
     clips : sequence of Path
         The inputs.
     folder : Path
         Folder of the outputs.
     options : RenderOptions
+        Options of `l3 render`.
     summary : Summary
         Receives the outcome of each clip.
 
     Raises
     ------
     RecipeError
-        Before any work, if the folder or the options do not fit clips, or if two clips have the same name. Later, if the
-        table changes.
+        Before any work, if `folder` or `options` cannot be used for clips, or if two clips have the same name. During the
+        run, if the table changes.
     L3Error
-        Before any work, if an output exists, unless `resume` or `force` is set. Later, if the disk is full.
+        Before any work, if an output exists, unless `resume` or `force` is set. During the run, if the disk is full.
     DeviceError
-        If nothing can be rendered.
+        If the OpenCL device cannot be used.
     """
     _refuse_folder(folder, options)
     sources = list(dict.fromkeys(clips))
@@ -165,36 +171,44 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
     with OutputGuard(options.console) as guard:
         guard.protect(table)
         for source in sources:
-            with contextlib.suppress(InputFileError, OSError):  # reported when this clip is rendered
+            with contextlib.suppress(InputFileError, OSError):  # the error is reported when this clip is rendered
                 guard.protect(*frame_files(source))
                 _refuse_output(_output_of(source, folder, sensor, options), options)
         for number, source in enumerate(sources, 1):
             options.console.info(f"clip {number} of {len(sources)}: {source}")
             if dated(table) != table_state:
-                raise RecipeError(f"{table} has changed since the run began; start the run again")
+                raise RecipeError(f"{table} has changed during the run; start the run again")
             _render_clip(table, sensor, source, folder, options, renderers, summary)
 
 
 def _refuse_folder(folder: Path, options: RenderOptions) -> None:
-    """Refuse an output that is not a folder, and options that do not fit clips."""
+    """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips."""
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
-        raise RecipeError(f"{folder} is for one clip; name a folder, and give the type of its files with ‹format›")
+        raise RecipeError(
+            f"the output {folder} can contain only one clip; name a folder, and choose the type of the files with ‹format›"
+        )
     if options.uncertainty is not None:
-        raise RecipeError("‹uncertainty› needs a single frame; give one frame, or leave it out")
+        raise RecipeError("‹uncertainty› needs a single frame; name one frame, or leave ‹uncertainty› out")
     destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
     refuse_unwritable(folder)
 
 
 def _output_of(source: Path, folder: Path, table: TransformTable, options: RenderOptions) -> Path:
-    """Return the file or folder of a clip. Raises InputFileError if the clip must be read for this and cannot be."""
+    """Return the output file or output folder of a clip.
+
+    Raises
+    ------
+    InputFileError
+        If the output depends on the content of the clip, and the clip cannot be read.
+    """
     name = name_of(source)
     if is_video(Path(f"clip.{options.format}")) or is_still(source, table, stated_overrides(options)):
         return folder / f"{name}.{options.format}"
-    return folder / name.replace(".", "_")  # a name with a suffix would stand for a file
+    return folder / name.replace(".", "_")  # because l3 would take a name with a suffix for a file
 
 
 def _refuse_output(output: Path, options: RenderOptions) -> None:
-    """Raise L3Error if an output exists, unless it may be continued or replaced."""
+    """Raise L3Error if an output exists, unless the options permit to continue or to replace it."""
     if options.resume or options.force:
         return
     (refuse_existing if output.suffix else refuse_filled_folder)(output, force=False)
@@ -204,7 +218,10 @@ def _render_clip(
     table: Path, sensor: TransformTable, source: Path, folder: Path, options: RenderOptions, renderers: Renderers,
     summary: Summary,
 ) -> None:  # fmt: skip
-    """Render a clip and add its outcome to the summary. Raises only errors that would also stop every other clip."""
+    """Render a clip and add its outcome to the summary.
+
+    An error is raised only if it concerns all clips: if the device cannot be used or the disk is full.
+    """
     output, gathering = folder / name_of(source), Gathering(options.console, MAX_WARNINGS)
     try:
         output = _output_of(source, folder, sensor, options)
@@ -218,6 +235,6 @@ def _render_clip(
         options.console.report(f"l3: {source}: {message}" if str(source) not in message else f"l3: {message}")
         summary.fail(str(source), output, error, message, gathering.warnings)
         return
-    if output.suffix and tally.made == 1:  # of a sequence, its rate was reported
+    if output.suffix and tally.made == 1:  # for sequences, `render` has already reported the speed
         options.console.info(f"{output}: rendered in {tally.seconds:.2g} s")
     summary.add(str(source), output, tally, gathering.warnings)

@@ -1,4 +1,4 @@
-"""Removal of the flicker of lamps from the exposure of frames, and its report."""
+"""Removal of lamp flicker: it corrects the exposure of each frame."""
 
 import math
 from collections import Counter, deque
@@ -11,37 +11,38 @@ from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
 from l3cli.stages.rendering.reading import FrameTask
 
-SMALLEST_REPORTED = 0.0005  # RMS of the log brightness
+SMALLEST_REPORTED = 0.0005  # RMS of the natural logarithm of the brightness; weaker flicker is not reported
 
 
 @dataclass
 class FlickerReport:
     """The flicker that was removed from a sequence."""
 
-    frames: int = 0
-    squares: float = 0.0  # sum of squares of the log brightness that was removed
-    mains: Counter[int | None] = field(default_factory=Counter)  # frames by the mains frequency that was found, in Hz
+    frames: int = 0  # number of frames
+    squares: float = 0.0  # sum of squares of the logarithms of the correction factors
+    mains: Counter[int | None] = field(default_factory=Counter)  # mains frequency in Hz → number of frames with its flicker
 
     def line(self) -> str:
-        """Return the report in one line."""
+        """Return the report as one line of text."""
         mains = self.mains.most_common(1)[0][0] if self.mains else None
         strength = math.sqrt(self.squares / max(self.frames, 1))
         if mains is None or strength < SMALLEST_REPORTED:
-            return "no flicker of 100 or 120 Hz was found; if the pictures flicker, give the camera's rate as ‹fps›"
+            return "no flicker of 100 or 120 Hz was found; if the pictures flicker, set ‹fps› to the rate of the camera"
         return f"flicker of {2 * mains} Hz removed: {strength:.1%} RMS"
 
 
 def deflickered(
     tasks: Iterator[FrameTask], job: Job, look: Look, meter: FrameMeter, report: FlickerReport
 ) -> Iterator[FrameTask]:
-    """Yield the frames with exposure scales that remove the flicker.
+    """Yield the frames, each with an exposure scale that removes the flicker.
 
-    The flicker of a frame is fitted to LOOKAHEAD frames before and after it, so frames wait until these have been read.
+    The flicker in a frame is fitted to the brightness of LOOKAHEAD frames before and after the frame. A frame is therefore
+    yielded only after the following frames have been read.
     """
     rate, unit = look.video.rate, job.sequence.unit
-    window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of frames around the next one
-    waiting: deque[tuple[float | None, FrameTask]] = deque()
-    ahead = 0  # number of waiting frames that were read
+    window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of the frames around the next frame
+    waiting: deque[tuple[float | None, FrameTask]] = deque()  # frames to yield, each with its time
+    ahead = 0  # number of frames in `waiting` that were read without an error
 
     def released() -> FrameTask:
         nonlocal ahead

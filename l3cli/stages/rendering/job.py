@@ -1,6 +1,6 @@
-"""First phase of a rendering: open the table, find the frames and the destination, and refuse what is impossible.
+"""First phase of a rendering: it opens the table, finds the frames, and checks all options.
 
-Every refusal that does not need the content of a frame comes from here, before anything is written.
+All errors that do not depend on the content of a frame are raised here, before anything is written.
 """
 
 import itertools
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """Inputs, destination and settings of a rendering, as far as they are known before a frame is read."""
+    """Inputs, destination and settings of a rendering that do not depend on the content of a frame."""
 
     table_file: Path
     digest: str  # SHA-256 of the table
@@ -56,30 +56,30 @@ class Job:
     inputs: tuple[Path, ...]
     sequence: FrameSequence
     destination: Destination
-    overrides: RawOverrides  # facts about the raw files, dark frame and corrections
-    camera: CameraFile | None  # camera model whose defects and flat field are corrected
+    overrides: RawOverrides  # values that replace the metadata of raw files, the dark frame, and corrections
+    camera: CameraFile | None  # camera model with the defects and the flat field to correct
     engine: dict[str, str]  # options of the backend
-    shows_photos: bool  # whether the inputs state a white of their own, and become pictures
-    white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
-    light_mix: Mix | None  # lights of the table for a white that is given
+    shows_photos: bool  # whether the raw files contain a white balance, and the outputs are pictures
+    white_source: WhiteSource | None  # source of the white of each frame; None to use the white of the rendition
+    light_mix: Mix | None  # mixture of the table's illuminants for a white that the user has set
     rendition: Rendition
     scheduler: "Scheduler | None"
-    checkpoint: PictureCheckpoint | None  # None: nothing to continue, such as a stream or a single picture
+    checkpoint: PictureCheckpoint | None  # None if the output cannot be continued, such as a stream or a single picture
     files: FilesUsed
     options: RenderOptions
 
     def find(self, overrides: RawOverrides) -> FrameSequence:
-        """Find the frames of the inputs again, to be read with other facts about the raw files."""
+        """Return the frames of the inputs. Later, they are read with the given overrides."""
         return find_frames(self.inputs, self.table, overrides, self.options.frames, self.options.dataset)
 
     @property
     def in_order(self) -> bool:
-        """Whether exposure and white change smoothly from frame to frame. Stills each have their own."""
+        """Whether exposure and white change smoothly from frame to frame. For stills, each frame is independent."""
         return not (self.sequence.stills and self.destination.pictures)
 
     @property
     def frames_depend_on_earlier(self) -> bool:
-        """Whether a picture depends on the frames before it."""
+        """Whether a picture depends on previous frames."""
         measures = self.rendition.measures_exposure or self.white_source is not None or self.options.deflicker
         return (self.in_order and measures) or self.options.temporal
 
@@ -87,16 +87,27 @@ class Job:
 def open_job(
     table_file: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions, guard: OutputGuard, is_clip: bool
 ) -> Job:
-    """Open everything that a rendering needs, and refuse what is impossible before any work.
+    """Open the table, find the frames, and check all options, before any work is done.
 
     Parameters
     ----------
-    table_file, inputs, output, options
-        As in `render`.
+    table_file : Path
+        File of the transform table.
+    inputs : tuple of Path
+        Files with one frame each, or one sequence.
+    output : Path
+        Picture, pattern of numbered pictures, folder, video, or "-" for standard output.
+    options : RenderOptions
+        Options of `l3 render`.
     guard : OutputGuard
         Protects the inputs and locks the outputs.
     is_clip : bool
-        Whether this is one of several clips. A clip always has a checkpoint, even if it is a single picture.
+        Whether the input is one of several clips. A clip always has a checkpoint, even if it is a single picture.
+
+    Raises
+    ------
+    RecipeError, InputFileError, DeviceError, L3Error
+        If the frames cannot be rendered.
     """
     scheduler, stated = options.cluster(), stated_overrides(options)
     place = destination_of(output, options.format, video_choice(options), options.shard)
@@ -116,7 +127,7 @@ def open_job(
     light_mix = None if source else light_mix_of_given(options.white, table, nearest_for, options.console)
     rendition = _rendition(place, None if source else options.white, mixed(table, light_mix), options)
     if rendition.balance is not None and table.shows_grey:
-        options.console.info(f"{table_file} has no colour outputs; pictures are grey")
+        options.console.info(f"{table_file} has no colour outputs, so the pictures are grey")
     sequence = _frames(inputs, table, overrides, options)
     destination = paged(place, sequence)
     _refuse_frames(sequence, destination, table, options)
@@ -150,7 +161,13 @@ def open_job(
 
 
 def stated_overrides(options: RenderOptions) -> RawOverrides:
-    """Return what the options state about the raw files. Raises InputFileError if the list of gains cannot be read."""
+    """Return the option values that replace the metadata of raw files.
+
+    Raises
+    ------
+    InputFileError
+        If the file with the gains of the frames cannot be read.
+    """
     levels = options.black_level, options.white_level, options.phase
     gains = _gains_in(options.gains) if options.gains else ()
     return RawOverrides(
@@ -160,8 +177,8 @@ def stated_overrides(options: RenderOptions) -> RawOverrides:
 
 
 def _gains_in(path: Path) -> tuple[float, ...]:
-    """Return the analog gains that a text file lists."""
-    gains, give = [], "give a text file with the gain of each frame, one per line"
+    """Read a text file of analog gains."""
+    gains, give = [], "name a text file that contains the gain of each frame, one per line"
     for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
         try:
             gains.append(float(GAIN.read(text)))
@@ -173,12 +190,12 @@ def _gains_in(path: Path) -> tuple[float, ...]:
 
 
 def video_choice(options: RenderOptions) -> VideoChoice:
-    """Return how videos are encoded."""
+    """Return the settings of the video encoder."""
     return VideoChoice(options.fps or USUAL_RATE, options.bits, options.codec, options.crf, options.preset)
 
 
 def has_display(destination: Destination, options: RenderOptions) -> bool:
-    """Return whether outputs become pictures, with a white and an exposure, instead of being written unchanged."""
+    """Whether white balance and exposure are applied to the outputs. Otherwise they are written unchanged."""
     return not destination.linear or options.space is not None
 
 
@@ -187,7 +204,8 @@ def _engine(options: RenderOptions) -> dict[str, str]:
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     if engine and options.backend != "opencl":
         raise RecipeError(
-            f"‹{next(iter(engine))}› applies only to the opencl backend; leave it or ‹backend› {options.backend} out"
+            f"‹{next(iter(engine))}› applies only to the backend opencl; leave out ‹{next(iter(engine))}› or ‹backend› "
+            f"{options.backend}"
         )
     return engine
 
@@ -195,7 +213,7 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Prepare the device, and the writer of files with a suffix, while the block reads the table."""
+    """Prepare the OpenCL device and the file writer for `suffix` in the background, while the block reads the table."""
 
     def work() -> None:
         if scheduler is None:
@@ -207,30 +225,34 @@ def _prepared_meanwhile(
 
 
 def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
-    """Raise RecipeError if an option does not fit the destination."""
+    """Raise RecipeError if an option cannot be used for the destination."""
     space, exposure = options.space, options.exposure
     if not has_display(destination, options):
         if exposure.factor is not None or exposure.stops or options.white is not None:
-            raise RecipeError("floating-point files contain the unchanged outputs; ‹exposure› and ‹white› also need ‹space›")
+            name = "exposure" if options.white is None else "white"
+            raise RecipeError(
+                f"‹{name}› has no effect on a floating-point file, which contains the unchanged outputs; add ‹space›, or "
+                f"leave ‹{name}› out"
+            )
         if options.deflicker:
             raise RecipeError(
-                "‹deflicker› changes the exposure, but floating-point files contain the unchanged outputs; choose a ‹space› "
-                "or leave ‹deflicker› out"
+                "‹deflicker› has no effect on a floating-point file, which contains the unchanged outputs; add ‹space›, or "
+                "leave ‹deflicker› out"
             )
     if options.tone is not None and (destination.linear or destination.raw):
-        raise RecipeError("‹tone› applies only to display images, and this output is linear; leave it out, or write a .png")
+        raise RecipeError("‹tone› applies only to display images, but the output is linear; leave ‹tone› out")
     if space not in (None, "srgb") and not destination.one_by_one:
-        raise RecipeError("videos are always sRGB; leave ‹space› out, or write pictures")
+        raise RecipeError("‹space› applies only to pictures, because videos are always sRGB; leave ‹space› out")
     if space is not None and destination.raw:
-        raise RecipeError("a DNG file has its own colour space; leave ‹space› out")
+        raise RecipeError("‹space› cannot be used for DNG files, which have their own colour space; leave ‹space› out")
     if options.remosaic is not None and not destination.raw:
-        raise RecipeError("‹remosaic› applies only to DNG files; leave it out, or write a .dng")
+        raise RecipeError("‹remosaic› applies only to DNG files; leave ‹remosaic› out, or write a .dng")
     if options.resume and destination.kind == "stream":
-        raise RecipeError("‹resume› cannot continue an output to stdout; leave it out, or write a file")
+        raise RecipeError("‹resume› cannot continue an output to stdout; leave ‹resume› out, or write a file")
     if options.uncertainty is not None and options.uncertainty.suffix.lower() != ".exr":
-        raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; give a name that ends in .exr")
+        raise RecipeError(f"‹uncertainty› {options.uncertainty} is not an .exr file; use a file name that ends in .exr")
     if options.uncertainty is not None and options.temporal:
-        raise RecipeError("‹uncertainty› cannot be computed with ‹temporal›; leave one of them out")
+        raise RecipeError("‹uncertainty› cannot be combined with ‹temporal›; leave one of these options out")
 
 
 # ------------------------------------------------------------------------------------------------------------- inputs
@@ -239,7 +261,7 @@ def _refuse_misplaced(destination: Destination, options: RenderOptions) -> None:
 def _with_corrections(
     stated: RawOverrides, table: TransformTable, camera: CameraFile | None, options: RenderOptions, guard: OutputGuard
 ) -> RawOverrides:
-    """Return the facts about the raw files with the dark frame, the camera's corrections and the test for hot pixels."""
+    """Return the overrides with the dark frame, the corrections of the camera model and the test for hot pixels."""
     dark = None
     if options.dark:
         sequence = find_frames(options.dark, table, replace(stated, gains=()))
@@ -252,26 +274,27 @@ def _with_corrections(
 def _frames(
     inputs: tuple[Path, ...], table: TransformTable, overrides: RawOverrides, options: RenderOptions
 ) -> FrameSequence:
-    """Return the frames of the inputs. A shard renders part of them."""
+    """Return the frames of the inputs, or the part of the frames that a shard renders."""
     sequence = find_frames(inputs, table, overrides, options.frames, options.dataset)
     if options.shard is None:
         return sequence
     if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
-        raise InputFileError(f"{inputs[0]} does not exist; give a folder, a pattern or a stack")
+        raise InputFileError(f"{inputs[0]} does not exist; name a folder, a pattern or a file with several frames")
     return replace(sequence, part=part_of(sequence, options.shard, options.temporal))
 
 
 def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> range:
-    """Return the positions, from 0, of the frames that a shard renders.
+    """Return the positions, counted from 0, of the frames that a shard renders.
 
     Parameters
     ----------
     sequence : FrameSequence
+        All frames.
     shard : tuple of int
-        Number of the shard from 1, and number of shards.
+        Number of the shard, counted from 1, and number of shards.
     temporal : bool
-        Whether the frames are filtered in time. If each shard has room for it, a shard then starts with a chunk of the
-        filter, because it would otherwise filter the frames before it, too.
+        Whether the frames are filtered in time. The temporal filter works in chunks of frames. If there are enough frames, a
+        shard then starts at the beginning of a chunk. Otherwise it would also have to filter earlier frames.
 
     Raises
     ------
@@ -281,40 +304,50 @@ def part_of(sequence: FrameSequence, shard: tuple[int, int], temporal: bool) -> 
     number, shards = shard
     if sequence.count is None:
         raise RecipeError(
-            f"{sequence.what} does not state its number of frames; give the frames of all shards together with ‹frames›"
+            f"{sequence.what} does not state its number of frames, which ‹shard› needs; set ‹frames› to the frames of all "
+            "shards together"
         )
     count = sequence.count - sequence.lost
     if count < shards:
-        raise RecipeError(f"{sequence.what} has {counted(count, 'frame')}, too few for {shards} shards")
+        raise RecipeError(
+            f"{sequence.what} has {counted(count, 'frame')}, but ‹shard› divides it into {shards} shards; use fewer shards"
+        )
     grid = CHUNK if temporal and count >= shards * CHUNK else 1
     first, last = (count * index // shards for index in (number - 1, number))
     return range(_nearest(first, grid), count if number == shards else _nearest(last, grid))
 
 
 def _nearest(position: int, grid: int) -> int:
-    """Return the nearest multiple of `grid`; halves are rounded up, so that positions `grid` apart stay apart."""
+    """Return the nearest multiple of `grid`.
+
+    Halves are always rounded up, so that two positions whose distance is at least `grid` have different results.
+    """
     return (position + grid // 2) // grid * grid
 
 
 def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
-    """Protect the files of the frames from being replaced by outputs. A stream, which may be endless, is a single file."""
+    """Ensure that no output replaces a file with a frame. The frames of a stream, which may be endless, have no files."""
     if not sequence.is_stream:
         guard.protect(*(reference.source for reference in sequence.frames if reference.source))
 
 
 def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
-    """Raise RecipeError or InputFileError if an option does not fit the frames, or if frames are missing."""
+    """Raise RecipeError or InputFileError if an option cannot be used for the frames, or if frames are missing."""
     if options.deflicker and sequence.stills and destination.pictures:
-        raise RecipeError(f"‹deflicker› applies only to sequences, and {sequence.what} is not a sequence; leave it out")
+        raise RecipeError(
+            f"‹deflicker› applies only to sequences, but {sequence.what} is not a sequence; leave ‹deflicker› out"
+        )
     if options.uncertainty is not None:
         if sequence.count != 1:
-            raise RecipeError("‹uncertainty› needs a single frame; give one frame, or leave it out")
-        from l3cli.rendering.uncertainty import require_known_noise  # imported here, because few runs need it
+            raise RecipeError("‹uncertainty› needs a single frame; name one frame, or leave ‹uncertainty› out")
+        from l3cli.rendering.uncertainty import require_known_noise  # imported here to save start-up time
 
         require_known_noise(table)
         for each in sequence.frames:
             if options.uncertainty.resolve() == destination.file(each.number, each.stem).resolve():
-                raise RecipeError(f"{options.uncertainty} is given for two outputs; give a different file for each")
+                raise RecipeError(
+                    f"‹uncertainty› {options.uncertainty} is also the name of the picture; choose a different file name"
+                )
     if options.temporal:
         require_noise(table.camera)
     if sequence.missing and not options.skip_bad:
@@ -322,12 +355,12 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
 
 
 def _folder_or_file(inputs: tuple[Path, ...]) -> str:
-    """Return the only input, or the folder of several files, to which other files may be added later."""
+    """Return the input or, for several files, their folder, so that a run can be continued after files were added."""
     return os.path.realpath(inputs[0] if len(inputs) == 1 else inputs[0].parent)
 
 
 def _files_read(table_file: Path, inputs: tuple[Path, ...], sequence: FrameSequence, options: RenderOptions) -> FilesUsed:
-    """Return the files that are read. Frames of a stream, which may be endless, are not listed."""
+    """Return the files that are read. Frames from a stream, which may be endless, are not listed."""
     frames = () if sequence.is_stream else sequence.frames
     files = [frame.source for place, frame in enumerate(frames) if frame.source and sequence.renders(place)]
     return files_to_read({"table": [table_file], "inputs": files or inputs, "dark frames": options.dark})
@@ -339,21 +372,23 @@ Choice = Callable[[TransformTable, NDArray[np.floating]], Mix | None]  # mix_for
 
 
 def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice, console: Console) -> Mix | None:
-    """Return the mixture of a table's illuminants that fits a white, and report it.
+    """Return and report the mixture of a table's illuminants that fits a white.
 
     Parameters
     ----------
     white : str or None
-        Name of an illuminant, "x,y", or None for the white of the table.
+        Name of an illuminant, or a chromaticity "x,y". None for the white of the table.
     table : TransformTable
+        The table.
     choice : callable
-        `mix_for` or `nearest_for`.
+        Function that chooses the mixture, `mix_for` or `nearest_for`.
     console : Console
+        Receives the message.
 
     Returns
     -------
     Mix or None
-        None for the common transforms of all illuminants, which fit the white of the table.
+        The mixture. None for the table's common transforms, which are used for the white of the table.
 
     Raises
     ------
@@ -365,7 +400,10 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
     given = given_white(white, table)
     if given is None:
         names = ", ".join(light.name for light in table.lights)
-        console.info(f"using the table's common transforms for all its illuminants ({names}); ‹white› selects others")
+        console.info(
+            f"using the table's common transforms for all its illuminants ({names}); to use the transforms for one "
+            "illuminant, set ‹white›"
+        )
         return None
     light_mix = choice(table, given.light.xyz)
     assert light_mix is not None
@@ -374,7 +412,7 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
-    """Return how outputs become pictures for a given white, and warn if the white is far from that of the training."""
+    """Return the settings with which outputs become pictures. Warn if the white is far from the white of the training."""
     if not has_display(destination, options):
         return outputs_as_they_are(table)
     require_xyz(table.outputs)
@@ -390,16 +428,16 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
     if not destination.raw:
         return rendition
     if options.remosaic not in (None, *MOSAICS):
-        raise RecipeError(f'mosaic "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
+        raise RecipeError(f'‹remosaic› "{options.remosaic}" is unknown; {suggestion(options.remosaic, MOSAICS)}')
     return replace(rendition, space=replace(REC2020, curve=None), raw=True, mosaic=options.remosaic)
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminant, or has light at wavelengths where the camera is not known."""
+    """Warn if a white is far from the training illuminant, or if the camera has no data for part of its spectrum."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:
-        from l3cli.simulation.light import named_beyond_known  # imported here, because few runs need it
+        from l3cli.simulation.light import named_beyond_known  # imported here to save start-up time
 
         for doubt in named_beyond_known((name,), table.camera):
             console.warn(doubt)

@@ -1,4 +1,4 @@
-"""Second phase of a rendering: the choices that depend on the first frame, such as gain, white, display and frame times."""
+"""Second phase of a rendering: settings that may depend on the first frame, such as gain, white balance and frame times."""
 
 import contextlib
 import itertools
@@ -21,21 +21,21 @@ from l3cli.stages.rendering.job import Job, video_choice
 
 @dataclass(frozen=True)
 class Look:
-    """How the frames of a job are shown."""
+    """Settings of a rendering that may depend on the first frame."""
 
-    table: TransformTable  # with the transforms for the light of the frames
-    light_mix: Mix | None  # lights of the table that these transforms are for; None: all in common
-    overrides: RawOverrides  # the job's, with the estimated gain
-    sequence: FrameSequence  # the job's frames, to be read with these facts
+    table: TransformTable  # with the transforms for the illuminant of the frames
+    light_mix: Mix | None  # mixture of illuminants that the transforms are for; None for the common transforms
+    overrides: RawOverrides  # Job.overrides, with the estimated gain
+    sequence: FrameSequence  # the frames, which are read with these overrides
     rendition: Rendition
-    white_source: WhiteSource | None  # source of each frame's white; None: the white of the rendition
+    white_source: WhiteSource | None  # source of the white of each frame; None to use the white of the rendition
     video: VideoChoice
     pacing: Pacing
-    temporal: Chunks | None  # temporal filters
+    temporal: Chunks | None  # temporal filters; None if frames are not filtered in time
 
 
 def choose_look(job: Job) -> Look:
-    """Choose how the frames of a job are shown. Reads the first frame if gain or white depend on it."""
+    """Determine the settings that may depend on the first frame. The frame is read only if gain or white depend on it."""
     gain = _estimated_gain(job)
     overrides = job.overrides if gain is None else replace(job.overrides, unlabelled_gain=gain)
     found = job.sequence if gain is None else replace(job.sequence, frames=job.find(overrides).frames)
@@ -63,16 +63,16 @@ def choose_look(job: Job) -> Look:
 
 
 def _estimated_gain(job: Job) -> float | None:
-    """Estimate the analog gain from the noise of the first frame, for all frames that do not state their gain.
+    """Estimate the analog gain of frames without a stated gain from the noise of the first frame.
 
-    Returns None if the options or the first frame state the gain, if the estimate fails, or if the noise of the table's
-    camera is known at one gain only.
+    The result is None if the options or the first frame state a gain, if the estimate fails, or if the noise of the camera
+    is known at one gain only.
     """
     table, console = job.table, job.options.console
     if job.overrides.gain is not None or job.overrides.gains or table.camera is None or known_gains(table) == (1, 1):
         return None
     if job.sequence.what == STDIN_NAME:
-        console.warn("the gain of frames on stdin cannot be estimated; 1 is assumed; give ‹gain›")
+        console.warn("the gain of frames from stdin cannot be estimated, so l3 assumes a gain of 1; set ‹gain›")
         return None
     frame, _ = _first_frame(job.find(job.overrides))
     if frame is None or table.gain_at(frame.shot.iso) is not None:
@@ -80,21 +80,29 @@ def _estimated_gain(job: Job) -> float | None:
     try:
         estimate = estimate_gain(frame, table.camera)
     except ValueError as reason:
-        console.warn(f"{frame.name}: the gain is unknown ({reason}); 1 is assumed; give ‹gain›")
+        console.warn(f"{frame.name}: the gain is unknown ({reason}), so l3 assumes a gain of 1; set ‹gain›")
         return None
     low, high = estimate.bounds
-    extent = "" if job.sequence.count == 1 else ", for all frames without ISO speed"
+    extent = "" if job.sequence.count == 1 else " and used for all frames without an ISO speed"
     console.warn(
-        f"{frame.name}: gain {estimate.gain:.3g} ({low:.2g} to {high:.2g}) estimated from its noise{extent}; ‹gain› sets it"
+        f"{frame.name}: the gain is estimated from the noise as {estimate.gain:.3g} ({low:.2g} to {high:.2g}){extent}; "
+        "if you know the gain, set ‹gain›"
     )
     return estimate.gain
 
 
 def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) -> tuple[Mix | None, FrameSequence]:
-    """Return the mixture of the table's illuminants that is nearest to the white of the first frame, and the frames.
+    """Find the mixture of the table's illuminants that is nearest to the white of the first frame.
 
-    All frames are rendered with the transforms for this mixture. It is None if the first frame states no white. Errors in
-    the first frame are reported when it is rendered.
+    All frames are rendered with the transforms for this mixture. Errors in the first frame are reported later, when the
+    frame is rendered.
+
+    Returns
+    -------
+    Mix or None
+        The mixture. None if the white of the first frame is unknown.
+    FrameSequence
+        All frames, including the first frame.
     """
     console, is_single = job.options.console, sequence.count == 1
     frame, frames = _first_frame(sequence)
@@ -104,7 +112,9 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
             white = source.white(frame)
     if frame is None or white is None:
         if not is_single:
-            console.info("the first frame has no known white; using the table's common transforms for all its illuminants")
+            console.info(
+                "the white of the first frame is unknown; using the table's common transforms for all its illuminants"
+            )
         return None, frames
     light_mix = nearest_for(job.table, white.light.xyz)
     assert light_mix is not None
@@ -114,9 +124,14 @@ def _light_mix_of_first(source: WhiteSource, job: Job, sequence: FrameSequence) 
 
 
 def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequence]:
-    """Return the first frame, or None if there is none or it is damaged, and the frames including the first.
+    """Read the first frame.
 
-    Frames of a stream can be read only once, so the returned sequence repeats the first one.
+    Returns
+    -------
+    RawFrame or None
+        The first frame. None if there are no frames or if the first frame is damaged.
+    FrameSequence
+        All frames. Frames from a stream can be read only once, so this sequence contains the first frame again.
     """
     frames = sequence.frames
     number = next(iter(frames.wanted), None)
@@ -138,13 +153,13 @@ def _first_frame(sequence: FrameSequence) -> tuple[RawFrame | None, FrameSequenc
             raise fault
         return first
 
-    # An endless iterator of numbers has also been advanced.
+    # If the numbers are an iterator, its first number has been consumed, too.
     numbers = itertools.chain([number], frames.wanted) if isinstance(frames.wanted, Iterator) else frames.wanted
     return first, replace(sequence, frames=replace(frames, series=replace(frames.series, read=read), wanted=numbers))
 
 
 def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
-    """Return how a video is encoded, with its rate, and the times of its frames."""
+    """Return the settings of the video encoder, with the frame rate, and the times of the frames."""
     sequence, options = job.sequence, job.options
     stated = sequence.times() if sequence.times is not None and options.fps is None else None
     uneven = None if stated is None or stated.are_even else stated
@@ -154,12 +169,12 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 
 
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
-    """Return the temporal filters. They run in this process even if workers render, because each needs all frames."""
+    """Return the temporal filters. They always run in this process, because they need all frames in order."""
     if job.sequence.count == 1:
-        job.options.console.warn("‹temporal› has no effect on a single frame; give a sequence")
+        job.options.console.warn("‹temporal› has no effect on a single frame; name a sequence, or leave ‹temporal› out")
     try:
         return Chunks(filters(job.options.backend, table, **job.engine))
     except DeviceError:
         if job.scheduler is None:
             raise
-        return Chunks(filters("reference", table))  # this machine may have no device; all backends give the same frames
+        return Chunks(filters("reference", table))  # this machine needs no device; results of all backends are equal

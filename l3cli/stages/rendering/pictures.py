@@ -1,7 +1,7 @@
-"""The step from a measured frame to its finished picture, in this process or on the workers of other machines.
+"""The step from a measured frame to its finished picture, in this process or on workers on other machines.
 
-Both go through `PictureMaker.pictures`. A worker also reads the file, if the frame was not measured here, and encodes the
-picture's file.
+Both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If the frame need not be measured, the
+worker reads the raw file, too.
 """
 
 import functools
@@ -40,19 +40,19 @@ if TYPE_CHECKING:
 class RenderSetup:
     """Settings that all frames of a run share."""
 
-    table: Path  # absolute, because workers open it
+    table: Path  # absolute path, because workers may have another working directory
     digest: str  # SHA-256 of the table
     backend: str
     engine: Mapping[str, str | None]  # options of the backend
     overrides: RawOverrides
     rendition: Rendition
     suffix: str | None  # suffix of the picture files; None if pixels are wanted
-    camera: CameraFile | None = None  # camera model whose defects and flat field are corrected
-    light_mix: Mix | None = None  # lights of the table
+    camera: CameraFile | None = None  # camera model with the defects and the flat field to correct
+    light_mix: Mix | None = None  # mixture of the table's illuminants whose transforms are used
 
 
 def setup_of(job: Job, look: Look) -> RenderSetup:
-    """Return the settings of a run."""
+    """Return the settings that all frames of a run share."""
     return RenderSetup(
         job.table_file.absolute(), job.digest, job.options.backend, job.engine, look.overrides, look.rendition,
         job.destination.file_suffix, job.camera, look.light_mix,
@@ -60,7 +60,7 @@ def setup_of(job: Job, look: Look) -> RenderSetup:
 
 
 class PictureMaker:
-    """Makes the pictures of frames."""
+    """Renders frames to pictures."""
 
     def __init__(self, setup: RenderSetup, renderer: Renderer) -> None:
         self._setup, self._renderer = setup, renderer
@@ -68,7 +68,8 @@ class PictureMaker:
     def pictures(self, tasks: Iterable[FrameTask]) -> Iterator[tuple[FrameTask, Picture]]:
         """Yield each frame with its picture, in order.
 
-        If the exposures are known beforehand, the device computes the next picture while the caller uses one.
+        If the exposure of a frame does not depend on its outputs, the device renders the next frame while the caller
+        processes a picture.
         """
         rendition = self._setup.rendition
         usual = rendition.balance
@@ -102,7 +103,7 @@ def _frame(task: FrameTask) -> RawFrame:
 
 
 class LocalPictures:
-    """Makes pictures in this process."""
+    """Renders pictures in this process."""
 
     workers_read = False
 
@@ -111,13 +112,14 @@ class LocalPictures:
 
 
 class RemotePictures:
-    """Makes pictures on workers of other machines. If each frame becomes a file, workers make the content of the file.
+    """Renders pictures on workers on other machines. If each frame becomes a file, the workers also encode the file.
 
     Parameters
     ----------
     pool : WorkerPool
+        The workers.
     setup : RenderSetup
-        The dark frame, the gains of frames and the corrections are not sent to workers.
+        Settings of the run. The dark frame and the corrections are not sent to the workers.
     """
 
     def __init__(self, pool: WorkerPool, setup: RenderSetup) -> None:
@@ -127,7 +129,7 @@ class RemotePictures:
         self._shading = None if overrides.correction is None else overrides.correction.shading
 
     def pictures(self, tasks: Iterable[FrameTask]) -> Iterator[tuple[FrameTask, Any]]:
-        """Yield each frame in order, with its picture, the content of its file, or the error in its input."""
+        """Yield each frame in order, with its result: a picture, the bytes of a file, or the error in the raw file."""
         sent: deque[FrameTask] = deque()
 
         def jobs() -> Iterator[tuple[RenderSetup, FrameTask]]:
@@ -140,14 +142,17 @@ class RemotePictures:
 
 
 def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
-    """Return the frame without the camera model's shading, which is larger than the frame and which workers know."""
+    """Return the frame without the shading of the camera model.
+
+    The shading is larger than the frame. Workers read it from the camera model.
+    """
     if task.frame is None or shading is None or task.frame.shading is not shading:
         return task
     return replace(task, frame=replace(task.frame, shading=None))
 
 
 def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
-    """Return the picture of a frame, the content of its file, or the error in its input. This runs in a worker."""
+    """Render a frame in a worker, and return a picture, the bytes of a file, or the error in the raw file."""
     setup, sent = job
     table, renderer = _renderer_of_worker(
         setup.table,
@@ -166,14 +171,14 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:
-    """Return the frame, read from its file if it was not sent, with the corrections of the camera model."""
+    """Return a frame with the corrections of the camera model. If the frame was not sent, it is read from its file."""
     correction = None if setup.camera is None else correction_again(setup.camera)
     if task.frame is None:
         assert task.reference.source is not None
         source = task.reference.source.absolute()
         require_same(source, task.digest)
         return replace(task, frame=read_raw(source, table, replace(setup.overrides, correction=correction)))
-    if correction is not None and task.frame.shading is None:  # defects were corrected before it was sent
+    if correction is not None and task.frame.shading is None:  # defects were corrected before the frame was sent
         return replace(task, frame=replace(task.frame, shading=correction.shading))
     return task
 
@@ -182,7 +187,7 @@ def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) 
 def _renderer_of_worker(
     path: Path, digest: str, backend: str, engine: tuple[tuple[str, str | None], ...], pictures: bool, light_mix: Mix | None
 ) -> tuple[TransformTable, Renderer]:
-    """Return the table and its renderer. A worker makes them once for all frames."""
+    """Return the table and its renderer, which a worker creates once for all frames."""
     require_same(path, digest)
     loaded = load(TransformTable, path)
     table = mixed(loaded.pictured() if pictures else loaded, light_mix)
@@ -190,26 +195,29 @@ def _renderer_of_worker(
 
 
 class Renderers:
-    """Keeps the last renderer for the next clip, because making one takes a while and OpenCL never frees what it builds."""
+    """Cache of the last renderer, which the next clip can use.
+
+    Creating a renderer takes time, and OpenCL never frees the programs that it has built.
+    """
 
     def __init__(self) -> None:
         self._renderers: dict[Any, Renderer] = {}
 
     def of(self, setup: RenderSetup, table: TransformTable) -> Renderer:
-        """Return the renderer of a run."""
+        """Return the renderer for the settings of a run."""
         key = setup.digest, table.outputs, setup.backend, tuple(setup.engine.items()), setup.light_mix
         if key not in self._renderers:
             self._renderers = {key: NoiseRenderer(setup.backend, table, **setup.engine)}
         return self._renderers[key]
 
     def forget(self) -> None:
-        """Drop the renderer, because after an error it may be in the middle of a frame."""
+        """Empty the cache. After an error, the renderer may be in the middle of a frame."""
         self._renderers = {}
 
 
 @contextmanager
 def picture_makers(job: Job, look: Look, renderers: Renderers) -> Iterator[LocalPictures | RemotePictures]:
-    """Yield the object that makes the pictures of a run, in this process or on the workers of a scheduler."""
+    """Yield the object that renders the pictures of a run, in this process or on the workers of a scheduler."""
     setup = setup_of(job, look)
     if job.scheduler is None:
         yield LocalPictures(setup, renderers.of(setup, look.table))

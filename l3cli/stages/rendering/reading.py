@@ -1,6 +1,7 @@
-"""The first steps of a rendering: frames are read and measured in order.
+"""The first steps of a rendering: it reads the frames and measures exposure and white in order.
 
-Each frame becomes a `FrameTask`, which the later steps complete. Finished frames are read only if later ones depend on them.
+Each frame becomes a `FrameTask`, to which the later steps add their results. A frame whose picture is already finished is
+read only if later frames depend on it.
 """
 
 import hashlib
@@ -24,23 +25,23 @@ from l3cli.system.files import sha256
 
 @dataclass(frozen=True)
 class FrameTask:
-    """A frame and what is known about it, from its reference to its picture. It can be pickled for workers."""
+    """A frame and the results of the steps so far. Workers receive it as a pickle."""
 
     reference: FrameReference
-    place: int  # position in the sequence, from 0
-    is_finished: bool = False  # whether its picture already exists, or is not needed
-    is_counted: bool = True  # whether it is to be rendered; otherwise it is only read for other frames
-    is_filtered: bool = False  # whether it goes through the temporal filter
-    frame: RawFrame | None = None  # None if a worker is to read it, if nothing depends on it, or after an error
-    digest: str = ""  # SHA-256 of the file, if a worker is to read it
+    place: int  # position in the sequence, counted from 0
+    is_finished: bool = False  # whether the picture already exists or is not needed
+    is_counted: bool = True  # whether the frame is rendered; otherwise it is read only because other frames depend on it
+    is_filtered: bool = False  # whether the temporal filter processes the frame
+    frame: RawFrame | None = None  # None if a worker reads the frame, if the frame is not needed, or after an error
+    digest: str = ""  # SHA-256 of the file if a worker reads the frame
     identity: str = ""  # identity of the frame in the metadata of its picture
-    scale: float = 0.0  # exposure scale; 0 for automatic
-    balance: WhiteBalance | None = None  # white balance; None for the rendition's
+    scale: float = 0.0  # exposure scale; 0 for automatic exposure
+    balance: WhiteBalance | None = None  # white balance; None for the white balance of the rendition
     white: SceneWhite | None = None  # measured white
-    brightness: float = 0.0  # as FrameMeter.looked_at returns it
-    ratio: float = 0.0  # log of its brightness relative to the previous frame
-    error: L3Error | None = None  # why it cannot be rendered
-    lost: int = 1  # number of frames that an error stands for
+    brightness: float = 0.0  # brightness that FrameMeter.looked_at returns
+    ratio: float = 0.0  # natural logarithm of the brightness relative to the previous frame
+    error: L3Error | None = None  # error because of which the frame cannot be rendered
+    lost: int = 1  # number of frames that are lost because of the error
 
 
 class FrameReader:
@@ -49,13 +50,15 @@ class FrameReader:
     Parameters
     ----------
     job : Job
+        The job.
     look : Look
+        Settings of the job that may depend on its first frame.
     meter : FrameMeter
         Measures exposure and white.
     origins : FrameOrigins
-        Identifies frames for the checkpoint.
+        Computes the origins of pictures for the checkpoint.
     workers_read : bool
-        Whether workers can read the files. Frames that are not measured here are then left to them.
+        Whether workers can read files. Workers then read all frames that need not be measured.
     """
 
     def __init__(self, job: Job, look: Look, meter: FrameMeter, origins: FrameOrigins, workers_read: bool) -> None:
@@ -66,15 +69,15 @@ class FrameReader:
         self._measures_all = measures and job.in_order
         self._leaves_to_workers = workers_read and job.destination.one_by_one and not (measures or job.options.temporal)
         self._fixed_scale = look.rendition.exposure or 0.0
-        self._shape: tuple[int, ...] | None = None  # of the first frame
-        # A stream is not read ahead, because its next frame may not have arrived yet.
+        self._shape: tuple[int, ...] | None = None  # shape of the first frame
+        # Frames from a stream are not read ahead, because the next frame may not have arrived yet.
         self._looks_ahead = job.options.temporal and (not self._sequence.is_stream or self._sequence.part is not None)
 
     def frames(self) -> Iterator[FrameTask]:
         """Yield a task for each frame.
 
-        Frames that are needed are read and measured here, unless a worker is to read them. Frames that are not needed are
-        marked as finished.
+        A frame that is needed is read and measured, unless a worker reads it. A frame that is not needed is marked as
+        finished.
         """
         listed, ahead = itertools.tee(self._listed()) if self._looks_ahead else (self._listed(), iter(()))
         needs = needed((task.place, not task.is_finished) for task in ahead)
@@ -93,7 +96,7 @@ class FrameReader:
                 yield replace(measured, is_filtered=filtered and measured.frame is not None)
 
     def _listed(self) -> Iterator[FrameTask]:
-        """Yield the frames before they are read, and mark those whose pictures exist."""
+        """Yield a task for each frame before the frame is read. If its picture exists, the task is marked as finished."""
         references = itertools.islice(self._sequence.frames, last_read(self._job))
         for place, reference in enumerate(references):
             is_counted = self._sequence.renders(place)
@@ -106,7 +109,7 @@ class FrameReader:
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
-        """Return a frame that a worker is to read. The first frame is always read here, because warnings depend on it."""
+        """Return the task of a frame that a worker reads. The first frame is never among them: warnings depend on it."""
         assert task.reference.source is not None
         try:
             digest = sha256(task.reference.source)
@@ -115,14 +118,14 @@ class FrameReader:
         return replace(task, digest=digest, identity=file_identity(digest), scale=self._fixed_scale)
 
     def _measured(self, task: FrameTask) -> FrameTask | None:
-        """Read and measure a frame. Returns None at the end of a stream."""
+        """Read and measure a frame. Return None at the end of a stream."""
         try:
             frame = self._sequence.frames.read(task.reference.number)
             if frame is None:
                 return None
             self._require_shape(frame)
             brightness, balance, white = self._meter.looked_at(frame)
-            deflicker = self._job.options.deflicker  # the scale is then known only after later frames
+            deflicker = self._job.options.deflicker  # if set, the scale depends on later frames and is computed later
             scale, ratio = (0.0, self._ratio.of(frame)) if deflicker else (self._meter.scale(frame, brightness), 0.0)
             reference = self._origins.of_read(task.reference, frame) if self._checkpoint else task.reference
             is_finished = task.is_finished or (not task.reference.origin and self._exists(reference))
@@ -137,23 +140,27 @@ class FrameReader:
         )  # fmt: skip
 
     def _missing_at_end(self, task: FrameTask) -> Iterator[FrameTask]:
-        """Yield an error if a stream ended before the last frame that was selected."""
+        """Yield a task with an error if a stream ended before the last selected frame."""
         if numbers := self._sequence.rest(task.reference.number):
             yield replace(task, error=self._sequence.absent(numbers), lost=len(numbers), is_counted=True)
 
     def _require_shape(self, frame: RawFrame) -> None:
-        """Raise InputFileError if frames of one video or file have different sizes."""
+        """Raise InputFileError if a frame of a video, or a page of a file, differs in size from the first frame."""
         shape = upright(frame.values, frame.orientation).shape
         self._shape = first = self._shape or shape
         if shape != first and not self._job.destination.one_by_one:
             whole = "first page" if self._job.destination.pictures else "video"
             raise InputFileError(
-                f"{frame.name} has {shape[0]}×{shape[1]} pixels, the {whole} {first[0]}×{first[1]}; give frames of one size"
+                f"{frame.name} has {shape[0]}×{shape[1]} pixels, but the {whole} has {first[0]}×{first[1]}; use frames of "
+                "the same size"
             )
 
 
 def last_read(job: Job) -> int | None:
-    """Return how many frames are read, or None for all. To remove flicker, frames after the last one are needed."""
+    """Return the number of frames to read, or None for all frames.
+
+    The removal of flicker also needs some frames after the last frame of a shard.
+    """
     part = job.sequence.part
     return None if part is None else part.stop + (LOOKAHEAD if job.options.deflicker else 0)
 

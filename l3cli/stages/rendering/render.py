@@ -1,4 +1,4 @@
-"""The render stage: raw frames through a table into a picture, numbered files, a folder, a video or a stream."""
+"""The render stage: it renders raw frames to a picture, numbered files, a folder, a video or a stream."""
 
 from pathlib import Path
 
@@ -14,29 +14,31 @@ from l3cli.system.outputs import OutputGuard
 def render(
     table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions, clips: Renderers | None = None
 ) -> Tally:
-    """Render raw frames through a table into pictures or video.
+    """Render raw frames with a transform table to pictures or a video.
 
     Parameters
     ----------
     table : Path
         File of the transform table.
     inputs : tuple of Path
-        Files of one frame each, or one sequence.
+        Files with one frame each, or one sequence.
     output : Path
-        Picture, pattern of numbered pictures, folder, video, or "-" for a stream.
+        Picture, pattern of numbered pictures, folder, video, or "-" for standard output.
     options : RenderOptions
+        Options of `l3 render`.
     clips : Renderers, optional
-        Set for one of several clips: the renderers that the clips share.
+        The renderers that several clips share. Set this parameter only if the input is one of several clips.
 
     Returns
     -------
     Tally
-        Numbers of frames rendered and left out, and the files.
+        Numbers of rendered frames and of frames that were left out, and the files.
 
     Raises
     ------
     RecipeError, InputFileError, DeviceError, L3Error
-        Before anything is written, unless an input turns out to be damaged when it is read.
+        If the frames cannot be rendered. Errors are raised before anything is written, except for damaged frames, which are
+        found when they are read.
     """
     with OutputGuard(options.console) as guard:
         job = open_job(table, inputs, output, options, guard, is_clip=clips is not None)

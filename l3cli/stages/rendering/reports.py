@@ -1,4 +1,4 @@
-"""What a rendering reports about its frames: counts, whites and times."""
+"""Messages of a rendering about its frames: their number, their whites and their times."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,44 +11,47 @@ from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
 from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed
+from l3cli.system.text import counted
 
-EVEN, KEPT, LOST = "even", "kept", "lost"  # frame times: evenly spaced, or uneven and kept in the video, or lost
+# What happens to the times of frames: they are evenly spaced; the video keeps uneven times; or uneven times are lost.
+EVEN, KEPT, LOST = "even", "kept", "lost"
 
 
 @dataclass
 class Tally:
-    """Counts of a rendering, which change while it runs."""
+    """Counts of a rendering, which are updated during the run."""
 
-    done: int = 0  # frames whose pictures exist
-    made: int = 0  # frames whose pictures this run has made
-    failures: int = 0  # frames left out
-    seconds: float = 0.0  # from the first frame's reading to the last one's writing
+    done: int = 0  # number of frames whose pictures exist
+    made: int = 0  # number of frames whose pictures this run has rendered
+    failures: int = 0  # number of frames that were left out because of errors
+    seconds: float = 0.0  # time between reading the first frame and writing the last picture
     frame_times: str | None = None  # EVEN, KEPT or LOST; None for pictures, which have no times
-    written: list[Path] = field(default_factory=list)
+    written: list[Path] = field(default_factory=list)  # files that were written
     files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, job: Job, count: int = 1) -> None:
-        """Count and report frames that are left out because of an error. Without --skip-bad, raise the error."""
+        """Report an error and count the frames that are left out because of it, or raise it unless `skip_bad` is set."""
         if not job.options.skip_bad:
             raise error
         self.failures += count
         job.options.console.report(f"l3: {error}")
 
     def report(self, job: Job) -> None:
-        """Report the end of the run."""
+        """Report the number of frames and the speed at the end of the run."""
         console, path = job.options.console, job.destination.path
         if not self.made:
             console.info(f"{path} is finished already")
         elif not job.sequence.stills:
-            console.info(f"{path}: {self.done} frames, {self.done / self.seconds:.3g} a second")
+            console.info(f"{path}: {self.done} frames, {self.done / self.seconds:.3g} per second")
         if self.failures:
             console.report(f"l3: {self.failures} of {self.done + self.failures} frames left out")
 
 
 class WhiteReport:
-    """Reports the white with which frames are shown.
+    """Reports the white of the frames.
 
-    It names the white of every still, of the first frame of a sequence and, if it has changed, of the last.
+    The white of each still is reported. For a sequence, the white of the first frame is reported and, if the white has
+    changed, the white of the last frame.
     """
 
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:
@@ -58,12 +61,12 @@ class WhiteReport:
         self._warned = False
 
     def add(self, frame: RawFrame, white: SceneWhite | None) -> None:
-        """Add a frame and its white, or None if it could not be determined."""
+        """Add a frame and its white. `white` is None if the white of the frame is unknown."""
         if self._source is None:
             return
         if white is None:
             if self._stills:
-                self._console.info(f"{frame.name}: the white cannot be determined; that of the table is used")
+                self._console.info(f"{frame.name}: the white cannot be determined; using the white of the table")
             return
         self._last = frame.name, white
         if self._stills or self._reported is None:
@@ -77,7 +80,7 @@ class WhiteReport:
                 self._console.warn(doubt)
 
     def end(self) -> None:
-        """Report the white of the last frame, unless it has already been reported."""
+        """Report the white of the last frame, unless this white has already been reported."""
         if self._source and self._last and self._last[1] is not self._reported:
             self._report(self._source, *self._last)
 
@@ -87,28 +90,30 @@ class WhiteReport:
 
 
 def report_times(job: Job, look: Look, tally: Tally) -> None:
-    """Note in the tally whether the frames' times were kept, and warn of gaps and of times that are lost."""
+    """Record in the tally whether the output keeps the times of the frames. Warn about gaps and lost times."""
     sequence, destination, pacing, console = job.sequence, job.destination, look.pacing, job.options.console
-    rate, cure = f"{float(look.video.rate):.4g} a second", "name a .mp4, .mov or .mkv to keep their times"
+    rate = f"{float(look.video.rate):.4g} frames per second"
+    cure = "to keep the times of the frames, write a .mp4, .mov or .mkv"
     if pacing.stated is not None:
         tally.frame_times = KEPT if destination.has_times else LOST
         if tally.frame_times == LOST:
-            reason = "pictures have no times" if destination.pictures else f"y4m shows {rate}"
+            reason = "pictures have no times" if destination.pictures else f"y4m has a constant rate of {rate}"
             console.warn(f"{sequence.what}: the time between frames varies ({pacing.stated.range()}), but {reason}; {cure}")
     elif destination.pictures:
         return
     elif sequence.unit is None and not sequence.stills:
         tally.frame_times = LOST
         console.warn(
-            f"{sequence.what}: the numbers in its file names are not consecutive frame numbers; the video shows {rate}"
+            f"{sequence.what}: the numbers in the file names are not consecutive frame numbers, so the times of the frames "
+            f"are unknown and the video shows {rate}"
         )
     elif pacing.first_gap is None:
         tally.frame_times = EVEN
     else:
         tally.frame_times = KEPT if destination.has_times else LOST
-        more = f", and {pacing.gaps - 1} more gaps" if pacing.gaps > 1 else ""
+        more = f" and in {counted(pacing.gaps - 1, 'other gap')}" if pacing.gaps > 1 else ""
         gap = "{}: frames are missing between {} and {}".format(sequence.what, *pacing.first_gap) + more
         if tally.frame_times == LOST:
-            console.warn(f"{gap}, and y4m has no gaps; {cure}")
-        elif not tally.failures:  # frames that were left out have been reported
-            console.warn(f"{gap}; the frame before the gap is shown for that time")
+            console.warn(f"{gap}, but a y4m video cannot contain gaps; {cure}")
+        elif not tally.failures:  # the frames that were left out have already been reported
+            console.warn(f"{gap}; the video shows the frame before a gap until the next frame")

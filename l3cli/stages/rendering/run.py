@@ -1,7 +1,7 @@
-"""Third phase of a rendering: every frame is read, rendered and written.
+"""Third phase of a rendering: all frames are read, rendered and written.
 
-Frames pass the steps read → measured → filtered in time → rendered → encoded → written. Reading, filtering, rendering and
-writing overlap in threads with short queues between them, so that memory does not grow with the number of frames.
+The steps for a frame are: read, measure, filter in time, render, encode, write. The steps run in several threads. Between
+the threads there are short queues, so that memory does not grow with the number of frames.
 """
 
 import contextlib
@@ -27,22 +27,22 @@ from l3cli.stages.rendering.reading import FrameReader, FrameTask, last_read
 from l3cli.stages.rendering.reports import Tally, WhiteReport, report_times
 from l3cli.stages.rendering.uncertainty import write_uncertainty
 
-QUEUE_FRAMES = 3  # largest number of frames that wait between two steps
+QUEUE_FRAMES = 3  # largest number of frames in the queue between two steps
 
 
 def run(job: Job, look: Look, renderers: Renderers) -> Tally:
-    """Render the frames of a job. With --resume, finished pictures are left as they are.
+    """Render the frames of a job. If `resume` is set, finished pictures are not rendered again.
 
     Raises
     ------
     InputFileError, L3Error
-        If a frame is damaged, unless bad frames are skipped, or if an output cannot be written.
+        If a frame is damaged and `skip_bad` is not set, or if an output cannot be written.
     """
     tally = Tally()
     if not _is_finished(job, look, tally):
         keeping = job.checkpoint.kept() if job.checkpoint else contextlib.nullcontext()
         with keeping, picture_makers(job, look, renderers) as makers:
-            if job.options.uncertainty is not None:  # first, because it refuses frames that are too small
+            if job.options.uncertainty is not None:  # before the picture, because it raises an error for small frames
                 tally.written.append(write_uncertainty(job, look))
             _render_frames(job, look, makers, tally)
     tally.report(job)
@@ -53,7 +53,7 @@ def run(job: Job, look: Look, renderers: Renderers) -> Tally:
 
 
 def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
-    """Whether a video, or the pages of a file, are finished. If so, count their frames."""
+    """Whether a video, or a file with several pages, is already finished. If so, add its frames to the tally."""
     if job.checkpoint is None or job.destination.one_by_one:
         return False
     path = job.destination.path
@@ -65,7 +65,7 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Render all frames, and count and report them in the tally."""
+    """Render all frames, and count them in the tally."""
     start = time.monotonic()
     sequence, options, console = look.sequence, job.options, job.options.console
     meter = FrameMeter(look.table, look.rendition, look.white_source, look.video.rate if job.in_order else None)
@@ -88,7 +88,7 @@ def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures,
             else:
                 writing.put((task.reference, picture))
         if not tally.done:
-            raise InputFileError("none of the frames could be read; nothing is written")
+            raise InputFileError("none of the frames can be read, so no output was written; check the errors above")
     tally.seconds = max(time.monotonic() - start, 1e-9)
     if warnings.assumption:
         console.info(warnings.assumption)
@@ -100,12 +100,13 @@ def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures,
     report_times(job, look, tally)
     if job.checkpoint and job.checkpoint.abandoned:
         console.warn(
-            f"{job.checkpoint.abandoned[0]} belongs to a frame that is no longer given; remove it if it is not needed"
+            f"{job.checkpoint.abandoned[0]} was rendered by an earlier run from a frame that is not an input of this run; "
+            "remove the picture if you do not need it"
         )
 
 
 def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTask]:
-    """Yield the frames, filtered in time."""
+    """Yield the frames after the temporal filter."""
     for task in tasks:
         if task.is_filtered and task.frame is not None:
             yield replace(task, frame=temporal.filtered(task.place, task.frame))
@@ -116,7 +117,7 @@ def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTas
 def _unfinished(
     tasks: Iterable[FrameTask], job: Job, tally: Tally, warnings: FrameWarnings, whites: WhiteReport
 ) -> Iterator[FrameTask]:
-    """Yield the frames to render. Count all frames, check those to render, and raise or report errors."""
+    """Yield the frames whose pictures are not finished yet. Count all frames, and raise or report their errors."""
     for task in tasks:
         if task.error is not None:
             if task.is_counted or not job.options.skip_bad:
@@ -133,14 +134,17 @@ def _unfinished(
 
 
 def _origins(job: Job, look: Look) -> FrameOrigins:
-    """Return what identifies the origins of pictures. With --deflicker, the last ones depend on the number of frames."""
+    """Return the object that computes the origins of pictures.
+
+    If flicker is removed, the last pictures also depend on the number of frames.
+    """
     count = job.sequence.count if job.options.deflicker else None
     settings = [look.light_mix and astuple(look.light_mix), look.overrides.unlabelled_gain, astuple(look.video), count]
     return FrameOrigins(job.inputs[0], settings, job.frames_depend_on_earlier)
 
 
 def _lister(job: Job, look: Look, tally: Tally) -> Callable[[Path, Path, FrameReference | None], None]:
-    """Return the function that lists a finished file, in the tally and the checkpoint, before its file is renamed."""
+    """Return a function that adds a finished output to the tally and to the checkpoint, before its file is renamed."""
     whole = "" if job.destination.one_by_one or job.checkpoint is None else _origins(job, look).of_all(look.sequence)
 
     def add(file: Path, temporary: Path, reference: FrameReference | None) -> None:

@@ -1,4 +1,4 @@
-"""The file of a frame's uncertainty, which `--uncertainty` writes."""
+"""The file that `l3 render --uncertainty` writes."""
 
 from pathlib import Path
 
@@ -12,7 +12,9 @@ from l3cli.stages.rendering.look import Look
 
 
 def write_uncertainty(job: Job, look: Look) -> Path:
-    """Write the standard deviation of the outputs of the only frame, and a mask (docs/measurement.md#uncertainty).
+    """Write an EXR file with the standard deviation of each output and a mask (docs/measurement.md#uncertainty).
+
+    The job must have a single frame.
 
     Returns
     -------
@@ -24,18 +26,19 @@ def write_uncertainty(job: Job, look: Look) -> Path:
     InputFileError
         If the frame is missing.
     """
-    from l3cli.rendering.uncertainty import uncertainty  # imported here, because few runs need it
+    from l3cli.rendering.uncertainty import uncertainty  # imported here to save start-up time, because few runs need it
 
     path, table = job.options.uncertainty, look.table
     assert path is not None
     (frame,) = (look.sequence.frames.read(number) for number in look.sequence.frames.wanted)
     if frame is None:
-        raise InputFileError("the uncertainty cannot be computed, because the frame is missing")
+        raise InputFileError("‹uncertainty› needs a frame, but the input contains none; name an input with one frame")
     result = uncertainty(NoiseRenderer(job.options.backend, table, **job.engine).of_frame(frame), frame)
     pixels = np.concatenate([result.sigma, result.mask[..., None].astype(np.float32)], axis=2)
     write_picture(path, pixels, (*(f"sigma.{name}" for name in table.outputs), "mask"))
     fraction = float((result.mask > 0).mean())
     job.options.console.info(
-        f"{path}: written; {fraction:.1%} of the pixels are clipped, or their classes have no training patches"
+        f"{path}: written; {fraction:.1%} of the pixels are in the mask, because they are clipped or their classes have no "
+        "training patches"
     )
     return path

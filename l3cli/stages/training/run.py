@@ -140,7 +140,7 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
     classes, shares = options.classes or known_recipes("classes")["default"], options.shares
     if shares is not None and len(shares) != len(training):
         raise RecipeError(
-            f"‹shares› contains {counted(len(shares), 'value')}, but there are {counted(len(training), 'training set')}; "
+            f"‹shares› contains {counted(len(shares), 'value')}, but the number of training sets is {len(training)}; "
             "set one share per training set"
         )
     recipe = load_recipe(classes, TrainingRecipe)
