@@ -189,7 +189,7 @@ def test_mistakes_raise_and_state_what_is_wrong(pipeline: Path, tmp_path: Path) 
         l3.load(tmp_path / "nothing.h5")
     with pytest.raises(RecipeError, match=r"did you mean \"default\""):
         l3.simulate("defalt", "bayer", tmp_path / "t.h5")
-    with pytest.raises(RecipeError, match="contains 2 values, but there"):
+    with pytest.raises(RecipeError, match="contains 2 values, but the number"):
         l3.train(pipeline / "training.h5", tmp_path / "t.h5", shares=[1, 2])
     with pytest.raises(L3Error, match="exists"):
         l3.train(pipeline / "training.h5", pipeline / "table.h5")

@@ -72,7 +72,7 @@ def test_streams_of_a_known_length_and_videos_are_divided(l3: L3, tmp_path: Path
 
 def test_wrong_shards_are_one_line(l3: L3, tmp_path: Path, still_table: Path, still_frames: Path, refused: Refused) -> None:
     call = ("render", still_table, still_frames, "-o", tmp_path / "out", *FAST)
-    assert "9 frames, too few for 10 shards" in refused(2, *call, "--shard", "1/10")
+    assert "9 frames, but --shard divides it into 10 shards" in refused(2, *call, "--shard", "1/10")
     assert "use a shard from 1/2 to 2/2" in refused(2, *call, "--shard", "3/2")
     missing = ("render", still_table, tmp_path / "missing", "-o", tmp_path / "out", *FAST)
     assert "missing does not exist" in refused(3, *missing, "--shard", "1/2")

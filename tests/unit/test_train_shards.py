@@ -291,8 +291,8 @@ def test_shares_weigh_training_sets(bayer: CameraModel, tmp_path: Path, l3: L3) 
 @pytest.mark.parametrize(
     ("shares", "why"),
     [
-        ("1", "--shares contains 1 value, but there are 2 training sets"),
-        ("1,2,3", "--shares contains 3 values, but there are 2 training sets"),
+        ("1", "--shares contains 1 value, but the number of training sets is 2"),
+        ("1,2,3", "--shares contains 3 values, but the number of training sets is 2"),
         ("1,-2", "-2 is not within 0…1e+06; the nearest valid value is 0"),
         ("0,0", "contains no proportion above zero"),
         ("1,x", "is not a number"),
