@@ -135,7 +135,7 @@ def test_variables_have_ranges_too(
     line = refused(2, "render", table, tmp_path / "raw.png", "-o", tmp_path / "a.png", *FAST)
     assert line.startswith(f"l3: {name}: ")
     assert "within" in line
-    assert "unset it" in line
+    assert "unset the environment variable" in line
 
 
 def test_a_device_is_not_chosen_by_digits_that_are_no_number(refused: Refused) -> None:

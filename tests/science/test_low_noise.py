@@ -149,7 +149,7 @@ def test_low_noise_transforms_of_other_layers_are_refused() -> None:
         "axis tap of conditions/0/first/weights", first=dataclasses.replace(low.first, weights=low.first.weights[..., :4])
     )
     dark = dataclasses.replace(low.edges, contrast_edges=low.edges.contrast_edges[:, :2])
-    changed("conditions/0/edges/contrast_edges .* along level", edges=dark)
+    changed("axis level of conditions/0/edges/contrast_edges", edges=dark)
     scale = low.edges.gradients[0]
     short = GradientScale(scale.gradient_factor[:2], scale.gradient_shift[:2])
     changed("have different numbers of levels", edges=dataclasses.replace(low.edges, gradients=(short,)))

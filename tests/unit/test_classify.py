@@ -190,8 +190,8 @@ def test_level_contrast_and_case_mean_what_they_state(fiveband: CameraModel) -> 
         (ClassRecipe(patch=8), "odd"),
         (ClassRecipe(patch=17), "odd number from 1 to 15"),
         (ClassRecipe(highest_level=1.2), "highest_level < 1"),
-        (ClassRecipe(level_edges=(0.2, 0.1)), "must increase"),
-        (ClassRecipe(level_edges=()), "must increase"),
+        (ClassRecipe(level_edges=(0.2, 0.1)), "increasing numbers"),
+        (ClassRecipe(level_edges=()), "increasing numbers"),
         (ClassRecipe(level_edges=(0.5, 1.0)), "between 0 and 1"),
     ],
 )

@@ -178,8 +178,8 @@ def test_same_bytes_for_jobs_and_shards(
     for wrong, why in (
         ("0/3", "use a shard from"),
         ("4/3", "use a shard from"),
-        ("3", "is not I/N"),
-        ("a/b", "is not I/N"),
+        ("3", "does not have the form I/N"),
+        ("a/b", "does not have the form I/N"),
     ):
         assert why in refused(2, "train", *run, "--shard", wrong, "-o", out)
     assert "--merge reads classes" in refused(2, "train", "--merge", *a, "--shard", "1/3", "-o", out)
