@@ -1,16 +1,15 @@
-"""Areas in which channels clip: smooth outputs of uniform areas, and the hue of unclipped areas nearby.
+"""Areas in which channels clip: smooth outputs of uniform areas, and the hue of similar unclipped areas nearby.
 
 docs/method.md#uniform-clipped-areas and docs/method.md#hue-of-clipped-areas describe the two methods.
-
 
 The class of a pixel changes abruptly where a channel clips, which would be visible as a contour in a uniform area. In
 such areas, a smooth function of the channel means therefore replaces the outputs.
 
 The means are computed in blocks. A block consists of whole periods of the CFA, and its sides are at least 4 pixels long.
-Each block has four values: the fraction of the outputs that is replaced, and the values that are added to X, Y and Z
-instead. Three more values describe the hue of unclipped blocks nearby that could be the same surface: the degree to which
-a pixel takes this hue, and X/Y and Z/Y of the hue multiplied by this degree. All values are interpolated between the blocks.
-All pixels of a quad (2 × 2 pixels) get the same interpolated values.
+For uniform areas, each block has four values: the fraction of the outputs that is replaced, and the values that are
+added to X, Y and Z instead. For the hue, each block has three more values: the weight of the hue of unclipped blocks
+nearby that may show the same surface, and the X/Y and Z/Y of this hue, multiplied by the weight. All values are
+interpolated between the blocks. All pixels of a quad (2 × 2 pixels) get the same interpolated values.
 """
 
 from dataclasses import dataclass
@@ -30,15 +29,14 @@ KEPT, REPLACED = 0.85, 0.975
 PLAIN, TEXTURED = 0.12, 0.3
 WHITE_FROM = 1.25  # luminance, relative to the clipped white, from which pixels are rendered white
 MIN_WEIGHT = 1e-6  # weight of a clipped channel in the grey level, so that the weights never sum to zero
-# Values per block: the fraction of the outputs that is replaced and the values added to X, Y and Z; the degree to which the
-# pixel takes the hue of its surroundings, and X/Y and Z/Y of this hue multiplied by this degree.
+# Number of values per block: four for the replacement of the outputs, and three for the hue.
 MAPS, REPLACEMENT_MAPS = 7, 4
-HUE_STEPS = 2  # number of blocks that a clipped block is compared with in each direction
-HUE_REACH = 24  # pixels; distance of the farthest of these blocks
-MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which a block is not the same surface
-MIN_SIGNAL = 0.02  # fraction of full scale; smaller differences do not count
-# Likeness, as a fraction of its maximum, that is necessary to take the hue of the surroundings by half: usually, and if the
-# clipped block could be grey.
+HUE_STEPS = 2  # number of blocks in each direction with which a clipped block is compared
+HUE_REACH = 24  # pixels; distance from a clipped block to the farthest of these blocks
+MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which two blocks show different surfaces
+MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals are divided
+# If the likeness of the surroundings, as a fraction of its maximum, has the value HUE_DOUBT, the weight of their hue is one
+# half. GREY_DOUBT times the likeness of the clipped block to a white is added to this value.
 HUE_DOUBT, GREY_DOUBT = 0.03, 3.0
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
@@ -93,7 +91,7 @@ def limited_to_white(outputs: Array, clipped_white: Array) -> Array:
 
 
 def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> Array:
-    """Replace the outputs in uniform areas where channels clip, and then the hue of all areas where channels clip.
+    """Replace the outputs of uniform areas where channels clip, then the hue of all areas where channels clip.
 
     Parameters
     ----------
@@ -115,7 +113,7 @@ def replaced(outputs: Array, mosaic: Mosaic, response: Array, white: Array) -> A
 def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
     """Interpolate the values of the blocks at every pixel.
 
-    The parameters are described in `replaced`. The result has the shape (map, row, col).
+    `replaced` describes the parameters. The result has the shape (map, row, col).
     """
     (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
     maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, response, white, sides)])
@@ -218,15 +216,16 @@ def block_maps(means: Array, spread: Array, response: Array, white: Array) -> Ar
 
 
 def hue_spacing(side: int) -> int:
-    """Return the distance, in blocks of this side, between the blocks that a clipped block is compared with."""
+    """Return the distance between the blocks with which a clipped block is compared, in blocks with this side in pixels."""
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
 def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
-    """Compute the hue that each block takes from unclipped blocks nearby.
+    """Compute the hue that each clipped block gets from unclipped blocks nearby.
 
-    A block nearby could be the same surface under more or less light if its signals, scaled to those of the clipped block,
-    agree in the channels that do not clip and reach full scale in the channels that clip.
+    A block nearby may show the same surface under more or less light. For this test, its signals are scaled to the
+    signals of the clipped block. They must then agree in the channels that do not clip, and reach full scale in the
+    channels that clip.
 
     Parameters
     ----------
@@ -242,7 +241,7 @@ def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]
     Returns
     -------
     ndarray, (map, block row, block col)
-        The degree to which a pixel takes the hue, and X/Y and Z/Y of the hue multiplied by this degree.
+        Weight of the hue, and X/Y and Z/Y of the hue, multiplied by the weight.
     """
     channels, *shape = means.shape
     clipped = smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
@@ -252,7 +251,7 @@ def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]
     own, unclipped = np.maximum(signals[:, numbers], MIN_SIGNAL), 1 - clipped
 
     def scaled(signal: Array) -> tuple[Array, Array]:
-        """Return signals (channel, block) scaled to those of the clipped blocks, and their likeness."""
+        """Scale signals to the signals of the clipped blocks, and return them with their likeness."""
         ratio = signal / own
         scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
         missing = 1 - scale * ratio

@@ -217,7 +217,9 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
     assert "CAMERA ?= camera.toml" in (mine / "Makefile").read_text()
     assert "not empty" in refused(1, "init", "--from", folder / "design.h5", mine)
     assert "one folder" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")
-    assert "--phase is only for raw files" in refused(2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a")
+    assert "--phase is only for raw files" in refused(
+        2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a"
+    )
     assert "holds scene moments;" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
 
 
