@@ -227,7 +227,7 @@ def test_exr_has_the_chromaticities_of_its_space(l3: L3, desk: Path) -> None:
     [
         ("x.png", ("--space", "acescg"), "write an .exr file, or a .tif file with --bits 32"),
         ("x.tif", ("--space", "xyz", "--bits", 16), "linear"),
-        ("x.png", ("--bits", 32), "x.png: .png has 8 or 16 bits per value, not 32; use .tif or .exr"),
+        ("x.png", ("--bits", 32), "x.png: .png files store 8 or 16 bits per value, not 32; use .tif or .exr"),
         ("x.mp4", ("--bits", 32), "write a .tif or .exr"),
         ("x.mp4", ("--space", "rec2020"), "videos are always sRGB; leave --space out"),
         ("x.exr", ("--white", "A"), "--space"),
