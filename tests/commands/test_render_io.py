@@ -94,7 +94,7 @@ def test_a_picture_is_not_taken_for_a_stack_of_narrow_frames(
 ) -> None:
     for channels in (1, 3):
         np.save(tmp_path / "a.npy", np.dstack([mosaic] * channels))
-        assert "rows × columns" in refused(3, "render", table, tmp_path / "a.npy", "-o", tmp_path / "out")
+        assert "(row, col)" in refused(3, "render", table, tmp_path / "a.npy", "-o", tmp_path / "out")
 
 
 def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:
@@ -202,7 +202,7 @@ def test_values_above_the_converter_in_later_frames_are_reported_once(
     [
         (("-o", "a.jpg", "--bits", 16), "8 bits"),
         (("-o", "a.exr", "--exposure", 2), "--exposure"),
-        (("-o", "a.png", "--exposure", "+1"), "give 1 (factor of Y) or +1EV (brighter than auto)"),
+        (("-o", "a.png", "--exposure", "+1"), "write 1 (factor of Y) or +1EV (brighter than auto)"),
         (("-o", "a.png", "--exposure", "-1"), "auto, camera, or EV relative to auto such as -1EV"),
         (("-o", "a.png", "--exposure", "30EV"), "-20…20 EV"),
         (("-o", "a.exr", "--exposure", "+1EV"), "--exposure"),
@@ -224,7 +224,7 @@ def test_wrong_calls_are_refused(
 
 
 def test_equal_names_are_refused(refused: Refused, table: Path, raw: Path, tmp_path: Path) -> None:
-    assert "one by one" in refused(2, "render", table, raw, Path("elsewhere/frame.raw"), "-o", tmp_path / "out")
+    assert "render them separately" in refused(2, "render", table, raw, Path("elsewhere/frame.raw"), "-o", tmp_path / "out")
 
 
 def test_pictures_of_other_outputs_are_refused_but_exr_is_written(
@@ -244,15 +244,15 @@ def test_broken_inputs_are_refused_in_one_line(
     files = {
         "short.raw": (b"\0" * 10, "--size"),
         "text.dng": (b"not a raw file", "not a DNG file"),
-        "text.tif": (b"not an image", "not an image"),
+        "text.tif": (b"not an image", "not a picture"),
         "text.npy": (b"not an array", "numpy.save"),
         "cut.npy": (raw.read_bytes()[:500], "numpy.save"),
         "empty.npy": (b"", "numpy.save"),
         "cut.png": (whole[: len(whole) // 2], "cut.png"),
     }
     arrays = {
-        "float.npy": (mosaic / 2, "no DN"),
-        "cube.npy": (mosaic[None, None], "rows × columns"),
+        "float.npy": (mosaic / 2, "not DN"),
+        "cube.npy": (mosaic[None, None], "(row, col)"),
         "object.npy": (np.array([[None]]), "numpy.save"),
         "none.npy": (mosaic[:0], "no pixels"),
     }
@@ -261,7 +261,7 @@ def test_broken_inputs_are_refused_in_one_line(
     for name, (array, _) in arrays.items():
         np.save(tmp_path / name, array, allow_pickle=True)
     inputs = {name: words for name, (_, words) in (files | arrays).items()}
-    inputs |= {"archive.npy": "archive", "float.tif": "no DN", "rgb.png": "3 channels"}
+    inputs |= {"archive.npy": "archive", "float.tif": "not DN", "rgb.png": "3 channels"}
     inputs |= {"folder.dng": "folder", "missing.dng": "does not exist"}
     np.savez(tmp_path / "archive.npz", mosaic)
     (tmp_path / "archive.npz").rename(tmp_path / "archive.npy")
