@@ -204,7 +204,7 @@ format: ## format the sources, and fix the findings that ruff can fix
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: ## measure the time per frame of each stage, compared with bare multiply-adds and with Menon's method, and the time of simulations
+bench: ## measure the time per frame of each stage, compared with multiply-adds alone and with Menon's method, and the time of simulations
 	$(call needs,test)
 	$(L3) bench
 	$(BIN)/python -m pytest -m slow -s tests/studies/test_speed_study.py

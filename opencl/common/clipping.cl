@@ -1,7 +1,8 @@
-// Areas where channels clip (l3cli/classes/clipping.py). For each block of the mosaic, the kernels compute means and ranges, and from these
-// seven map values. If the area is uniform, the outputs are replaced: the first four maps are the fraction that is replaced, and the
-// replacement of each output. Then pixels take the hue of unclipped blocks nearby: the others are the degree to which they take it, and X/Y
-// and Z/Y of the hue multiplied by this degree. Quads (2 × 2 pixels) interpolate the maps.
+// Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic, and from
+// the means and the range seven map values. The first four maps replace the outputs in uniform areas. Map 0 is the replaced fraction of the
+// outputs, and maps 1 to 3 are the values added to X, Y and Z. The last three maps then change the hue of pixels to the hue of unclipped
+// blocks nearby. Map 4 is the degree of this change, maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by the degree. The maps are
+// interpolated at quads (2 × 2 pixels).
 
 // Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -97,9 +98,10 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// Computes the first four maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks are skipped in
-// two cases. A uniform block whose means are far below BEGINS has no bright neighbours. An ignored block next to a block that is not
-// ignored is not uniform. If no channel clips, the grey of the same brightness may still clip, so these blocks are not skipped.
+// Computes the first four maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks whose
+// means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks. Ignored blocks are
+// skipped, too, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not skipped, because the
+// grey of the same brightness may clip.
 INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                              int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -140,8 +142,9 @@ INLINE float4 replacement_of(int y, int x, __global const float *restrict means,
     return (float4)(share, added[0], added[1], added[2]);
 }
 
-// Scales the signals of a block to those of a clipped block, of which `inverse` holds the reciprocals and `open` the degrees to
-// which the channels do not clip. likeness: of the scaled signals.
+// Returns the factor that scales the signals of a block to the signals of a clipped block, and computes the likeness of the scaled signals
+// to the signals of the clipped block. `inverse` contains the reciprocals of the signals of the clipped block. `open` is 1 for a channel of
+// the clipped block that does not clip and 0 for a channel that clips.
 INLINE float scale_to(const float *inverse, const float *open, const float *signal, float *likeness) {
     float ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
@@ -160,7 +163,7 @@ INLINE float scale_to(const float *inverse, const float *open, const float *sign
     return scale;
 }
 
-// The hue that block (y, x) takes from unclipped blocks nearby, as the last three maps.
+// Computes the last three maps of block (y, x), which describe the hue of similar unclipped blocks nearby.
 INLINE float3 hue_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
                      int columns) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
@@ -208,7 +211,7 @@ INLINE float8 maps_of(int y, int x, __global const float *restrict means, __glob
     return (float8)(replacement_of(y, x, means, response, rows, columns), hue_of(y, x, means, response, rows, columns), 0.0f);
 }
 
-// Position of a quad between two blocks along an axis.
+// Position of a quad between two blocks along one axis.
 typedef struct {
     int low, high;  // block before the quad, and next block
     float share;    // weight of the next block

@@ -61,8 +61,8 @@ VECTOR(short, pairs, 2 * LANES);
 // rarely run and would take time to compile.
 #define AT_EDGE _Pragma("clang loop vectorize(disable) unroll(disable)")
 
-// Writes the first `count` lanes of a vector to to[0], to[1] … . The lanes are copied to an array first, because selecting a lane with a
-// variable takes much code.
+// Writes the first `count` lanes of a vector to to[0], to[1] … . The lanes are copied to an array first, because compilers generate much
+// code for the selection of a lane by a variable.
 #define WRITE_FIRST(element, type, to, value, count) do { \
     element lane[LANES]; \
     STORE_PRIVATE(type, lane) = value; \

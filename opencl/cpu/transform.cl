@@ -113,7 +113,7 @@ INLINE floats of_quads(__global const float *map) {
     return __builtin_shufflevector(quads, quads, ALL_LANES(OF_QUAD));
 }
 
-// Replaces the outputs of LANES pixels in uniform clipped areas, and then the hue in all clipped areas (l3cli/classes/clipping.py).
+// Replaces the outputs of LANES pixels in uniform clipped areas, then changes the hue in all clipped areas (l3cli/classes/clipping.py).
 INLINE void replace_clipped(floats *made, int row, int x, int rows, int columns CLIPPING_PARAMETER) {
     const size_t quads = QUADS_PLANE(rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;

@@ -233,7 +233,7 @@ void transform(__global const SOURCE *restrict source,      // (source, row, col
     }
 #endif
 #ifdef CLIPPING
-    // Replace the outputs of uniform clipped areas, and then the hue of all clipped areas (l3cli/classes/clipping.py).
+    // Replace the outputs in uniform clipped areas, then change the hue in all clipped areas (l3cli/classes/clipping.py).
     const size_t quads = QUADS_PLANE(source_rows, columns);
     __global const float *map = maps + (size_t)(row / 2) * QUADS_STRIDE(columns) + x / 2;
     total[0].xyz = (1.0f - map[0]) * total[0].xyz + (float3)(map[quads], map[2 * quads], map[3 * quads]);

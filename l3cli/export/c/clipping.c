@@ -4,12 +4,11 @@
 #define MAPS 7
 #define CLIP_BLOCKS(length, side) (((length) + (side) - 1) / (side))
 
-/* Values of blocks of whole CFA periods. README.md ("Uniform clipped areas") contains the formulas. */
+/* Values of blocks of whole CFA periods. README.md ("Uniform clipped areas", "Hue of clipped areas") contains the formulas. */
 typedef struct {
     float *means; /* (block row, block column, channel + 1) means as fractions of full scale, then the largest range of a channel,
                      or -1 if the block is too dark or lacks a channel */
-    float *maps;  /* (block row, block column, MAPS) fraction of the outputs that is replaced, then the replacement of each output; the
-                     degree to which a pixel takes another hue, then X/Y and Z/Y of this hue, multiplied by the degree */
+    float *maps;  /* (block row, block column, MAPS) w and the three values q, then c, x and z of the formulas */
 } Clipping;
 
 static Clipping clipping_in(Room *room, int rows, int columns) {
@@ -111,7 +110,8 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
     add_clipped(grey, -plain, map + 1);
 }
 
-/* The factor that scales the signals of a block to those of a clipped block, and how alike they are then. */
+/* Returns the factor that scales `signal`, the signals of a block, to `own`, the signals of a clipped block. Computes the likeness of the
+   scaled signals to the signals of the clipped block, in which each channel clips to the degree `clipped`. */
 static float scale_to(const float *own, const float *clipped, const float *signal, float *likeness) {
     float sum = 0, squares = L3_CLIP_FAINTEST, difference = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
@@ -131,7 +131,7 @@ static float scale_to(const float *own, const float *clipped, const float *signa
 
 static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
 
-/* The hue that the block at (y, x) takes from unclipped blocks nearby -> the last three maps, which are 0. */
+/* Computes the last three values of `map`, the hue of similar unclipped blocks near block (y, x). The three values must be 0 before. */
 static void map_hue(const float *means, int y, int x, int rows, int columns, float *map) {
     const float *signal = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
     float own[L3_CHANNELS], clipped[L3_CHANNELS], total[L3_CHANNELS] = {0}, most = 0, least = 1, likeness = 0, alike;
@@ -175,7 +175,7 @@ static int block_before(int pixel, int side, float *share) {
     return place / (2 * side) - 1;
 }
 
-/* Replaces the outputs of uniform areas in which channels clip, and then the hue of all areas in which channels clip. */
+/* Replaces the outputs in uniform areas where channels clip, then changes the hue in all areas where channels clip. */
 static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows, int columns, int phase_row, int phase_column,
                             L3Output *outputs) {
     const int down = CLIP_BLOCKS(rows, L3_CLIP_ROWS), across = CLIP_BLOCKS(columns, L3_CLIP_COLUMNS);
