@@ -35,6 +35,8 @@ MOST_SITES_DIFFER = 0.03  # with another CFA, 30 % of the sites differ by more; 
 STRIPED = 0.25  # differences are stripes if a factor per row or column explains all but this fraction of them
 SLANTED = 0.03  # the same criterion for a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # steps of rows and columns across slanted lines
+CHECKED_SITES_DIFFER = 0.15  # minimum range of the sites of a super-pixel under checks in the scene, relative to their mean
+LEAST_CHECK = 0.1  # minimum contrast at any site of such checks, relative to the maximum
 TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
 CONTROL = 3.0  # a difference is evidence if it exceeds this multiple of the difference at a period that no CFA has
 FITS = 0.01  # a CFA fits if the sites of each channel differ by less than this
@@ -125,17 +127,24 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
 
     1. differences at single pixels, such as autofocus pixels
     2. differences that are equally large modulo a period that no sensor has
-    3. stripes in the scene along rows, columns or slanted lines, which change all channels by the same factor
+    3. stripes and checks in the scene, which change all channels by the same factor
     """
-    tile, control = _mean_tile(frame), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
+    tiles = _tiles(frame)
+    tile, control = tiles.mean(axis=(0, 1)), (5 * cfa.shape[0], 5 * cfa.shape[1])  # no CFA has this period
     if min(np.array(tile.shape) // control) < 2 or any(TILE % period for period in control):
         return None
     if not tile.mean() > MIN_SIGNAL * (frame.white_level - frame.black_level):
         return None
     places = np.arange(cfa.size).reshape(cfa.shape)
     _, usual = _differences(_means(tile, control), places)
-    modulo = [_means(tile, tuple(np.lcm(cfa.shape, each))) for each in ARRAY_PERIODS_PIXELS]
-    found = [_differences(means, places) for means in modulo if not _are_stripes(means, cfa.shape)]
+    quarters = [part.mean(axis=(0, 1)) for half in _halves(tiles, 0) for part in _halves(half, 1)]
+    found = []
+    for period in (tuple(np.lcm(cfa.shape, each)) for each in ARRAY_PERIODS_PIXELS):
+        means = _means(tile, period)
+        if not (
+            _are_stripes(means, cfa.shape, [_means(each, period) for each in quarters]) or _are_checks(means, cfa.shape)
+        ):
+            found.append(_differences(means, places))
     if phase_doubt(frame, cfa) is None:
         found.append(_differences(_means(tile, cfa.shape), shifted_cfa(cfa, frame.phase)))
     limit = max(ARRAYS_DIFFER, CONTROL * usual)
@@ -143,8 +152,8 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     return ArrayDoubt(differ, _means(tile, (COMMON_PERIOD, COMMON_PERIOD))) if differ else None
 
 
-def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
-    """Return the mean signal (row, col), in DN above black, of tiles that are evenly spaced over a frame.
+def _tiles(frame: RawFrame) -> NDArray[np.float64]:
+    """Return the signal (tile row, tile col, row, col), in DN above black, of tiles that are evenly spaced over a frame.
 
     If the period of the CFA divides the side of a tile, all tiles begin at the same CFA site.
     """
@@ -152,8 +161,14 @@ def _mean_tile(frame: RawFrame) -> NDArray[np.float64]:
         sorted({TILE * int(place) for place in np.linspace(0, max(length // TILE - 1, 0), TILES)})
         for length in frame.values.shape
     )
-    tiles = [frame.values[top : top + TILE, left : left + TILE] for top in tops for left in lefts]
-    return np.asarray(np.sum(tiles, axis=0, dtype=np.float64) / len(tiles) - frame.black_level - frame.dark)
+    tiles = [[frame.values[top : top + TILE, left : left + TILE] for left in lefts] for top in tops]
+    return np.asarray(tiles, np.float64) - frame.black_level - frame.dark
+
+
+def _halves(tiles: NDArray[np.float64], axis: int) -> list[NDArray[np.float64]]:
+    """Divide tiles along an axis. The halves of a single tile are both this tile."""
+    length = tiles.shape[axis]
+    return [tiles.take(range((length + 1) // 2), axis), tiles.take(range(length // 2, length), axis)]
 
 
 def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
@@ -163,21 +178,48 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
     return np.asarray(whole.mean(axis=(0, 2)))
 
 
-def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
+def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...], parts: list[NDArray[np.float64]]) -> bool:
     """Whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
 
-    Pairs of rows that alternate between two factors are not stripes, because they occur in sensors with two gains.
+    Pairs of rows that alternate between two factors in all parts of a frame are not stripes, because they occur in sensors
+    with two gains.
     """
-    rows, cols = period
-    blocks = means.reshape(means.shape[0] // rows, rows, means.shape[1] // cols, cols)
+    blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
     differ = np.abs(blocks - sites).mean()
     for along in ((2, 3), (0, 1)):  # rows, and columns
-        lines = blocks.mean(axis=along, keepdims=True)
-        factors = lines / np.maximum(lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True), MIN_SIGNAL)
-        if np.abs(blocks - sites * factors).mean() <= STRIPED * differ:
-            return along == (0, 1) or not _has_two_gains(factors.ravel())
+        if np.abs(blocks - sites * _factors(blocks, along)).mean() <= STRIPED * differ:
+            rows = [_factors(_super_pixels(each, period), along).ravel() for each in (means, *parts)]
+            return along == (0, 1) or not all(map(_has_two_gains, rows))
     return any(_are_slanted(means, sites, slant) for slant in SLANTS)
+
+
+def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.float64]:
+    """Divide means (row, col) into super-pixels (down, row, across, col)."""
+    return means.reshape(means.shape[0] // period[0], period[0], means.shape[1] // period[1], period[1])
+
+
+def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
+    """Return a factor for each line of super-pixels relative to the mean super-pixel; `along` gives axes of a line."""
+    lines = blocks.mean(axis=along, keepdims=True)
+    mean = lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True)
+    return np.asarray(lines / np.maximum(mean, MIN_SIGNAL))
+
+
+def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
+    """Whether `means` is the mean super-pixel times a checkerboard, which is 1 plus or minus a product of two functions.
+
+    One is a function of the row and the other of the column. In CFAs that repeat with another period, either all sites of
+    the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
+    """
+    sites = _super_pixels(means, period).mean(axis=(0, 2))
+    if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
+        return False
+    checks = means / np.tile(sites, (means.shape[0] // period[0], means.shape[1] // period[1])) - 1.0
+    lines = max(np.abs(checks.mean(axis=axis)).max() for axis in (0, 1))  # 0 for checks, and large for stripes
+    largest, second = np.linalg.svd(checks, compute_uv=False)[:2]
+    contrast = np.abs(checks).max()
+    return bool(second <= SLANTED * largest and lines <= LEAST_CHECK * contrast <= np.abs(checks).min())
 
 
 def _are_slanted(means: NDArray[np.float64], sites: NDArray[np.float64], slant: tuple[int, int]) -> bool:

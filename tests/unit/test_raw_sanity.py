@@ -143,6 +143,20 @@ def test_slanted_stripes_of_an_exact_period_are_no_other_array(period: int, line
         assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
+@pytest.mark.parametrize("size", [(2, 2), (4, 4), (2, 4), (4, 6)])
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("ratio", [1.2, 2, 25])
+def test_checks_of_an_exact_period_are_no_other_array(size: tuple[int, int], first: int, ratio: float) -> None:
+    dark = ((ROW + first) // size[0] + COL // size[1]) % 2 == 0
+    for light in (np.where(dark, 0.5 / ratio, 0.5), np.where(dark & (COL < 400), 0.5 / ratio, 0.5)):
+        assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
+
+
+def test_pairs_of_dark_rows_in_a_part_of_the_frame_are_no_other_array() -> None:
+    for light in (np.where((ROW % 4 < 2) & (COL < 360), 0.02, 0.5), np.where((ROW % 4 < 2) & (ROW < 240), 0.02, 0.5)):
+        assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
+
+
 def test_pairs_of_rows_of_two_gains_are_another_array() -> None:
     for first in range(4):
         light = np.where((ROW + first) % 4 < 2, 0.1, 0.4)
