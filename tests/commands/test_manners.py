@@ -89,8 +89,8 @@ def test_versions_and_devices(l3: L3, refused: Refused, monkeypatch: pytest.Monk
         assert words in " ".join(l3("info", "--version")[1].split())
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     assert 'pip install "pyopencl[pocl]"' in l3("info", "--version")[1]
-    assert "give either" in refused(2, "info")
-    assert "give either" in refused(2, "info", "x.h5", "--version")
+    assert "specify either" in refused(2, "info")
+    assert "specify either" in refused(2, "info", "x.h5", "--version")
 
 
 # ----------------------------------------------------------------------------------------------------- completion
