@@ -1,8 +1,7 @@
-"""Training frames, either simulated from a scene or taken from a raw file and the picture that it should become.
+"""Training frames: simulated from a scene, or made from a raw file and the picture that a table should compute from it.
 
-A simulated frame is a scene under an illuminant, seen through a lens and a sensor, together with its target
-(docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames of a simulation
-share.
+To simulate a frame, l3 computes how a lens and a sensor record a scene under an illuminant, and computes the target from the
+scene (docs/method.md#simulation, docs/method.md#optics). `SimulationRun` contains the settings that all frames share.
 """
 
 import functools
@@ -49,13 +48,13 @@ from l3cli.simulation.recipe import Lens, Pair, SceneRecipe, Shot
 from l3cli.simulation.sensor import averaging_exposure, saturating_exposure
 from l3cli.simulation.sources import DeadLeaves, WantedScene
 
-LIGHT = "picture"  # illuminant name stored with a pair, whose picture is white balanced and so looks like D65
-BRIGHT = 0.9  # fraction of full scale or picture white; brighter pixels may be clipped, so the scale is fitted without them
+PAIR_LIGHT = "picture"  # illuminant name stored with a pair; its picture is white-balanced, as if under D65
+BRIGHT = 0.9  # fraction of full scale; brighter pixels may be clipped and are not used to fit the scale of a pair
 Array = NDArray[np.floating]
 Automatic = Callable[[CameraModel, NDArray[np.float32]], float]  # exposure time in s for a mosaic (row, col) in e-/s
 LOW_RANK_ERROR = 5e-5  # largest error of the transfer function at any sampled frequency and wavelength
-RADIAL_SAMPLES = 2048
-# Frames on which the spectral estimators are trained: their number, their rows and columns, and the random seed.
+RADIAL_SAMPLES = 2048  # number of frequencies at which transfer functions are sampled
+# number, size in rows and columns, and random seed of the frames on which the spectral estimators are trained
 DRAWN, DRAWN_SIZE, DRAWN_SEED = 48, (64, 64), 20
 
 
@@ -69,16 +68,16 @@ def simulate(
     target: Target = XYZ,
     noises: str = "all",
 ) -> TrainingFrame:
-    """Simulate one training frame: raw frame, full-resolution signals and target.
+    """Simulate one training frame: the raw frame, the signals of all channels at full resolution, and the target.
 
-    Each scene sample is the mean of the scene over the area of one pixel, so frame and target are registered.
+    Each scene sample is the mean of the scene over the area of one pixel, so the frame and the target are registered.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
     scene : Scene or ChannelPicture
-        The scene. If it is a picture of channel signals, only the sensor is simulated.
+        The scene. For a picture of channel signals, only the sensor is simulated.
     light : Light
         Illuminant of the scene.
     exposure : float or callable
@@ -95,12 +94,12 @@ def simulate(
     Raises
     ------
     ValueError
-        If an automatic exposure finds no light.
+        If the exposure is automatic and the camera collects no electrons.
 
     Notes
     -----
-    Everything before the noise is linear, so one matrix product projects the bands onto outputs and channels. If the blur
-    depends on wavelength, each channel needs a few such projections (see LOW_RANK_ERROR).
+    All steps before the noise are linear, so one matrix product projects the bands onto outputs and channels. If the blur
+    depends on the wavelength, each channel needs a few projections (see LOW_RANK_ERROR).
     """
     ideal, rates, white = _collected(camera, scene, light, lens, target)
     seconds = exposure(camera, sensor.mosaic(rates, camera.cfa)) if callable(exposure) else exposure
@@ -128,21 +127,21 @@ def _ignored(scene: Scene | ChannelPicture) -> IgnoredPixels | None:
 
 
 def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> TrainingFrame:
-    """Simulate the exposure of a frame again, at `gain` times the analog gain and 1/`gain` of the exposure time.
+    """Simulate a frame again with the analog gain multiplied by `gain` and the exposure time divided by `gain`.
 
     Parameters
     ----------
     frame : TrainingFrame
         The simulated frame.
     camera : CameraModel
-        The camera that took the frame, before its gain is changed.
+        The camera of the frame, with its original gain.
     gain : float
         Factor on the analog gain.
 
     Returns
     -------
     TrainingFrame
-        The new frame, with all noise sources.
+        The new frame, with all types of noise.
     """
     electrons, seconds = frame.electrons / np.float32(gain), frame.exposure / gain
     rng, values = np.random.default_rng(frame.seed), sensor.mosaic(electrons, camera.cfa)
@@ -151,7 +150,7 @@ def exposed_again(frame: TrainingFrame, camera: CameraModel, gain: float) -> Tra
 
 
 class AtGain:
-    """The simulated frames of a training set as they would be at `gain` times the analog gain."""
+    """The simulated frames of a training set, simulated again with the analog gain multiplied by `gain`."""
 
     def __init__(self, reader: TrainingSetReader, gain: float) -> None:
         self.head = replace(reader.head, camera=reader.head.camera.at_gain(gain))
@@ -164,18 +163,18 @@ class AtGain:
 
 
 def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], Iterator[TrainingFrame]]:
-    """Prepare to simulate more frames for a training set whose target is a spectrum, with the same camera and target.
+    """Return a function that simulates more frames with the camera and the target of a training set.
 
     Parameters
     ----------
     head : TrainingSet
-        The training set.
+        Head of the training set.
 
     Returns
     -------
     callable
-        Function that takes a frame and an illuminant spectrum. It yields frames of dead-leaves scenes, like those of the
-        training scenes that come with l3, under this illuminant and at the luminance and exposure time of the given frame.
+        Function of a frame and an illuminant spectrum. It yields frames of dead-leaves scenes under this illuminant, with
+        the luminance and the exposure time of the frame.
     """
     camera = replace(head.camera, rows=DRAWN_SIZE[0], cols=DRAWN_SIZE[1], flat_field=None, defects=None)
     target = target_of(head)
@@ -194,8 +193,7 @@ def frames_like(head: TrainingSet) -> Callable[[TrainingPair, LightSpectrum], It
 def target_of(head: TrainingSet) -> Target:
     """Return the target for additional frames of a training set.
 
-    A training set does not store the matching functions of a file. If the outputs were defined by such a file, the target is
-    XYZ.
+    If the outputs were defined by a file of matching functions, which a training set does not store, the target is XYZ.
     """
     kinds = {names: kind for kind, names in OUTPUTS.items()} | {head.camera.channels: CAMERA}
     light = _lit(head.target_light, 1.0) if head.target_light else None
@@ -211,7 +209,7 @@ def _lit(spectrum: LightSpectrum, luminance: float) -> Light:
 def _collected(
     camera: CameraModel, scene: Scene | ChannelPicture, light: Light, lens: Lens, target: Target
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Compute the photo-electrons that arrive at the sensor, and the target.
+    """Compute the photo-electron rates at the sensor, and the target.
 
     Returns
     -------
@@ -229,7 +227,7 @@ def _collected(
     collected = electron_weights(camera, light, bands)
     transfer = lens_transfer(camera.optics, pitch, bands, lens.diffraction, lens.defocus_um * 1e-6)
     terms = np.ones((1, bands.size)) if transfer is None else transfer.spectral
-    # The scale is factored out before rounding to float32, so that rounding is the same at every luminance.
+    # The common scale is removed before rounding to float32, so that the rounding is the same at every luminance.
     unit = collected.max() or 1.0
     through = (collected[:, None] / unit * terms).reshape(-1, bands.size)
     planes = project(scene.reflectance, np.concatenate([wanted, through]))
@@ -237,7 +235,7 @@ def _collected(
     if transfer is not None:
         shape = (len(collected), len(terms), *rates.shape[1:])
         rates = blurred_channels(rates.reshape(shape), transfer, pitch)
-        np.maximum(rates, 0.0, out=rates)  # the approximate blur of a bright point can ring below zero
+        np.maximum(rates, 0.0, out=rates)  # the approximate blur of a bright point can have negative values
     rates *= np.float32(unit)
     if lens.off_axis:
         distance, shape = camera.optics.image_distance, (rates.shape[1], rates.shape[2])
@@ -287,7 +285,7 @@ def spectral_planes(
 def _signalled(
     camera: CameraModel, picture: ChannelPicture, light: Light
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Do the same as `_collected` for a picture of channel signals. The target has the unit of the camera's bands."""
+    """Return the results of `_collected` for a picture of channel signals. The target has the unit of the camera bands."""
     full = (white_rates(camera, light) * camera.channel_gains).max()
     white = full * camera.saturation_exposure / camera.full_scale
     signal = np.moveaxis(picture.signal, -1, 0)
@@ -300,36 +298,38 @@ def _signalled(
 def make_pair(
     raw: RawFrame, picture: NDArray[np.float32], outputs: tuple[str, ...], camera: CameraModel, pair: Pair, name: str
 ) -> TrainingPair:
-    """Register a raw frame with the picture that it should become.
+    """Make a training pair from a raw frame and the picture that a table should compute from it.
 
-    Both are cropped so that their first pixel is CFA site (0, 0).
+    The raw frame and the picture are cropped so that their first pixel is the CFA site (0, 0).
 
     Parameters
     ----------
     raw : RawFrame
         The raw frame.
     picture : ndarray, (row, col, output)
-        Linear picture in display orientation (upright).
+        Linear picture, upright.
     outputs : tuple of str
         Names of the outputs.
     camera : CameraModel
         The camera.
     pair : Pair
-        Offset and scale from the recipe. A picture value times the scale is the fraction of full scale that a white surface
-        of the same brightness reaches. If the recipe has no scale, a grey world is assumed.
+        Offset and scale from the recipe. A picture value multiplied by the scale is the fraction of full scale that a white
+        surface of the same brightness reaches. If the recipe has no scale, the scale is fitted under the assumption that the
+        mean of the scene is grey.
     name : str
         Name of the pair.
 
     Raises
     ------
     ValueError
-        If the picture extends beyond the raw frame, or raw values exceed the bit depth of the camera.
+        If the picture extends beyond the raw frame, or if raw values exceed the bit depth of the camera.
     """
     picture = as_taken(picture, raw.orientation)
     own_levels = (raw.black_level, raw.white_level) == (camera.black_level, camera.white_level)
     if own_levels and raw.values.max() >= 2**camera.bits:
         raise ValueError(
-            f"the raw frame contains {raw.values.max()} DN, which does not fit into {camera.bits} bits; check sensor.bits"
+            f"the raw frame contains the value {raw.values.max()} DN, which exceeds {camera.bits} bits; correct sensor.bits "
+            "in the camera recipe"
         )
     levelled = raw.at_levels(camera.black_level, camera.white_level, camera.bits).values
     rows, cols = picture.shape[:2]
@@ -343,7 +343,7 @@ def make_pair(
         -(phase + start) % period for phase, start, period in zip(raw.phase, pair.offset, camera.cfa.shape, strict=True)
     )
     if down >= rows or across >= cols:
-        raise ValueError("the picture is smaller than one repeat of the CFA; give a larger picture")
+        raise ValueError("the picture is smaller than one period of the CFA; use a larger picture")
     values = levelled[top + down : top + rows, left + across : left + cols]
     wanted = np.moveaxis(picture[down:, across:], 2, 0)
     scale = pair.scale / raw.light_share if pair.scale else _grey_world_scale(values, wanted, camera)
@@ -354,19 +354,19 @@ def make_pair(
         target=np.ascontiguousarray(wanted * np.float32(unit)),
         white=white * unit,
         scene=name,
-        illuminant=LIGHT,
+        illuminant=PAIR_LIGHT,
         luminance=unit,
         exposure=1.0,
     )
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Return the fraction of full scale per picture value, from the means of both images, if the scene is grey under D65."""
+    """Fit the scale of a pair, assuming that the mean of the scene is grey under D65."""
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)
     if not usable.any() or bright[usable].mean() <= 0:
-        raise ValueError("the picture is black or white everywhere; give another picture, or set scale")
+        raise ValueError("the picture is black or white everywhere; use another picture, or set scale")
     rates = white_rates(camera, make_light("D65", {}, camera.wavelength))
     response = (rates / rates.max())[camera.cfa].mean()
     return float(max(share[usable].mean(), 1e-6) / response / bright[usable].mean())
@@ -376,9 +376,9 @@ def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], 
 class LowRankTransfer:
     """Optical transfer functions at all wavelengths, as a sum of a few products of a radial and a spectral term."""
 
-    frequency: Array  # (sample) cycles/m
-    radial: Array  # (term, sample) values at `frequency`
-    spectral: Array  # (term, wavelength) factor of each wavelength
+    frequency: Array  # (sample,), cycles/m
+    radial: Array  # (term, sample), values of each radial term at `frequency`
+    spectral: Array  # (term, wavelength), values of each spectral term
 
 
 @functools.lru_cache(maxsize=4)
@@ -444,7 +444,7 @@ def lens_transfer(
 
 
 def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pixel_pitch: float) -> NDArray[np.float32]:
-    """Apply the blur of the lens to the signals of each channel. Overwrites `planes`.
+    """Apply the blur of the lens to the signals of each channel. `planes` is overwritten.
 
     Parameters
     ----------
@@ -479,7 +479,7 @@ def blurred_channels(planes: NDArray[np.float32], transfer: LowRankTransfer, pix
 
 
 def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
-    """Project a cube onto channels.
+    """Compute weighted sums over the bands of a cube.
 
     Parameters
     ----------
@@ -499,19 +499,19 @@ def project(cube: NDArray[np.float32], weights: Array) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """Everything that the frames of a simulation share: camera, target, illuminants and recipe, already checked."""
+    """Settings that all frames of a simulation share: recipe, camera, target and illuminants, after they were checked."""
 
     recipe: SceneRecipe
     camera: CameraModel
     target: Target
-    lights: Mapping[str, Light]  # at 1 cd/m²
+    lights: Mapping[str, Light]  # illuminants at 1 cd/m²
     recorded: Mapping[str, Light]  # illuminants under which scenes were recorded
     seed: int
     base: Path  # folder of the recipe
 
     @property
     def frame_bytes(self) -> int:
-        """Size of the largest frame in bytes, with the electrons of every channel, the raw mosaic and the target."""
+        """Size in bytes of the largest frame, which consists of electrons of all channels, raw mosaic and target."""
         return self.camera.rows * self.camera.cols * (4 * len(self.camera.channels) + 2 + 4 * len(self.target.outputs))
 
     def frame(self, scene: Scene | ChannelPicture, shot: Shot, seconds: float | None = None) -> TrainingFrame:
@@ -524,12 +524,12 @@ class SimulationRun:
         shot : Shot
             Illuminant and exposure of the frame.
         seconds : float, optional
-            Exposure time in s. Default: the exposure in the recipe.
+            Exposure time in s. By default, the exposure in the recipe.
 
         Raises
         ------
         InputFileError
-            If an automatic exposure finds no light.
+            If the exposure is automatic and the camera collects no electrons.
         """
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot) if seconds is None else seconds
@@ -538,12 +538,12 @@ class SimulationRun:
             return simulate(self.camera, scene, light, exposure, self.recipe.lens, seed, self.target, noise)
 
     def exposure_time(self, scene: Scene | ChannelPicture, shot: Shot) -> float:
-        """Return the exposure time, in s, of a frame according to the recipe.
+        """Return the exposure time of a frame according to the recipe, in s.
 
         Raises
         ------
         InputFileError
-            If an automatic exposure finds no light.
+            If the exposure is automatic and the camera collects no electrons.
         """
         light = self._light(scene, shot)
         exposure = self._exposure(light, shot)
@@ -560,7 +560,7 @@ class SimulationRun:
         return self.lights[shot.illuminant].at(shot.luminance)
 
     def _exposure(self, light: Light, shot: Shot) -> float | Automatic:
-        """Return the exposure time in s, or for an automatic exposure the function that computes it from a frame."""
+        """Return the exposure time in s or, for an automatic exposure, a function that computes the time from a frame."""
         control, _ = self.recipe.exposures()
         if control == "share":
             return automatic_exposure(self.camera, light, shot.exposure)

@@ -1,4 +1,7 @@
-"""The virtual lab: simulates the lab measurements of a known camera, so that calibration can be compared with the truth."""
+"""The virtual lab, which simulates the laboratory measurements of a known camera.
+
+The result of a calibration from these measurements can be compared with the true camera.
+"""
 
 import re
 from collections.abc import Iterator
@@ -18,35 +21,38 @@ from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.toml import MAX_COUNT, Count, CountOrNone, NotNegative, Positive, Recipe
 from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixed_pattern, read_out
 
-SPECTROMETER_MARGIN = 5.0  # nm; the spectrometer covers this much more than the camera and the slits
-MOST_STRAY, MOST_DRIFT = 0.01, 0.2  # highest stray light and lamp drift of a usable lab, as fractions
-FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # one folder for each kind of capture, and one for measured spectra
+# nm; the spectrometer covers the wavelengths of the camera and of the monochromator, plus this margin at each end
+SPECTROMETER_MARGIN = 5.0
+MAX_STRAY_LIGHT, MAX_DRIFT = 0.01, 0.2  # largest permitted stray light and lamp drift, as fractions
+FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # a folder for each type of capture, and a folder for spectra
 PATCH_SIDE = 0.8  # side of a patch as a fraction of its cell in the chart; the rest of the cell is black mount
-BORDER_FRACTION = 0.08  # fraction of the frame's height; width of the border around the chart
+BORDER_FRACTION = 0.08  # width of the border around the chart, as a fraction of the height of the frame
 MOUNT = 0.03  # reflectance between and around the patches
-OVEREXPOSED = 2.0  # signal of the overexposed monochromator steps, relative to full scale
-MEMORY = 0.8  # correlation of the lamp's drift from one capture to the next
+OVEREXPOSURE = 2.0  # signal, relative to full scale, in the overexposed captures of the monochromator
+DRIFT_CORRELATION = 0.8  # correlation of the lamp drift between consecutive captures
 Nanometres = Annotated[float, msgspec.Meta(gt=0, le=spectra.LONGEST_NM)]
 Several = Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)]
-Trials = Annotated[int, msgspec.Meta(ge=2, le=MAX_COUNT)]  # at least two, because noise is measured from pairs of frames
-SMALLEST_SENSOR = (64, 96)  # rows, columns; a smaller sensor does not resolve the patches of a chart
+Trials = Annotated[int, msgspec.Meta(ge=2, le=MAX_COUNT)]  # at least 2, because noise is measured from pairs of frames
+SMALLEST_SENSOR = (64, 96)  # rows and columns; a smaller sensor does not resolve the patches of a chart
 Array = NDArray[np.float64]
 
 
 class MonoRecipe(Recipe):
-    """A monochromator that fills the field of view. Its slit function is a triangle plus some stray light."""
+    """A monochromator that fills the field of view. Its slit function is a triangle plus stray light."""
 
-    first_nm: Nanometres | None = None  # default: the lowest wavelength at which the slit lies within the camera's range
-    last_nm: Nanometres | None = None  # default: the highest such wavelength
+    first_nm: Nanometres | None = None  # default: bandwidth_nm above the shortest wavelength of the camera
+    last_nm: Nanometres | None = None  # default: bandwidth_nm below the longest wavelength of the camera
     step_nm: Positive = 10.0
     bandwidth_nm: Nanometres = 10.0  # full width at half maximum
-    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MOST_STRAY)] = 0.0005  # fraction of the peak, at every wavelength
-    trials: Count = 1  # frames per step
-    # number of steps that are repeated with overexposure, never the first or the last step
+    stray_light: Annotated[float, msgspec.Meta(ge=0, lt=MAX_STRAY_LIGHT)] = (
+        0.0005  # fraction of the peak, at each wavelength
+    )
+    trials: Count = 1  # number of frames per step
+    # number of steps that are also captured with overexposure; the first and the last step are never among them
     overexposed: CountOrNone = 4
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches
-    radiance: Positive = 1e18  # photons/s/sr/m² of every step
-    longest_exposure_s: Positive = 2.0  # limits the exposure time at wavelengths to which no channel is sensitive
+    radiance: Positive = 1e18  # photons/s/sr/m² in each step
+    longest_exposure_s: Positive = 2.0  # largest exposure time, for wavelengths at which no channel is sensitive
 
 
 class ChartRecipe(Recipe):
@@ -54,7 +60,7 @@ class ChartRecipe(Recipe):
 
     illuminants: tuple[str, ...] = ("D65", "A", "3200K", "FL2")
     trials: Count = 1
-    luminance: Positive = 500.0  # cd/m² of a perfect white
+    luminance: Positive = 500.0  # cd/m², luminance of a perfect white
     level: Positive = 0.5  # fraction of full scale that the brightest channel reaches in the brightest patch
 
 
@@ -75,7 +81,7 @@ class DarkRecipe(Recipe):
 
 
 class LabRecipe(Recipe):
-    """The measurements of the lab. configs/lab/default.toml lists the default of every key."""
+    """A lab recipe: the measurements of the lab. configs/lab/default.toml contains the default of each key."""
 
     title: ClassVar[str] = "a lab recipe"
 
@@ -84,52 +90,64 @@ class LabRecipe(Recipe):
     white: WhiteRecipe = msgspec.field(default_factory=WhiteRecipe)
     dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
     defects: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
-    spectrometer_step_nm: Positive = 1.0  # sampling of the measured spectra
-    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the spectrometer's wavelength error, constant per session
-    lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MOST_DRIFT)] = 0.01  # relative standard deviation of the slow drift
-    monitor_error: NotNegative = 0.001  # relative standard deviation of the lamp monitor's readings
-    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # relative loss of light in the corners, for every lamp
+    spectrometer_step_nm: Positive = 1.0  # sampling interval of the measured spectra
+    wavelength_error_nm: NotNegative = 0.1  # standard deviation of the wavelength error, which is constant in a session
+    lamp_drift: Annotated[float, msgspec.Meta(ge=0, lt=MAX_DRIFT)] = 0.01  # relative standard deviation of the slow drift
+    monitor_error: NotNegative = 0.001  # relative standard deviation of the readings of the lamp monitor
+    falloff: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.1  # relative loss of light in the corners, for all lamps
 
     @property
     def lights(self) -> tuple[str, ...]:
-        """Return the names of the illuminants of the charts and of the white frames."""
+        """Illuminants of the charts and of the white frames."""
         return tuple(dict.fromkeys((*self.chart.illuminants, self.white.illuminant)))
 
 
 def lab_faults(recipe: LabRecipe, camera: CameraModel | None) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe and, if `camera` is given, the reasons why the lab cannot measure it."""
+    """Yield the faults of a lab recipe. If `camera` is not None, also yield the reasons why the lab cannot measure it."""
     mono = recipe.mono
     if mono.bandwidth_nm <= recipe.spectrometer_step_nm:
-        yield fault("mono needs bandwidth_nm above spectrometer_step_nm", "mono.bandwidth_nm", "spectrometer_step_nm")
+        message = (
+            f"mono.bandwidth_nm {mono.bandwidth_nm:g} is not above spectrometer_step_nm {recipe.spectrometer_step_nm:g}; "
+            "set a smaller spectrometer_step_nm"
+        )
+        yield fault(message, "mono.bandwidth_nm", "spectrometer_step_nm")
     elif camera is not None:
         yield from _step_faults(recipe, camera)
     if camera is not None and (camera.rows < SMALLEST_SENSOR[0] or camera.cols < SMALLEST_SENSOR[1]):
         least = "×".join(map(str, SMALLEST_SENSOR))
-        yield fault(f"a sensor of {camera.rows}×{camera.cols} is too small for a chart; the lab needs {least} pixels")
+        message = (
+            f"the sensor of {camera.rows}×{camera.cols} pixels is too small for a chart; use a sensor of at least {least}"
+        )
+        yield fault(message)
     if camera is not None and not camera.absolute:
-        yield fault("the camera's responsivity is only relative; the lab needs quantum efficiencies")
+        yield fault(
+            f"{camera.name} has only relative responsivities, but the lab needs quantum efficiencies; use another camera"
+        )
 
 
 def _step_faults(recipe: LabRecipe, camera: CameraModel) -> Iterator[Fault]:
-    """Yield the faults of the monochromator's and the spectrometer's steps: too many or too few."""
+    """Yield a fault if the monochromator or the spectrometer has too many or too few steps."""
     mono, ends = recipe.mono, ("mono.first_nm", "mono.last_nm")
     first, last = mono.first_nm or camera.wavelength[0], mono.last_nm or camera.wavelength[-1]
     reach = last - first + 2 * (mono.bandwidth_nm + SPECTROMETER_MARGIN)
     if first >= last:
-        yield fault("mono: first_nm must be below last_nm", *ends)
+        yield fault(f"mono.first_nm {first:g} is not below mono.last_nm {last:g}; set a smaller first_nm", *ends)
         return
     if reach / mono.step_nm > MAX_WAVELENGTHS or reach / recipe.spectrometer_step_nm > MAX_WAVELENGTHS:
-        message = f"step_nm and spectrometer_step_nm must not make more than {MAX_WAVELENGTHS} steps"
+        message = f"mono.step_nm or spectrometer_step_nm causes more than {MAX_WAVELENGTHS} steps; set larger steps"
         yield fault(message, "mono.step_nm", "spectrometer_step_nm")
         return
     centres = slit_centres(camera, mono)
     if centres.size < 3 or centres[0] <= mono.bandwidth_nm:
-        message = "mono needs three steps or more from first_nm to last_nm, at visible wavelengths"
+        message = (
+            f"mono has {centres.size} steps from first_nm to last_nm, but the lab needs at least 3 steps at visible "
+            "wavelengths; change first_nm, last_nm or step_nm"
+        )
         yield fault(message, "mono.step_nm", *ends)
 
 
 def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
-    """Return the wavelengths (step), in nm, to which the monochromator is set."""
+    """Return the wavelength of each step of the monochromator, in nm."""
     first = camera.wavelength[0] + mono.bandwidth_nm if mono.first_nm is None else mono.first_nm
     last = camera.wavelength[-1] - mono.bandwidth_nm if mono.last_nm is None else mono.last_nm
     return np.arange(first, last + mono.step_nm / 2, mono.step_nm)
@@ -137,37 +155,37 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 
 @dataclass(frozen=True)
 class LabCapture:
-    """One planned capture in the lab: the signal on the camera and the spectrum that the spectrometer measures."""
+    """A planned capture in the lab, with the signals of the camera and the spectra that the spectrometer measures."""
 
-    kind: str  # "mono", "chart", "white", "dark"
-    name: str  # file name, with the kind as folder
+    kind: str  # "mono", "chart", "white" or "dark"
+    name: str  # file name, in a folder named after the kind
     light: str  # illuminant or wavelength, as text
     exposure: float  # s
-    trials: int
-    first: int  # number of the capture's first frame, counted over the whole session
-    electrons: Array  # (region, channel) mean photo-electrons; one region, or 24 patches and the mount
+    trials: int  # number of frames
+    first: int  # number of the first frame of the capture, counted through the whole session
+    electrons: Array  # (region, channel), mean photo-electrons; the regions of a chart are 24 patches and the mount
     falloff: float  # relative loss of light in the corners
-    monitor: float  # reading of the lamp monitor, relative to its reading when the spectrum was measured
-    wavelength: Array  # (wavelength) nm, as measured
-    radiance: Array  # (spectrum, wavelength) photons/s/sr/m²/nm, as measured; white and dark captures have no spectrum
+    monitor: float  # reading of the lamp monitor, relative to the reading when the spectrum was measured
+    wavelength: Array  # (wavelength,), measured wavelengths in nm
+    radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; white and dark captures have no spectra
 
 
 @dataclass(frozen=True)
 class _Response:
-    """The camera's response on the wavelength grid of the spectrometer."""
+    """Response of a camera at the wavelengths of the spectrometer."""
 
     camera: CameraModel
-    wavelength: Array  # (wavelength) nm
-    per_radiance: Array  # (channel, wavelength) e-/s for a radiance of 1 photon/s/sr/m²/nm at one sample of the grid
+    wavelength: Array  # (wavelength,), nm
+    per_radiance: Array  # (channel, wavelength), e-/s for a radiance of 1 photon/s/sr/m²/nm at one wavelength
 
     def electrons(self, radiance: Array) -> Array:
-        """Return the photo-electrons (spectrum, channel), in e-/s, for radiance (spectrum, wavelength)."""
+        """Return the photo-electrons in e-/s, (spectrum, channel), for the radiance (spectrum, wavelength)."""
         return radiance @ self.per_radiance.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
         """Return the exposure time, in s, at which the brightest channel reaches the fraction `level` of full scale.
 
-        It is rounded to three digits, and infinite if no channel responds.
+        The time is rounded to three digits. It is infinite if no channel responds to the radiance.
         """
         with np.errstate(divide="ignore"):
             signals = self.electrons(radiance) * self.camera.channel_gains
@@ -176,21 +194,21 @@ class _Response:
 
 @dataclass
 class _Session:
-    """The captures so far, and the state of the lamps and of the spectrometer."""
+    """The captures that are planned so far, and the state of the lamps and of the spectrometer."""
 
     recipe: LabRecipe
     response: _Response
     rng: np.random.Generator
     captures: list[LabCapture] = field(default_factory=list)
-    shift: float = field(init=False)  # nm, error of the spectrometer's scale
-    drift: float = field(init=False)  # present deviation of the lamps, relative to their measured spectrum
+    shift: float = field(init=False)  # nm, wavelength error of the spectrometer
+    drift: float = field(init=False)  # present relative deviation of the lamps from their measured spectra
 
     def __post_init__(self) -> None:
         self.shift = round(self.recipe.wavelength_error_nm * self.rng.standard_normal(), 4)
         self.drift = self.recipe.lamp_drift * self.rng.standard_normal()
 
     def add(self, kind: str, light: str, exposure: float, trials: int, radiance: Array) -> None:
-        """Plan a capture of radiance (spectrum, wavelength)."""
+        """Plan a capture of the given radiance, (spectrum, wavelength)."""
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"
         lamp, reading = self._next_light()
@@ -214,21 +232,21 @@ class _Session:
         )
 
     def _next_light(self) -> tuple[float, float]:
-        """Return the lamp's output relative to its measured spectrum, and the reading of the lamp monitor."""
-        fresh = self.recipe.lamp_drift * np.sqrt(1.0 - MEMORY**2) * self.rng.standard_normal()
-        self.drift = MEMORY * self.drift + fresh
+        """Return the output of the lamp relative to its measured spectrum, and the reading of the lamp monitor."""
+        fresh = self.recipe.lamp_drift * np.sqrt(1.0 - DRIFT_CORRELATION**2) * self.rng.standard_normal()
+        self.drift = DRIFT_CORRELATION * self.drift + fresh
         light = 1.0 + self.drift
         reading = light * (1.0 + self.recipe.monitor_error * self.rng.standard_normal())
         return light, round(float(reading), 6)
 
 
 def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture, ...]:
-    """Plan all captures that the lab takes of a camera, in order.
+    """Plan all captures of a camera in their order.
 
     Raises
     ------
     RecipeError
-        If the recipe cannot be carried out.
+        If the recipe has faults, or if the lab cannot measure the camera.
     """
     refuse_first(lab_faults(recipe, camera))
     mono, chart, white, dark = recipe.mono, recipe.chart, recipe.white, recipe.dark
@@ -241,7 +259,7 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
         exposure = min(mono.longest_exposure_s, response.exposure_for(mono.level, radiance))
         session.add("mono", f"{centre:g}nm", exposure, mono.trials, radiance)
         if centre in again:
-            too_long = min(mono.longest_exposure_s, response.exposure_for(OVEREXPOSED, radiance))
+            too_long = min(mono.longest_exposure_s, response.exposure_for(OVEREXPOSURE, radiance))
             session.add("mono", f"{centre:g}nm too long", too_long, 1, radiance)
     _, reflectance = spectra.colorchecker(wavelength)
     surfaces = np.concatenate([reflectance, np.full((1, wavelength.size), MOUNT)])
@@ -257,7 +275,10 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
-    """Return the camera's response on the wavelength grid of the spectrometer, which covers responsivity and slits."""
+    """Return the response of a camera at the wavelengths of the spectrometer.
+
+    The spectrometer covers the wavelengths of the camera and of the monochromator.
+    """
     centres = slit_centres(camera, mono)
     first = min(camera.wavelength[0], centres[0] - mono.bandwidth_nm) - SPECTROMETER_MARGIN
     last = max(camera.wavelength[-1], centres[-1] + mono.bandwidth_nm) + SPECTROMETER_MARGIN
@@ -268,7 +289,7 @@ def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Respons
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
-    """Return the spectral radiance of the monochromator: a triangle plus stray light, with the recipe's total radiance."""
+    """Return the spectral radiance of the monochromator: a triangle plus stray light, whose integral is `mono.radiance`."""
     shape = np.maximum(0.0, 1.0 - np.abs(wavelength - centre) / mono.bandwidth_nm) + mono.stray_light
     return np.asarray(shape * (mono.radiance / (shape @ spectra.bin_widths(wavelength))), dtype=np.float64)
 
@@ -279,14 +300,14 @@ def _light(name: str, wavelength: Array, luminance: float) -> Array:
 
 
 def chart_corners(camera: CameraModel) -> list[tuple[float, float]]:
-    """Return the outer corners (column, row), in pixels, of patches 1, 6, 24 and 19."""
+    """Return the outer corners of the patches 1, 6, 24 and 19, as (column, row) in pixels."""
     margin = round(BORDER_FRACTION * camera.rows)
     right, bottom = camera.cols - 1.0 - margin, camera.rows - 1.0 - margin
     return [(margin, margin), (right, margin), (right, bottom), (margin, bottom)]
 
 
 def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
-    """Return the index of the patch that each pixel (row, col) sees, from 0 to 23, or 24 for the mount."""
+    """Return the index of the patch at each pixel, (row, col): 0 to 23 for patches, and 24 for the mount."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     x = (np.arange(camera.cols) - left) / (right - left) * CHART_COLS
     y = (np.arange(camera.rows) - top) / (bottom - top) * CHART_ROWS
@@ -299,7 +320,7 @@ def chart_regions(camera: CameraModel) -> NDArray[np.int64]:
 def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe: DefectRecipe) -> NDArray[np.uint16]:
     """Simulate one frame of a capture.
 
-    Equal seeds give equal frames, whatever the order of the calls.
+    The noise depends only on the seed and on the number of the frame, not on the order of the calls.
 
     Parameters
     ----------
@@ -308,7 +329,7 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
     capture : LabCapture
         The capture.
     trial : int
-        Number of the frame within the capture.
+        Number of the frame in the capture.
     seed : int
         Seed of the noise.
     recipe : DefectRecipe
@@ -335,13 +356,13 @@ def take(camera: CameraModel, capture: LabCapture, trial: int, seed: int, recipe
 def falloff(y: Array, x: Array, missing: float) -> Array:
     """Return the illumination at (y, x) relative to the centre of the frame.
 
-    Coordinates run from −1 to 1 across the frame. `missing` is the relative loss in the corners.
+    The coordinates are −1 and 1 at the edges of the frame. `missing` is the relative loss of light in the corners.
     """
     return np.asarray(1.0 - missing * (y**2 + x**2) / 2.0, dtype=np.float64)
 
 
 def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
-    """Return the illumination (patch) at the centre of each chart patch, relative to the centre of the frame."""
+    """Return the illumination at the centre of each patch of the chart, relative to the centre of the frame."""
     (left, top), _, (right, bottom), _ = chart_corners(camera)
     row, col = np.divmod(np.arange(PATCHES), CHART_COLS)
     x = left + (col + 0.5) / CHART_COLS * (right - left)
@@ -350,7 +371,7 @@ def falloff_at_patches(camera: CameraModel, missing: float) -> Array:
 
 
 def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a lab recipe and, if a camera is given, those that concern this camera."""
+    """Yield the faults of a lab recipe. If `source` has a camera, also yield the reasons why the lab cannot measure it."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
     for number, name in enumerate(recipe.chart.illuminants):

@@ -22,9 +22,9 @@ from l3cli.spectra.file import names_file, read_table
 from l3cli.spectra.table import NOISE, gaps
 
 Array = NDArray[np.floating]
-Curve = tuple[Array, Array]  # wavelength (sample) nm, values (curve, sample)
+Curve = tuple[Array, Array]  # (sample,), wavelengths in nm; (curve, sample), values
 
-SCENE_LIGHT = "scene"  # in a recipe, the illuminant under which the scene was measured
+SCENE_LIGHT = "scene"  # name in recipes of the illuminant under which a scene was measured
 WIDEST_GAP = 20.0  # nm; largest permitted distance between samples of a measured illuminant
 INCOMPLETE_FRACTION = 0.01  # fraction of the peak; a measured spectrum that ends above this value is incomplete
 
@@ -36,20 +36,20 @@ OUTPUTS = {
     "reflectance 31": spectra.REFLECTANCES,
     "radiance 31": spectra.RADIANCES,
 }
-UNLIT = "reflectance 31"  # outputs that do not depend on the illuminant
+UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
 NOTICEABLE = 0.01  # l3 warns if a larger fraction of a channel's electrons comes from wavelengths without data
-CAMERA = "camera"  # the camera's own bands at full resolution
+CAMERA = "camera"  # name in recipes of the outputs that are the bands of the camera at full resolution
 
 
 @dataclass(frozen=True)
 class Light:
-    """An illuminant, as the spectral radiance of a perfect white under it."""
+    """An illuminant, described by the spectral radiance of a perfect white."""
 
     name: str
-    luminance: float  # cd/m² of a perfect white
-    wavelength: Array  # (sample) nm
-    radiance: Array  # (sample) photons/s/sr/m²/nm
-    measured: str = ""  # digest of the measured spectra in the illuminant
+    luminance: float  # cd/m², luminance of a perfect white
+    wavelength: Array  # (sample,), nm
+    radiance: Array  # (sample,), photons/s/sr/m²/nm
+    measured: str = ""  # digest of the measured spectra of which the illuminant consists
 
     def at(self, luminance: float) -> "Light":
         """Return the same illuminant at another luminance, in cd/m²."""
@@ -57,54 +57,54 @@ class Light:
 
     @property
     def spectrum(self) -> LightSpectrum:
-        """The spectrum as a training set stores it, for a luminance of 1 cd/m²."""
+        """Spectrum for a luminance of 1 cd/m², in the form in which a training set stores it."""
         return LightSpectrum(self.wavelength.astype(np.float64), (self.radiance / self.luminance).astype(np.float32))
 
 
 def mixture(text: str) -> list[tuple[float, str]]:
-    """Parse the text that names an illuminant in a recipe, such as "0.7 D65 + 0.3 lamp.csv".
+    """Parse an illuminant in a recipe, such as "0.7 D65 + 0.3 lamp.csv".
 
     Returns
     -------
     list of (float, str)
-        For each component, its share of the luminance and its name.
+        Proportion of the luminance, and name, of each component.
 
     Raises
     ------
     RecipeError
-        If a share is not above 0.
+        If a proportion is not above 0.
     """
     weighted_parts = []
     for term in re.split(r"\s+\+\s+", text.strip()):
         weighted = re.fullmatch(r"(\d*\.?\d+)\s+(?!K$)(.+)", term)
         weighted_parts.append((float(weighted[1]), weighted[2]) if weighted else (1.0, term))
     if min(share for share, _ in weighted_parts) <= 0:
-        raise RecipeError(f'illuminant "{text}": shares must be above zero')
+        raise RecipeError(f'illuminant "{text}" contains a proportion of 0; set proportions above 0')
     return weighted_parts
 
 
 def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
-    """Return the illuminant that a recipe names, at 1 cd/m².
+    """Return an illuminant at a luminance of 1 cd/m².
 
     Parameters
     ----------
     text : str
-        A name that `spectra.illuminant` knows, a key of `measured`, or a mixture of these.
+        Name of a standard illuminant (see `spectra.illuminant`), key of `measured`, or mixture such as "0.7 D65 + 0.3 A".
     measured : mapping of str to Curve
-        Measured illuminants: wavelength in nm and power per nm.
-    seen : ndarray, (wavelength)
+        Measured illuminants: wavelengths in nm and power per nm.
+    seen : ndarray, (wavelength,)
         Wavelengths at which the camera is sensitive, in nm.
 
     Raises
     ------
     RecipeError
-        If a name is unknown or the illuminant is invisible.
+        If a name is unknown, or if the illuminant contains no visible light.
 
     Notes
     -----
-    The illuminant is tabulated at every nanometre that the observer or the camera sees. Power between two of these
-    wavelengths is divided between them, so that no spectral line is lost. If the illuminant was measured on the camera's
-    wavelength grid, it keeps this grid. All sums then run over the same grid, as in ISETCam.
+    The illuminant is tabulated in steps of 1 nm in the range in which the observer or the camera is sensitive. Power between
+    two of these wavelengths is divided between them, so that no spectral line is lost. An illuminant that was measured at
+    the wavelengths of the camera keeps these wavelengths. All sums are then computed on the same grid, as in ISETCam.
     """
     names = mixture(text)
     wavelength = spectra.light_grid(seen)
@@ -120,13 +120,13 @@ def make_light(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
                 one = spectra.illuminant(name, wavelength)
             radiance += share * spectra.at_luminance(one, wavelength, 1.0)
     if not (np.isfinite(radiance).all() and radiance.any()):
-        raise RecipeError(f'illuminant "{text}" gives no visible light')
+        raise RecipeError(f'illuminant "{text}" contains no visible light; choose another illuminant')
     digest = _digest(*itertools.chain(*(measured[name] for _, name in names if name in measured)))
     return Light(text, 1.0, wavelength, radiance / sum(share for share, _ in names), digest)
 
 
 class Sees(Protocol):
-    """Anything that turns light into electrons: a camera, or colour filters on a pixel."""
+    """Protocol of objects that convert light to electrons: a camera, or colour filters on a pixel."""
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -134,11 +134,11 @@ class Sees(Protocol):
 
     @property
     def wavelength(self) -> NDArray[np.float64]:
-        """Wavelengths (wavelength) in nm."""
+        """Wavelengths in nm."""
 
     @property
     def electron_weights(self) -> NDArray[np.float64]:
-        """Electrons (channel, wavelength) for unit photon radiance, up to a common factor."""
+        """Electrons for unit photon radiance, (channel, wavelength), up to a common factor."""
 
 
 class Filters(NamedTuple):
@@ -150,15 +150,15 @@ class Filters(NamedTuple):
 
     @classmethod
     def of(cls, curves: Mapping[str, Array], wavelength: Array) -> "Filters":
-        """Make filters from their names and quantum efficiencies (wavelength)."""
+        """Create filters from the quantum efficiencies of each filter, by name, at the given wavelengths in nm."""
         return cls(tuple(curves), np.asarray(wavelength), np.array(list(curves.values())) * spectra.bin_widths(wavelength))
 
 
 def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
-    """Collect the warnings of `beyond_known` for standard illuminants.
+    """Return the warnings of `beyond_known` for standard illuminants.
 
-    Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available here. An
-    artifact may contain any name.
+    Measured illuminants, scene illuminants and unknown names are skipped, because their spectra are not available to this
+    function.
 
     Parameters
     ----------
@@ -185,10 +185,10 @@ def named_beyond_known(names: Iterable[str], camera: Sees) -> list[str]:
 
 
 def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> str:
-    """Warn if a channel collects 1 % or more of its electrons where the spectrum of an illuminant is unknown.
+    """Return a warning if a channel collects more than 1 % of its electrons at wavelengths where an illuminant is unknown.
 
-    Beyond the ends of its table, a standard illuminant is continued with its last value, and a measured one with zero. For
-    the warning, the missing part of a measured illuminant is estimated as if it kept its last value.
+    Outside the range of its table, a standard illuminant is continued with its last value, and a measured illuminant with
+    zero. For the warning, a measured illuminant is also continued with its last value.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
     Returns
     -------
     str
-        The warning, or "" if none is needed.
+        The warning, or "" if there is nothing to warn about.
     """
     found = (0.0, "")
     parts = mixture(light.name)
@@ -213,25 +213,26 @@ def beyond_known(light: Light, measured: Mapping[str, Curve], camera: Sees) -> s
             ends, wavelength = (grid.min(), grid.max()), light.wavelength
             order = np.argsort(grid)
             held = spectra.photons_from_energy(wavelength, np.interp(wavelength, grid[order], power[0][order]))
-            what = "and counts as dark beyond; if it kept its last value, channel {} would collect {:.0%} of its electrons "
-            what += "there"
+            what = "and assumed to be dark at other wavelengths; with a constant continuation, channel {} would collect "
+            what += "{:.0%} of its electrons there"
         else:
             ends, held = spectra.known_range(name), spectra.illuminant(name, light.wavelength)
-            what = "and is held constant beyond, where channel {} collects {:.0%} of its electrons"
+            what = "and continued with a constant, where channel {} collects {:.0%} of its electrons"
         one = spectra.at_luminance(held, light.wavelength, light.luminance * share / total)
         taken, channel = share_beyond(camera, replace(light, radiance=one), light, ends)
         if taken > max(found[0], NOTICEABLE):
             where = f"{ends[0]:g}…{ends[1]:g} nm"
-            text = f"light {name} is known at {where} {what.format(channel, taken)}"
-            found = taken, f"{text}; give a light that is measured at {span_of(camera)}"
+            text = f"illuminant {name} is known only at {where} {what.format(channel, taken)}"
+            found = taken, f"{text}; use an illuminant that was measured at {span_of(camera)}"
     return found[1]
 
 
 def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: CameraModel) -> str:
-    """Warn if a lens transmittance file does not cover wavelengths at which a channel could collect electrons.
+    """Return a warning if a file of lens transmittances does not cover all wavelengths at which a channel collects
+    electrons.
 
-    The transmittance is zero beyond the ends of the file. The fraction of missing electrons is estimated as if the
-    transmittance kept its last value.
+    Outside the range of the file, l3 uses a transmittance of zero. The fraction of missing electrons is estimated with the
+    last value of the file instead.
 
     Parameters
     ----------
@@ -256,10 +257,10 @@ def lens_beyond_known(name: str, transmittance: Curve, light: Light, camera: Cam
 
 
 def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], light: Light) -> str:
-    """Warn if a file of matching functions does not cover wavelengths that contribute to an output.
+    """Return a warning if a file of matching functions does not cover all wavelengths that contribute to an output.
 
-    The functions are zero beyond the ends of the file. The missing fraction of an output is estimated for a white surface,
-    as if the functions kept their last values.
+    Outside the range of the file, l3 uses zero. The missing fraction of an output is estimated for a white surface, with the
+    last values of the file instead.
 
     Parameters
     ----------
@@ -288,15 +289,15 @@ def functions_beyond_known(name: str, functions: Curve, names: Sequence[str], li
 
 
 def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
-    """Warn if a camera recipe's responsivity file does not cover wavelengths at which a channel could collect electrons.
+    """Return a warning if the curve file of a camera recipe does not cover all wavelengths at which a channel is sensitive.
 
-    The responsivity is zero beyond the ends of the file. The fraction of missing electrons is estimated as if the curves
-    kept their last values.
+    Outside the range of the file, l3 uses a responsivity of zero. The fraction of missing electrons is estimated with the
+    last values of the file instead.
 
     Parameters
     ----------
     recipe : Path
-        The camera recipe.
+        File of the camera recipe.
     light : Light
         The illuminant.
     camera : CameraModel
@@ -320,12 +321,12 @@ def curves_beyond_known(recipe: Path, light: Light, camera: CameraModel) -> str:
 
 
 def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> list[str]:
-    """Warn if channels collect electrons at wavelengths where the camera's curves or an illuminant are unknown.
+    """Return warnings about electrons from wavelengths where the curves of a camera or an illuminant are unknown.
 
     Parameters
     ----------
     path : Path
-        The camera recipe.
+        File of the camera recipe.
     camera : CameraModel
         The camera that the recipe describes.
     lights : sequence of str
@@ -334,14 +335,14 @@ def camera_unknown(path: Path, camera: CameraModel, lights: Sequence[str]) -> li
     Returns
     -------
     list of str
-        At most one warning per standard illuminant, and at most one for the file of curves.
+        At most one warning for each standard illuminant, and at most one warning for the curve file.
     """
     ends = (curves_beyond_known(path, make_light(name, {}, camera.wavelength), camera) for name in lights)
     return [*named_beyond_known(lights, camera), *itertools.islice(filter(None, ends), 1)]
 
 
 def _held(curves: Curve, wavelength: Array) -> Array:
-    """Resample curves to `wavelength` (curve, wavelength). They keep their last values beyond their ends."""
+    """Resample curves to `wavelength`, and continue each curve with its last values. Return (curve, wavelength)."""
     order = np.argsort(curves[0])
     return np.array([np.interp(wavelength, curves[0][order], each[order]) for each in curves[1]])
 
@@ -350,48 +351,51 @@ def _file_ends(name: str, grid: Array, there: str, taken: float, wanted: str) ->
     """Return the warning about a file of curves, or "" if the missing fraction `taken` is at most 1 %."""
     if taken <= NOTICEABLE:
         return ""
-    known = f"{name} is known at {grid.min():g}…{grid.max():g} nm and counts as zero beyond"
-    return f"{known}; if it kept its last value, {there} there; give values at {wanted}"
+    known = f"{name} contains values at {grid.min():g}…{grid.max():g} nm, and l3 assumes zero at other wavelengths"
+    return f"{known}; with a constant continuation, {there} there; use a file with values at {wanted}"
 
 
 def surfaces_beyond_known(light: Light, camera: CameraModel) -> str:
-    """Warn if a channel collects 1 % or more of its electrons at wavelengths where the reflectances are not measured.
+    """Return a warning if a channel collects more than 1 % of its electrons where the reflectances were not measured.
 
-    Beyond the measured range the reflectances keep their last values.
+    Outside the measured range, reflectances are continued with their last values.
 
     Returns
     -------
     str
-        The warning, or "" if none is needed.
+        The warning, or "" if there is nothing to warn about.
     """
     taken, channel = share_beyond(camera, light, light, spectra.SURFACES_MEASURED)
     if taken <= NOTICEABLE:
         return ""
     first, last = spectra.SURFACES_MEASURED
     return (
-        f"surfaces of the scenes are measured at {first:g}…{last:g} nm and held constant beyond, where channel {channel} "
-        f"collects {taken:.0%} of its electrons under {light.name}; give scenes that are measured at {span_of(camera)}"
+        f"the reflectances of the scenes were measured at {first:g}…{last:g} nm and are continued with a constant, where "
+        f"channel {channel} collects {taken:.0%} of its electrons under {light.name}; use scenes that were measured at "
+        f"{span_of(camera)}"
     )
 
 
 def share_beyond(camera: Sees, part: Light, whole: Light, ends: tuple[float, float]) -> tuple[float, str]:
-    """Find the channel to which one component of an illuminant contributes most outside a range of wavelengths.
+    """Find the channel that collects the largest fraction of its electrons outside a range of wavelengths.
 
     Parameters
     ----------
     camera : CameraModel
         The camera.
-    part, whole : Light
-        The component, and the whole illuminant.
+    part : Light
+        Component of the illuminant whose electrons are counted.
+    whole : Light
+        The complete illuminant.
     ends : tuple of float
         Ends of the range, in nm.
 
     Returns
     -------
     fraction : float
-        Electrons that `part` contributes outside the range, divided by all electrons from a white under `whole`.
+        Electrons from `part` outside the range, divided by all electrons from a white under `whole`.
     channel : str
-        The channel in which this fraction is largest.
+        The channel with the largest fraction.
     """
     outside = (part.wavelength < ends[0]) | (part.wavelength > ends[1])
     given = electron_weights(camera, part, part.wavelength)[:, outside].sum(axis=1)
@@ -409,8 +413,8 @@ def span_of(camera: Sees) -> str:
 def recorded_under(text: str, measured: Mapping[str, Curve], seen: Array) -> Light:
     """Return the illuminant under which a scene was recorded.
 
-    This does the same as `make_light`, except that a single measured illuminant keeps its own wavelength grid. The scene
-    often has the same bands.
+    In contrast to `make_light`, a single measured illuminant keeps its wavelengths, because they are often the bands of the
+    scene.
     """
     return make_light(text, measured, measured[text][0] if text in measured else seen)
 
@@ -421,13 +425,13 @@ def check_measured(curve: Curve, name: str) -> None:
     Raises
     ------
     InputFileError
-        If the spectrum has gaps, is more negative than noise explains, or ends at a visible wavelength with high power.
+        If the spectrum has gaps, if it contains large negative values, or if it does not cover the visible range.
     """
     wavelength, power = curve[0], curve[1][0]
     if len(curve[1]) != 1:
-        raise InputFileError(f"{name} contains {len(curve[1])} curves; give wavelength and power of one light")
+        raise InputFileError(f"{name} contains {len(curve[1])} curves; use a file with the power of one light")
     if power.max() <= 0:
-        raise InputFileError(f"{name} is zero at all wavelengths; give the power of the light at each wavelength")
+        raise InputFileError(f"{name} is zero at all wavelengths; use a file with the power of the light at each wavelength")
     missing = gaps(wavelength, curve[1], WIDEST_GAP)
     if wavelength.size < 2 or missing:
         where = " between {:g} and {:g} nm".format(*missing[0]) if missing else ""
@@ -436,37 +440,37 @@ def check_measured(curve: Curve, name: str) -> None:
         )
     if power.min() < 0:
         raise InputFileError(
-            f"{name} is negative at {wavelength[power.argmin()]:g} nm by more than {NOISE:.0%} of its peak; subtract the "
-            "dark spectrum again, and give the power at each wavelength"
+            f"{name} is negative at {wavelength[power.argmin()]:g} nm by more than {NOISE:.0%} of its peak; correct the "
+            "subtraction of the dark spectrum"
         )
     for end, visible in ((0, wavelength[0] > 420), (-1, wavelength[-1] < 680)):
         if visible and power[end] > INCOMPLETE_FRACTION * power.max():
             raise InputFileError(
-                f"{name} ends at {wavelength[end]:g} nm, where the light still has power; measure 400–700 nm"
+                f"{name} ends at {wavelength[end]:g} nm, where the light still has power; measure the light at 400–700 nm"
             )
 
 
 def read_curve(path: Path, role: str) -> Curve:
-    """Read a file of spectra that a scene recipe names.
+    """Read a file of spectra for a scene recipe.
 
     Parameters
     ----------
     path : Path
         The file.
     role : {"light", "transmittance", "functions"}
-        Use of the file in the recipe.
+        What the recipe uses the file for.
 
     Returns
     -------
-    wavelength : ndarray, (sample)
+    wavelength : ndarray, (sample,)
         Wavelengths in nm.
     values : ndarray, (curve, sample)
-        Power of one illuminant, transmittance of one filter (0 to 1), or matching functions.
+        Power of an illuminant, transmittance of a lens (0 to 1), or matching functions.
 
     Raises
     ------
     InputFileError
-        If the contents of the file do not fit its role.
+        If the content of the file does not fit its role.
     """
     table = read_table(path)
     if role == "transmittance":
@@ -479,17 +483,19 @@ def read_curve(path: Path, role: str) -> Curve:
 
 
 def scene_light(scene: Scene, luminance: float) -> Light:
-    """Return the illuminant under which a scene was recorded, scaled to a luminance in cd/m².
+    """Return the illuminant that is stored with a scene, scaled to a luminance in cd/m².
 
-    Its spectrum is known only at the wavelengths of the scene.
+    The spectrum of this illuminant is known only at the wavelengths of the scene.
 
     Raises
     ------
     RecipeError
-        If the scene has no illuminant of its own, or its illuminant is invisible.
+        If no illuminant is stored with the scene, or if the illuminant contains no visible light.
     """
     if scene.illuminant is NO_ILLUMINANT or spectra.xyz_weights(scene.wavelength)[1] @ scene.illuminant <= 0:
-        raise RecipeError(f'scene {scene.name} has no visible light of its own; leave "{SCENE_LIGHT}" out of illuminants')
+        raise RecipeError(
+            f'scene {scene.name} contains no illuminant with visible light; remove "{SCENE_LIGHT}" from illuminants'
+        )
     radiance = spectra.at_luminance(scene.illuminant, scene.wavelength, luminance)
     return Light(SCENE_LIGHT, luminance, scene.wavelength, radiance, _digest(scene.wavelength, scene.illuminant))
 
@@ -517,17 +523,16 @@ def electron_weights(camera: Sees, light: Light, bands: Array) -> Array:
 
     Notes
     -----
-    The responsivity is interpolated linearly, so each of its samples weights the illuminant with a triangle around its
-    wavelength.
+    The responsivity is interpolated linearly between its samples.
     """
     seen = camera.electron_weights @ spectra.sampling_matrix(light.wavelength, camera.wavelength)
     return (seen * light.radiance) @ spectra.held_interpolation(bands, light.wavelength)
 
 
 def photon_weights(camera: CameraModel, light: Light, bands: Array) -> Array:
-    """Return the photons per second that each band contributes to a pixel, at each sample of the camera's wavelength grid.
+    """Return the photons per second that each band contributes to a pixel, at each wavelength of the camera.
 
-    `electron_weights` equals the product of the responsivities and these values.
+    The matrix product of the responsivities and the result is `electron_weights`.
 
     Parameters
     ----------
@@ -570,7 +575,7 @@ def matching_weights(functions: Array, light: Light, bands: Array) -> Array:
 
 
 def white_rates(camera: Sees, light: Light) -> Array:
-    """Return the photo-electrons per second (channel) that a pixel collects from a perfect white."""
+    """Return the photo-electrons per second that a pixel of each channel collects from a perfect white."""
     return electron_weights(camera, light, light.wavelength).sum(axis=1)
 
 
@@ -587,8 +592,9 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
     Returns
     -------
     ndarray, (channel, 3)
-        Matrix M with channels = M @ XYZ. White has Y = 1, and 1 in its brightest channel. The matrix is fitted to measured
-        reflectances by least squares. It is exact for white, because raw converters derive the white balance from it.
+        Matrix M with channels = M @ XYZ, where a white has Y = 1 and a signal of 1 in its brightest channel. The matrix is
+        fitted to measured reflectances by least squares. It is exact for white, because raw converters derive the white
+        balance from the matrix.
     """
     library = spectra.reflectance_library(light.wavelength)
     weights = electron_weights(camera, light, light.wavelength)
@@ -601,20 +607,20 @@ def colour_matrix(camera: CameraModel, light: Light) -> Array:
 
 
 def neutral(camera: CameraModel, light: Light) -> Array:
-    """Return the signal (channel) of a grey surface under `light`, relative to the brightest channel."""
+    """Return the signal of a grey surface in each channel, relative to the brightest channel."""
     rates = white_rates(camera, light)
     return rates / rates.max()
 
 
 def automatic_exposure(camera: CameraModel, light: Light, share: float) -> float:
-    """Return the exposure time, in s, at which a white fills its brightest channel to the fraction `share` of full scale."""
+    """Return the exposure time in s at which the brightest channel of a white reaches the fraction `share` of full scale."""
     return float(share * camera.full_scale / (white_rates(camera, light) * camera.channel_gains).max())
 
 
 def uncovered_share(camera: CameraModel, bands: Array) -> float:
-    """Return the fraction of a channel's electrons that comes from wavelengths outside the bands of a scene.
+    """Return the largest fraction of the electrons of a channel that comes from wavelengths outside the bands of a scene.
 
-    It is computed for a white under an equal-photon illuminant. The result is for the channel in which it is largest.
+    The fraction is computed for a white under an equal-photon illuminant.
     """
     weights = camera.electron_weights
     outside = (camera.wavelength < bands[0]) | (camera.wavelength > bands[-1])
@@ -624,13 +630,13 @@ def uncovered_share(camera: CameraModel, bands: Array) -> float:
 
 @dataclass(frozen=True)
 class Target:
-    """The outputs that a table should compute, and the illuminant to which they refer."""
+    """The outputs that a table computes, and their illuminant."""
 
     outputs: tuple[str, ...]
     description: str
     kind: str  # a key of OUTPUTS, CAMERA, or the name of a file of matching functions
-    functions: Curve | None = None  # matching functions from the file: wavelength in nm, (output, wavelength) per watt
-    light: Light | None = None  # None means the illuminant of the frame
+    functions: Curve | None = None  # matching functions from the file: wavelengths in nm; (output, wavelength), per watt
+    light: Light | None = None  # None for the illuminant of each frame
 
 
 XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light, without lens or noise", "CIE 1931")
@@ -639,18 +645,18 @@ XYZ = Target(OUTPUTS["CIE 1931"], "CIE 1931 XYZ of the scene under its own light
 def make_target(
     kind: str, functions: Curve | None, names: tuple[str, ...], light: Light | None, camera: CameraModel
 ) -> Target:
-    """Make the target of a recipe.
+    """Create the target of a scene recipe.
 
     Parameters
     ----------
     kind : str
         A key of OUTPUTS, CAMERA, or the name of a file of matching functions.
     functions : Curve or None
-        Matching functions from the file.
+        Matching functions, if `kind` is a file.
     names : tuple of str
-        Names of the outputs, if a file defines them.
+        Names of the outputs, if `kind` is a file.
     light : Light or None
-        Illuminant to which the outputs refer. None means the illuminant of each frame.
+        Illuminant of the outputs. None for the illuminant of each frame.
     camera : CameraModel
         The camera.
     """
@@ -685,8 +691,8 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     Returns
     -------
     ndarray, (output, band)
-        Outputs for a reflectance of 1 in the band, in cd/m². If the outputs are the camera's bands, they are the fraction of
-        full scale per second, times the camera's saturation exposure.
+        Outputs for a reflectance of 1 in the band, in cd/m². If the outputs are the bands of the camera, they are the
+        fraction of full scale per second, multiplied by the saturation exposure of the camera.
     """
     if target.light:
         light = target.light.at(light.luminance)
@@ -710,14 +716,14 @@ def output_weights(target: Target, camera: CameraModel, light: Light, bands: Arr
     return matching_weights(functions, light, bands)
 
 
-LEAST_SEEN = 0.1  # the bands of a scene must contain at least this fraction of a target's spectral weight
+LEAST_SEEN = 0.1  # smallest permitted fraction of the spectral weight of a target that the bands of a scene cover
 
 
 def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     """Check that the bands of a scene cover the wavelengths that a target needs.
 
-    The required wavelengths are those of luminance for a colour target, and 400 to 700 nm for a spectral target. If the
-    outputs are the camera's bands or come from a file, it is enough to cover one channel or function.
+    A colour target needs the wavelengths that contribute to luminance, and a spectral target needs 400 to 700 nm. If the
+    outputs are the bands of the camera or matching functions from a file, the bands must cover at least one of them.
 
     Parameters
     ----------
@@ -731,7 +737,7 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     Raises
     ------
     ValueError
-        If the bands contain less than a tenth of the target's spectral weight.
+        If the bands cover less than LEAST_SEEN of the spectral weight of the target.
     """
     grid: Array = np.arange(300.0, 1101.0)
     wanted: Array
@@ -749,13 +755,13 @@ def require_seen(bands: Array, target: Target, camera: CameraModel) -> None:
     seen = weight[:, inside].sum(axis=1) / np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
     if seen.max() < LEAST_SEEN:
         raise ValueError(
-            f"its bands of {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the target "
-            f"({', '.join(target.outputs[:3])}); check the unit of its wavelengths, or leave the scene out"
+            f"the bands at {bands[0]:g}…{bands[-1]:g} nm cover only {seen.max():.1%} of the target "
+            f"({', '.join(target.outputs[:3])}); check the unit of the wavelengths, or leave the scene out"
         )
 
 
 def column_names(path: Path) -> tuple[str, ...]:
-    """Return the column names of a file of matching functions. Columns without names get numbers."""
+    """Return the column names of a file of matching functions. If the columns have no names, they are numbered."""
     table = read_table(path)
     unnamed = tuple(f"output {number}" for number in range(1, len(table.values) + 1))
     names = table.names or ()

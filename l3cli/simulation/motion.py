@@ -1,7 +1,7 @@
 """The table [scene.motion] of a scene recipe: a clip with moving camera and objects (docs/method.md#motion).
 
-Positions are (down, right) from the centre of the scene, in pixels of an unzoomed frame. Times are in frames. In the middle
-of the clip, the camera looks at the centre of the scene.
+Positions are (down, right), measured from the centre of the scene in pixels of a frame without zoom. The unit of time is the
+frame interval. In the middle of the clip, the centre of the frame shows the centre of the scene.
 """
 
 from collections.abc import Iterator
@@ -18,13 +18,13 @@ from l3cli.recipes.toml import Count, NotNegative, Recipe, Share
 Array = NDArray[np.float64]
 Zoom = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 Radius = Annotated[float, msgspec.Meta(gt=0, le=256)]
-FARTHEST_SHAKE = 3.0  # standard deviations; larger displacements are clipped to this value
+FARTHEST_SHAKE = 3.0  # in standard deviations; random displacements are clipped to this value
 LEAST_ZOOM = 1e-6  # avoids a division by zero in very long clips that zoom out
-SUBFRAMES = 8  # number of moments averaged over the time that the shutter is open
+SUBFRAMES = 8  # number of instants, while the shutter is open, over which a frame is averaged
 
 
 class MovingLeaves(Recipe):
-    """Leaves that cross the scene in straight lines. Each has a single material. The first leaf is on top."""
+    """Leaves that move across the scene in straight lines. Each leaf has one material. The first leaf covers all others."""
 
     count: Annotated[int, msgspec.Meta(ge=1, le=64)] = 1
     radius_pixels: tuple[Radius, Radius] = (8.0, 24.0)  # smallest and largest radius
@@ -32,52 +32,49 @@ class MovingLeaves(Recipe):
 
 
 class Motion(Recipe):
-    """Settings of a clip that is simulated instead of a single frame.
-
-    Each frame shows a part of the scene. The camera moves within the whole scene.
-    """
+    """Settings of a simulated clip. Each frame shows a part of the scene, within which the camera moves."""
 
     frames: Count
     size: tuple[Count, Count]  # rows and columns of each frame, in pixels
-    # motion of the camera (down, right); the picture content moves in the opposite direction
+    # motion of the camera (down, right); the content of the picture moves in the opposite direction
     pan_pixels_per_frame: tuple[float, float] = (0.0, 0.0)
     zoom_per_frame: Zoom = 1.0  # magnification about the centre, relative to the previous frame
-    shake_pixels: NotNegative = 0.0  # standard deviation of each frame's random displacement, clipped at 3 of these
-    shutter: Share = 0.0  # fraction of the frame interval that the shutter is open; causes motion blur
+    shake_pixels: NotNegative = 0.0  # standard deviation of the random displacement of each frame, at most 3 times as large
+    shutter: Share = 0.0  # fraction of the frame interval during which the shutter is open, which causes motion blur
     leaves: MovingLeaves | None = None
 
 
 @dataclass(frozen=True)
 class View:
-    """Position and zoom of the camera at one moment."""
+    """Position and zoom of the camera at one instant."""
 
     centre: tuple[float, float]  # position in the scene that the centre of the frame shows
-    zoom: float  # pixels of the frame per pixel of an unzoomed frame
+    zoom: float  # pixels of the frame per pixel of a frame without zoom
 
 
 @dataclass(frozen=True)
 class Course:
-    """Motion of the camera and of the leaves in one clip, as drawn by `course`."""
+    """Motion of the camera and of the leaves in one clip, which the function `course` draws at random."""
 
     motion: Motion
-    shake: Array  # (frame, 2) random displacement in pixels
-    start: Array  # (leaf, 2) position in the middle of the clip
-    velocity: Array  # (leaf, 2) pixels per frame
-    radius: Array  # (leaf) pixels
+    shake: Array  # (frame, 2), random displacement in pixels
+    start: Array  # (leaf, 2), position in the middle of the clip
+    velocity: Array  # (leaf, 2), pixels per frame
+    radius: Array  # (leaf,), pixels
 
     def view(self, frame: int, moment: float = 0.0) -> View:
-        """Return the view at a time that is `moment` frames after the middle of the exposure of frame number `frame`."""
+        """Return the view `moment` frame intervals after the middle of the exposure of frame number `frame`."""
         since = self._since_middle(frame) + moment
         pan, shake = self.motion.pan_pixels_per_frame, self.shake[frame]
         centre = tuple(speed * since + float(aside) for speed, aside in zip(pan, shake, strict=True))
         return View((centre[0], centre[1]), self.motion.zoom_per_frame**since)
 
     def leaves(self, frame: int, moment: float = 0.0) -> Array:
-        """Return the positions (leaf, 2) of the leaves, at the same time as `view`."""
+        """Return the positions of the leaves, (leaf, 2), at the same time as in `view`."""
         return self.start + self.velocity * (self._since_middle(frame) + moment)
 
     def moments(self) -> list[float]:
-        """Return the times at which a frame is sampled for motion blur, in frames after the middle of its exposure."""
+        """Return the times over which a frame is averaged for motion blur, relative to the middle of its exposure."""
         if self.motion.shutter == 0:
             return [0.0]
         return [self.motion.shutter * ((step + 0.5) / SUBFRAMES - 0.5) for step in range(SUBFRAMES)]
@@ -87,9 +84,9 @@ class Course:
 
 
 def course(motion: Motion, seed: tuple[int, ...]) -> Course:
-    """Draw the motion of a clip at random. Equal seeds give equal motion.
+    """Draw the motion of a clip at random, depending on the seed.
 
-    Shake and leaves have separate random generators, so a change of one does not affect the other.
+    The shake and the leaves have separate random generators, so that a change of the shake does not change the leaves.
     """
     shaking, flying = np.random.default_rng(seed).spawn(2)
     shake = np.clip(shaking.standard_normal((motion.frames, 2)), -FARTHEST_SHAKE, FARTHEST_SHAKE) * motion.shake_pixels
@@ -103,10 +100,7 @@ def course(motion: Motion, seed: tuple[int, ...]) -> Course:
 
 
 def room(motion: Motion) -> tuple[float, float]:
-    """Return the largest area of the scene that a clip can show with any seed.
-
-    The result is rows and columns, in pixels of an unzoomed frame.
-    """
+    """Return the largest area of the scene that a clip can show with any seed: rows and columns in pixels without zoom."""
     last = (motion.frames - 1) / 2 + motion.shutter / 2
     widest = max(min(motion.zoom_per_frame, 1 / motion.zoom_per_frame) ** last, LEAST_ZOOM)
     shake, pan = FARTHEST_SHAKE * motion.shake_pixels, motion.pan_pixels_per_frame
@@ -115,7 +109,7 @@ def room(motion: Motion) -> tuple[float, float]:
 
 
 def before(view: View, earlier: View, size: tuple[int, int], moved: Array | float = 0.0) -> Array:
-    """Return the position in the previous frame of what each pixel shows in this frame.
+    """Return, for each pixel of a frame, where the previous frame shows the same point of the scene.
 
     Parameters
     ----------
@@ -124,7 +118,7 @@ def before(view: View, earlier: View, size: tuple[int, int], moved: Array | floa
     size : tuple of int
         Rows and columns of a frame.
     moved : float or ndarray, (2, row, col)
-        Motion of the object itself between the two frames, in pixels of an unzoomed frame.
+        Motion of the object between the two frames, in pixels of a frame without zoom.
 
     Returns
     -------
@@ -138,9 +132,10 @@ def before(view: View, earlier: View, size: tuple[int, int], moved: Array | floa
 
 
 def motion_faults(motion: Motion, name: str) -> Iterator[Fault]:
-    """Yield the faults in the motion settings of the scene called `name`."""
+    """Yield the faults in the motion settings of a scene. `name` is the name of the scene in messages."""
     leaves = motion.leaves
     for key in ("radius_pixels", "speed_pixels_per_frame") if leaves is not None else ():
         low, high = getattr(leaves, key)
         if low > high:
-            yield fault(f"{name}: {key} runs from {low:g} to {high:g}; give the smaller value first", f"motion.leaves.{key}")
+            message = f"{name}: {key} {[low, high]} is not a range; set the smaller value first"
+            yield fault(message, f"motion.leaves.{key}")

@@ -1,6 +1,6 @@
-"""Simulate the sensor: convert mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
+"""Simulation of the sensor, which converts mean photo-electrons to a raw frame in digital numbers (docs/method.md#sensor).
 
-This module also draws the defects that the virtual lab adds to a camera.
+This module also generates the sensor defects of the virtual lab.
 """
 
 import functools
@@ -26,12 +26,12 @@ OfMillion = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 class FixedPattern:
     """Differences between the pixels of a camera that are the same in every frame."""
 
-    prnu: NDArray[np.float32]  # (row, col) relative deviation of the response
-    dsnu: NDArray[np.float32]  # (row, col) offset in e-, including the offset of the column
+    prnu: NDArray[np.float32]  # (row, col), relative deviation of the response
+    dsnu: NDArray[np.float32]  # (row, col), offset in e-, including the offset of the column
 
 
 def fixed_pattern(camera: CameraModel) -> FixedPattern:
-    """Return the PRNU and DSNU maps of the whole sensor. The camera's `fixed_pattern_seed` determines them."""
+    """Return the PRNU and DSNU of each pixel of the sensor, which the `fixed_pattern_seed` of the camera determines."""
     noise = camera.noise
     return _fixed_pattern(camera.fixed_pattern_seed, camera.rows, camera.cols, noise.prnu, noise.dsnu, noise.column_noise)
 
@@ -46,7 +46,7 @@ def _fixed_pattern(seed: int, rows: int, cols: int, prnu: float, dsnu: float, co
 
 
 def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Sample full-resolution electrons (channel, row, col) through the CFA. The first pixel is site (0, 0)."""
+    """Sample the electrons of all channels, (channel, row, col), through the CFA. The first pixel is the site (0, 0)."""
     down, across = cfa.shape
     values = np.empty(electrons.shape[1:], electrons.dtype)
     for row, col in np.ndindex(cfa.shape):
@@ -55,10 +55,9 @@ def mosaic(electrons: NDArray[np.float32], cfa: NDArray[np.uint8]) -> NDArray[np
 
 
 def signals(camera: CameraModel, rates: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Scale electron rates (row, col), in e-/s, by the relative gain of each channel.
+    """Multiply electron rates, (row, col), in e-/s, by the relative gain of each channel.
 
-    Multiplied by the camera's gain, the result gives the signals in DN per second. If all channels have the camera's gain,
-    the rates are returned unchanged.
+    The product of the result and the gain of the camera is the signal in DN per second.
     """
     return rates if camera.readout is None else rates * camera.channel_gains[camera.channel_map(rates.shape)]
 
@@ -82,12 +81,12 @@ def saturating_exposure(camera: CameraModel, rates: NDArray[np.floating], share:
     """
     rate = float(np.quantile(signals(camera, rates), 1.0 - share)) + camera.noise.dark_current
     if rate <= 0:
-        raise ValueError("the scene is too dark for exposure_saturated; give exposure_share or exposure_s instead")
+        raise ValueError("the scene is too dark for exposure_saturated; use exposure_share or exposure_s instead")
     return camera.full_scale / rate
 
 
 def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: float) -> float:
-    """Return the exposure time, in s, at which the mean signal is `share` of full scale, ignoring clipping.
+    """Return the exposure time, in s, at which the mean signal before clipping is the fraction `share` of full scale.
 
     Parameters
     ----------
@@ -105,14 +104,14 @@ def averaging_exposure(camera: CameraModel, rates: NDArray[np.floating], share: 
     """
     rate = float(np.mean(signals(camera, rates), dtype=np.float64))
     if rate <= 0:
-        raise ValueError("the scene is too dark for exposure_mean; give exposure_share or exposure_s instead")
+        raise ValueError("the scene is too dark for exposure_mean; use exposure_share or exposure_s instead")
     return share * camera.full_scale / rate
 
 
 def with_analog_gain(camera: CameraModel, gain: float) -> CameraModel:
     """Return the camera with its analog gain multiplied by `gain`.
 
-    The black level stays the same. Pixels reach the white level with fewer electrons.
+    The black level does not change. With a higher gain, pixels reach the white level with fewer electrons.
     """
     white_level = min(camera.black_level + gain * (camera.white_level - camera.black_level), 2.0**camera.bits - 1)
     return replace(camera.at_gain(gain), white_level=white_level)
@@ -134,12 +133,12 @@ def expose(
     rng : Generator
         Random generator of the noise.
     noises : str
-        One of NOISES, or the name of a noise model from an installed package.
+        One of NOISES, or the name of a noise model in an installed package.
 
     Returns
     -------
     ndarray of uint16, (row, col)
-        Raw values in DN. They include the fixed pattern of the upper left part of the sensor.
+        Raw values in DN. A frame that is smaller than the sensor has the fixed pattern of the upper left part of the sensor.
 
     Raises
     ------
@@ -148,7 +147,9 @@ def expose(
     """
     rows, cols = electrons.shape
     if rows > camera.rows or cols > camera.cols:
-        raise ValueError(f"a frame of {rows}×{cols} does not fit the sensor of {camera.rows}×{camera.cols} pixels")
+        raise ValueError(
+            f"a frame of {rows}×{cols} pixels is larger than the sensor of {camera.rows}×{camera.cols}; use a smaller frame"
+        )
     whole = fixed_pattern(camera)
     pattern = FixedPattern(whole.prnu[:rows, :cols], whole.dsnu[:rows, :cols])
     return read_out(camera, pattern, electrons, exposure, rng, noises)
@@ -162,9 +163,9 @@ def read_out(
     rng: np.random.Generator,
     noises: str = "all",
 ) -> NDArray[np.uint16]:
-    """Simulate one raw frame, in DN, of a sensor with the given fixed pattern (docs/method.md#sensor).
+    """Simulate one raw frame, in DN, of a sensor with a given fixed pattern (docs/method.md#sensor).
 
-    `pattern` has the shape of `electrons`. The other parameters are the same as for `expose`.
+    `pattern` has the same shape as `electrons`. See `expose` for all other parameters.
     """
     noise, readout = camera.noise, camera.readout
     time: Any = exposure
@@ -188,7 +189,7 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons (row, col), including dark current and the noise that `noises` selects."""
+    """Return the electrons in each pixel, with dark current and the types of noise that `noises` selects."""
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
     if noises != "none":
@@ -203,7 +204,7 @@ def _collected(
 
 @functools.cache
 def noise_plugin(name: str) -> EntryPoint:
-    """Find a noise model that an installed package provides (docs/python.md#a-noise-model).
+    """Find a noise model in an installed package (docs/python.md#a-noise-model).
 
     Raises
     ------
@@ -220,25 +221,26 @@ def noise_plugin(name: str) -> EntryPoint:
 def _noisy_by(
     name: str, electrons: NDArray[np.floating], time: Any, camera: CameraModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """Return the electrons (row, col) with noise from a plugin's model. Raises L3Error if the values are unusable."""
+    """Return the electrons in each pixel with the noise of a plugin. Raise L3Error if the plugin returns invalid values."""
     entry = noise_plugin(name)
     with blamed(entry):
         signal = np.array(entry.load()(electrons.copy(), time, camera, rng), np.float32)
         if signal.shape != electrons.shape or not np.isfinite(signal).all():
             raise ValueError(
-                f"electrons must be finite and have the shape {electrons.shape}; the model returned {signal.shape}"
+                f"the noise model returned an array of the shape {signal.shape}; return finite electrons of the shape "
+                f"{electrons.shape}"
             )
     return signal
 
 
 class DefectRecipe(Recipe):
-    """Recipe for the defects of the sensor in the virtual lab."""
+    """Defects of the sensor in the virtual lab."""
 
     hot_pixels_per_million: OfMillion = 25.0
     hot_current_e_per_s: NotNegative = 4000.0  # additional dark current of a hot pixel
     dead_pixels_per_million: OfMillion = 10.0
-    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # specks cast soft shadows
-    dust_depth: Share = 0.03  # fraction of the light that a speck blocks at its centre
+    dust_specks_per_million: Annotated[float, msgspec.Meta(ge=0, le=10_000)] = 4.0  # each speck casts a soft shadow
+    dust_depth: Share = 0.03  # fraction of the light that is lost at the centre of a shadow
     dust_radius_px: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 12.0
     column_noise_e: NotNegative = 2.0  # e-; standard deviation of the column offsets
 
@@ -247,14 +249,14 @@ class DefectRecipe(Recipe):
 class SensorDefects:
     """The defects of one sensor, which are the same in every frame."""
 
-    hot: NDArray[np.int64]  # (pixel, 2) row and column of each hot pixel
-    dead: NDArray[np.int64]  # (pixel, 2) row and column of each dead pixel
-    shade: NDArray[np.float32]  # (row, col) transmittance of the dust
-    columns: NDArray[np.float32]  # (col) offset of each column in e-
+    hot: NDArray[np.int64]  # (pixel, 2), row and column of each hot pixel
+    dead: NDArray[np.int64]  # (pixel, 2), row and column of each dead pixel
+    shade: NDArray[np.float32]  # (row, col), transmittance of the dust
+    columns: NDArray[np.float32]  # (col,), offset of each column in e-
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """Draw the defects of a camera. Its `fixed_pattern_seed` determines them."""
+    """Return the defects of a camera, which its `fixed_pattern_seed` determines."""
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 

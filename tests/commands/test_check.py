@@ -46,7 +46,7 @@ CAMERA = [
     ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; use more than 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
 ]
-SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | shares must be above
+SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | set proportions above 0
 exposure_share = [0.9, -1]  # exposure_share[2] is -1; use more than 0
 lens.transmittance = "none.csv"  # none.csv does not exist
 lens.f_number = -3  # lens.f_number is -3
@@ -83,7 +83,7 @@ monitor_error = -0.1  # monitor_error is -0.1; use at least 0
 [mono]
 step_nm = 0  # mono.step_nm is 0; use more than 0
 overexposed = -1  # use at least 0
-bandwidth_nm = 0.5  # mono needs bandwidth_nm above spectrometer_step_nm
+bandwidth_nm = 0.5  # is not above spectrometer_step_nm
 stray_light = 0.5  # mono.stray_light is 0.5; use less than 0.01
 [chart]
 illuminants = ["D99"]  # illuminant "D99" is unknown

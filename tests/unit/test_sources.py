@@ -296,7 +296,7 @@ BAD = {
     "no reflectance": (
         lambda p: SPECTRAL + write(p, a_cube()) + RANGE + 'holds = "radiance"\n', 2, "its reflectances are unknown"
     ),
-    "light of its own": (
+    "illuminant of its own": (
         lambda p: write(p, a_cube()) + RANGE + 'holds = "radiance"\nlight = "scene"\n', 2, '"scene" is unknown'
     ),
     "wrong axes": (lambda p: write(p, a_cube()) + RANGE + 'axes = "row col"\n', 2, "axes"),
