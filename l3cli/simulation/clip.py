@@ -1,4 +1,4 @@
-"""Simulated video clips: a camera moves over a scene while leaves move across it (docs/method.md#motion).
+"""Simulated video clips, in which the camera and leaves move over a scene (docs/method.md#motion).
 
 This module renders the frames of a clip and computes the true motion of each pixel since the previous frame.
 """
@@ -21,25 +21,25 @@ from l3cli.simulation.sources import framed_size, resampled, scale_of, turned
 
 Array = NDArray[np.float64]
 Cube = NDArray[np.float32]  # (row, col, band)
-FINEST_STEP = 0.25  # pixels between the samples of a leaf
-MAX_RADIUS_SAMPLES = 256  # larger leaves are sampled more coarsely, which limits their memory
+FINEST_STEP = 0.25  # smallest distance, in pixels, between the samples of a leaf
+MAX_RADIUS_SAMPLES = 256  # largest radius of a leaf in samples, which limits its memory
 TEXTURE_CONTRAST = 0.3  # standard deviation of the natural logarithm of the brightness within a leaf
-COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of it
-ROUNDING_PIXELS = 1e-6  # pixels; tolerance for rounding at the border of the frame
+COVERED = 0.5  # a pixel shows a leaf if the leaf covers more than this fraction of the pixel
+ROUNDING_PIXELS = 1e-6  # tolerance for rounding errors at the border of the frame
 EDGE_MARGIN = 2  # pixels; lens blur and demosaicking mix both sides of an edge within this distance
 
 
 @dataclass(frozen=True)
 class Sprite:
-    """Coverage and brightness of a moving leaf, sampled on a grid around its centre."""
+    """Coverage and brightness of a moving leaf, sampled on a grid around the centre of the leaf."""
 
     step: float  # pixels per sample
-    cover: Cube  # (row, col, 2): covered fraction of each sample, and this fraction times the relative brightness
-    colour: NDArray[np.float32]  # (band) reflectance or signal
+    cover: Cube  # (row, col, 2), covered fraction of each sample, and product of this fraction and relative brightness
+    colour: NDArray[np.float32]  # (band,), reflectance or signal
 
 
 def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]) -> list[Sprite]:
-    """Draw the shapes and textures of a clip's moving leaves.
+    """Draw the shapes and textures of the moving leaves of a clip.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
     colours : ndarray, (leaf, band)
         Reflectance or signal of each leaf.
     seed : tuple of int
-        Seed. Each leaf has its own random generator, so its look does not depend on the other leaves.
+        Seed. Each leaf has its own random generator, so it does not depend on the other leaves.
     """
     drawn = []
     for number, (radius, colour) in enumerate(zip(course.radius, colours, strict=True)):
         rng = np.random.default_rng([*seed, number])
         step = max(FINEST_STEP, radius / MAX_RADIUS_SAMPLES)
-        half = int(np.ceil(radius / step)) + 2  # two empty samples surround the leaf
+        half = int(np.ceil(radius / step)) + 2  # with a margin of two empty samples
         at = ((np.arange(2 * half) + 0.5 - half) * step).astype(np.float32)
         shape, angle, slimness = int(rng.integers(5)), rng.uniform(0, np.pi), rng.uniform(0.4, 1.0)
         mask = leaves.inside(shape, at[:, None], at[None], radius, angle, slimness).astype(np.float32)
@@ -64,7 +64,7 @@ def sprites(course: Course, colours: NDArray[np.floating], seed: tuple[int, ...]
 
 
 def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], number: int) -> Cube:
-    """Render one frame of a clip, averaged over the time that the shutter is open.
+    """Render one frame of a clip, averaged over the time during which the shutter is open.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        Leaves, topmost first.
+        The leaves. The first leaf covers all others.
     number : int
         Frame number.
 
@@ -93,7 +93,7 @@ def frame(canvas: Cube, scale: float, course: Course, things: list[Sprite], numb
         for thing, place in reversed(list(zip(things, places, strict=True))):
             part, cover = _part(seen, thing.cover, thing.step, view, place)
             part *= 1 - cover[..., :1]
-            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # at most a perfect white
+            part += np.minimum(cover[..., 1:] * thing.colour, cover[..., :1])  # limits the reflectance of the leaf to 1
         total += seen
     return total if len(moments) == 1 else total / np.float32(len(moments))
 
@@ -102,24 +102,24 @@ def sampled(
     cube: Cube, view: View, size: tuple[int, int], place: tuple[float, float], scale: float, top: tuple[int, int] = (0, 0),
     window: tuple[int, int] | None = None,
 ) -> Cube:  # fmt: skip
-    """Resample a cube to the pixels of a frame. Each pixel is the mean of the cube over the pixel's area.
+    """Resample a cube to the pixels of a frame. Each pixel is the mean of the cube over the area of the pixel.
 
     Parameters
     ----------
     cube : ndarray, (row, col, band)
         Samples of the scene or of a leaf.
     view : View
-        Where the camera looks, and its zoom.
+        Position and zoom of the camera.
     size : tuple of int
         Rows and columns of the whole frame.
     place : tuple of float
-        Position of the cube's centre, in pixels of an unzoomed frame.
+        Position of the centre of the cube, in pixels of a frame without zoom.
     scale : float
         Pixels per sample of the cube, without zoom.
     top : tuple of int
         Row and column of the first pixel to compute.
     window : tuple of int, optional
-        Number of rows and columns to compute. Default: the whole frame.
+        Number of rows and columns to compute. By default, the whole frame.
     """
     down, across = (
         _resampling(
@@ -137,9 +137,9 @@ def sampled(
 def _resampling(length: int, pixels: int, first: float, step: float) -> Any:
     """Return the sparse matrix (pixel, sample) that averages a line of samples over the extent of each pixel.
 
-    Pixel n extends from first + n · step to first + (n + 1) · step. The samples lie at 0.5, 1.5, … The line is interpolated
-    linearly between them and is constant beyond the outermost samples. The integral is exact, so a small object keeps its
-    total brightness when it moves by a fraction of a pixel.
+    Pixel n extends from first + n · step to first + (n + 1) · step. The positions of the samples are 0.5, 1.5, … The line is
+    interpolated linearly between the samples and is constant outside the first and the last sample. The integral is exact,
+    so that the total brightness of a small object does not change if the object moves by a fraction of a pixel.
     """
     start = first + step * np.arange(pixels)[:, None]
     knots = np.floor(start - 1.5).astype(int) + np.arange(int(np.ceil(step)) + 4)
@@ -157,10 +157,25 @@ def _filled(until: Array) -> Array:
 
 
 def _part(picture: NDArray[Any], cover: Cube, step: float, view: View, place: Array) -> tuple[NDArray[Any], Cube]:
-    """Find the part of a frame that a leaf can cover, and the leaf's coverage there.
+    """Find the part of a frame that a leaf can cover, and resample the leaf to the pixels of this part.
 
-    The first result is a view of `picture` (row, col, …). The second is `cover` (row, col, band), with `step` pixels per
-    sample, resampled to the pixels of this view. Both are empty if the leaf lies outside the frame.
+    Parameters
+    ----------
+    picture : ndarray, (row, col, …)
+        The frame.
+    cover : ndarray, (row, col, band)
+        Coverage of the leaf.
+    step : float
+        Pixels per sample of `cover`.
+    view : View
+        Position and zoom of the camera.
+    place : ndarray, (2,)
+        Position of the leaf.
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        View of a part of `picture`, and coverage of the leaf in this part. Both are empty if the leaf is outside the frame.
     """
     size = (picture.shape[0], picture.shape[1])
     half = np.array(cover.shape[:2]) * step / 2
@@ -186,15 +201,15 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
     course : Course
         Motion of the camera and of the leaves.
     things : list of Sprite
-        Leaves, topmost first.
+        The leaves. The first leaf covers all others.
     number : int
         Frame number.
 
     Returns
     -------
     ndarray, (3, row, col)
-        Downward motion, rightward motion (both in pixels) and validity. Validity is 1 where the previous frame showed the
-        same object and no edge is near, otherwise 0. All three are 0 in the first frame.
+        Motion downwards and to the right, in pixels, and validity. Validity is 1 if the previous frame showed the same
+        object and no edge is near the pixel, and otherwise 0. All values are 0 in the first frame.
     """
     size = course.motion.size
     if number == 0:
@@ -214,7 +229,7 @@ def motion_between(course: Course, things: list[Sprite], number: int) -> NDArray
 
 
 def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp]:
-    """Return the index of the leaf visible at each pixel (row, col) of a frame, or −1 where the scene is visible."""
+    """Return the index of the visible leaf at each pixel of a frame, or −1 if the pixel shows no leaf."""
     view, shown = course.view(number), np.full(course.motion.size, -1)
     for leaf, place in reversed(list(enumerate(course.leaves(number)))):
         part, cover = _part(shown, things[leaf].cover[..., :1], things[leaf].step, view, place)
@@ -223,14 +238,14 @@ def _shown(course: Course, things: list[Sprite], number: int) -> NDArray[np.intp
 
 
 def _sure(shown: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return a mask (row, col) that is true where all pixels of the neighbourhood show the same object."""
+    """Return a mask of the pixels in whose neighbourhood all pixels show the same object."""
     side = 2 * EDGE_MARGIN + 1
     return np.asarray(maximum_filter(shown, side) == minimum_filter(shown, side))
 
 
 # ------------------------------------------------------------------------------------------------- clips of a run
 
-# Last element of the seed. It makes the random draws of the motion, of the shapes and of the colours independent.
+# These values are the last element of seeds, so that random motion, shapes and colours are independent of one another.
 MOVING, LEAVES, COLOURS = 1, 2, 3
 
 
@@ -242,7 +257,7 @@ def clip_of(
     Parameters
     ----------
     scene : Scene or ChannelPicture
-        The scene as it was drawn or read, before it is cropped and turned.
+        The scene before it is cropped and rotated.
     wanted : WantedScene
         The recipe entry of the scene.
     run : SimulationRun
@@ -251,19 +266,19 @@ def clip_of(
     Returns
     -------
     callable
-        Function that takes a frame number and returns what this frame shows of the scene.
+        Function that takes a frame number and returns the part of the scene that this frame shows.
 
     Raises
     ------
     ValueError
-        If the camera would move beyond the scene, or the used part of the scene contains pixels without data.
+        If the camera moves beyond the scene, or if the cropped scene contains pixels without data.
     """
     framing = wanted.source
     samples = scene.signal if isinstance(scene, ChannelPicture) else scene.reflectance
     framed_size((samples.shape[0], samples.shape[1]), framing, run.camera)
     if isinstance(scene, Scene) and scene.ignored is not None:
         if turned(scene.ignored[..., None].astype(np.float32), framing).any():
-            raise ValueError("has pixels without data, which a clip cannot contain; remove them with crop")
+            raise ValueError("the scene contains pixels without data, which a clip does not support; remove them with crop")
         scene = replace(scene, ignored=None)
     canvas = np.ascontiguousarray(turned(samples, framing))
     scale = scale_of(framing, run.camera, canvas.shape[1]) or 1.0
@@ -306,7 +321,7 @@ def _course(wanted: sources.WantedScene, run: SimulationRun) -> Course:
 def _colours(
     scene: Scene | ChannelPicture, count: int, wanted: sources.WantedScene, run: SimulationRun
 ) -> NDArray[np.float32]:
-    """Draw the reflectance (leaf, band) of each leaf. If the scene has channel signals, draw these instead."""
+    """Draw the reflectance of each leaf, (leaf, band). For a picture of channel signals, draw signals instead."""
     rng = np.random.default_rng(_seed(wanted, run, COLOURS))
     if isinstance(scene, ChannelPicture):
         return rng.uniform(0.05, 0.9, (count, scene.signal.shape[2])).astype(np.float32)

@@ -174,13 +174,13 @@ def _mean_power(amplitude: Field, cols: int) -> float:
 
 @dataclass(frozen=True)
 class Textures:
-    """The textures of a scene, each with a variance of about 1, and which part of which texture each leaf shows."""
+    """The textures of a scene, each with a variance of about 1, and the part of a texture that each leaf shows."""
 
     pieces: NDArray[np.float32]  # (texture, row, col), periodic
-    texture: NDArray[np.intp]  # (leaf)
-    start: NDArray[np.int32]  # (leaf) flat index of the first sample of the leaf's piece
-    shift: NDArray[np.int32]  # (2, leaf) samples down and across
-    level: NDArray[np.float32]  # (leaf) constant that replaces the slow variations missing from the piece
+    texture: NDArray[np.intp]  # (leaf,), index of the texture
+    start: NDArray[np.int32]  # (leaf,), flat index in `pieces` of the first sample of the texture
+    shift: NDArray[np.int32]  # (2, leaf), shift of the texture, in samples down and across
+    level: NDArray[np.float32]  # (leaf,), constant that replaces variations that are too slow for a piece
     direction: tuple[float, float]  # stripes per sample, down and across
     waver: float  # standard deviation of the displacement of the stripes, in stripe periods
     duty: float  # fraction of a stripe period that is bright
@@ -258,7 +258,7 @@ def _set_contrast(
 ) -> None:
     """Reduce the blotches and stripes in `value` to two tones, in place.
 
-    Blotches get sharp borders, as on fur, bark and prints. Stripes then look like cloth, blinds and letters.
+    Blotches then have sharp borders, as on fur, bark and prints. Stripes then look like cloth, blinds and letters.
     """
     texture = textures.texture.astype(np.uint8).take(label)
     blotched = np.nonzero(texture == BLOTCHES)
@@ -273,19 +273,19 @@ def _set_contrast(
 
 @dataclass(frozen=True)
 class Patterns:
-    """Regular patterns on the leaves: strokes of a second reflectance on a first one.
+    """Regular patterns on the leaves, which are strokes with a second reflectance.
 
-    Lengths are in samples. Arrays have one value per leaf unless the comment says otherwise.
+    Lengths are in samples. Arrays have one value per leaf, unless a shape is stated.
     """
 
     present: NDArray[np.bool_]  # whether a leaf has a pattern
-    first: NDArray[np.float32]  # (leaf, band) reflectance between the strokes, or of the whole leaf if it has no pattern
-    second: NDArray[np.float32]  # (leaf, band) reflectance of the strokes
-    kind: NDArray[np.intp]  # index into KINDS
+    first: NDArray[np.float32]  # (leaf, band), reflectance between the strokes; without a pattern, of the whole leaf
+    second: NDArray[np.float32]  # (leaf, band), reflectance of the strokes
+    kind: NDArray[np.intp]  # index into PATTERN_FREQUENCIES
     angle: NDArray[np.float32]  # radians; direction perpendicular to the strokes
-    period: NDArray[np.float32]  # (2, leaf) period across the strokes and along them
-    width: NDArray[np.float32]  # (2, leaf) width of the strokes and of the perpendicular bars
-    phase: NDArray[np.float32]  # (2, leaf) phase of the strokes and of the bars, in fractions of a period
+    period: NDArray[np.float32]  # (2, leaf), period of the strokes and of the perpendicular bars
+    width: NDArray[np.float32]  # (2, leaf), width of the strokes and of the bars
+    phase: NDArray[np.float32]  # (2, leaf), phase of the strokes and of the bars, in fractions of a period
 
 
 def draw_patterns(
@@ -303,9 +303,9 @@ def draw_patterns(
     rng : Generator
         Source of the random numbers.
     share : float
-        Fraction of the leaves that carry a pattern.
+        Fraction of the leaves that have a pattern.
     materials : ndarray, (material, band)
-        Reflectances from which those of the strokes are chosen.
+        Reflectances from which the reflectances of the strokes are chosen.
     reflectance : ndarray, (leaf, band)
         Reflectance of each leaf.
     oversampling : int

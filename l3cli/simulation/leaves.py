@@ -16,12 +16,12 @@ Field = NDArray[np.float32]
 Size = float | Field
 
 EXPONENT = 2.0  # exponent of the cumulative distribution of the radii, whose density is then r^-3
-UNCOVERED = 0.003  # fraction of the picture left to the background, because covering it too would take long
-BATCH_AREA = 1.5  # summed area of the bounding squares of a batch of leaves, relative to the picture
-BLOCK = 8  # pixels; side of the blocks tested for uncovered pixels. A row of a block is one 64-bit word.
+UNCOVERED = 0.003  # fraction of the picture that may show the background, because covering the last pixels takes long
+BATCH_AREA = 1.5  # total area of the bounding squares of a batch of leaves, relative to the picture
+BLOCK = 8  # pixels; side of the blocks that are tested for uncovered pixels, so that a row of a block is one 64-bit word
 SMALL = 40.0  # pixels; leaves up to this radius are drawn in groups
 WINDOW_RATIO = 1.15  # ratio between successive window sizes for small leaves
-CHUNK = 1 << 16  # number of samples drawn at once, few enough to stay in the processor cache
+CHUNK = 1 << 16  # number of samples that are drawn together, small enough for the processor cache
 SPARSE_FRACTION = 0.2  # if less than this fraction of a leaf's window is uncovered, only the uncovered pixels are tested
 FREE = np.iinfo(np.int32).max  # label of uncovered pixels, higher than every leaf
 OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than every leaf
@@ -31,10 +31,10 @@ OUTSIDE_LABEL = -1  # label of pixels outside the picture, lower than every leaf
 class Leaves:
     """The visible leaves of a scene, and the index of the leaf at each pixel. The last leaf is the background."""
 
-    label: NDArray[np.int32]  # (row, col) index of the leaf
-    row: Field  # (leaf) row of the centre, in pixels
-    col: Field  # (leaf) column of the centre, in pixels
-    radius: Field  # (leaf) in pixels
+    label: NDArray[np.int32]  # (row, col), index of the leaf
+    row: Field  # (leaf,), row of the centre, in pixels
+    col: Field  # (leaf,), column of the centre, in pixels
+    radius: Field  # (leaf,), pixels
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def dead_leaves(rng: np.random.Generator, shape: tuple[int, int], smallest: floa
 
     Notes
     -----
-    Of all leaves that cover a pixel, the one with the lowest number is visible. The order in which leaves are drawn
-    therefore does not matter, and many can be drawn at once.
+    Of all leaves that cover a pixel, the leaf with the lowest number is visible. The result therefore does not depend on the
+    order in which leaves are drawn, and many leaves can be drawn together.
     """
     room = int(2 * min(SMALL, largest) * WINDOW_RATIO) + 3  # pixels; margin for windows that extend beyond the picture
     canvas = np.full([-(-(length + 2 * room) // BLOCK) * BLOCK for length in shape], OUTSIDE_LABEL, np.int32)
@@ -123,8 +123,8 @@ def _radii(rng: np.random.Generator, count: int, smallest: float, largest: float
 def _may_show(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> NDArray[np.bool_]:
     """Return whether the bounding square of each leaf touches a block with an uncovered pixel.
 
-    If it does not, the leaf is hidden and need not be drawn. This is true of most leaves towards the end. The canvas extends
-    `room` pixels beyond the picture on each side.
+    All other leaves are hidden and need not be drawn. When the picture is nearly covered, most leaves are hidden. The canvas
+    has a margin of `room` pixels around the picture.
     """
     free = (canvas == FREE).view(np.uint64)  # each word contains BLOCK pixels of a row
     blocks = functools.reduce(np.bitwise_or, (free[row::BLOCK] for row in range(BLOCK))) != 0
@@ -162,8 +162,8 @@ def _lay(label: NDArray[np.int32], drawn: Drawn, leaf: int) -> None:
 def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
     """Draw many small leaves.
 
-    Leaves with the same shape and similar sizes share a window size and are drawn together. The canvas extends `room` pixels
-    beyond the picture on each side.
+    Leaves with the same shape and similar sizes are drawn together in windows of the same size. The canvas has a margin of
+    `room` pixels around the picture.
     """
     if not drawn.number.size:
         return
@@ -179,7 +179,7 @@ def _lay_small(canvas: NDArray[np.int32], room: int, drawn: Drawn) -> None:
 
 
 def _lay_alike(canvas: NDArray[np.int32], room: int, drawn: Drawn, side: int) -> None:
-    """Draw leaves that all have the same shape and fit into windows of `side` × `side` pixels."""
+    """Draw leaves of the same shape in windows of `side` × `side` pixels."""
 
     def each(values: NDArray[Any]) -> Field:
         return values.astype(np.float32)[:, None, None]
@@ -214,7 +214,7 @@ def _seen(label: NDArray[np.int32], batches: list[Drawn]) -> Leaves:
 
 
 def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: Size) -> NDArray[np.bool_]:
-    """Test which points lie inside a leaf that is centred at (0, 0).
+    """Return which points are inside a leaf with its centre at (0, 0).
 
     Parameters
     ----------
@@ -247,8 +247,8 @@ def inside(shape: int, y: Field, x: Field, radius: Size, angle: Size, slimness: 
 def _lobed(along: Field, across: Field, radius: Size, angle: Size) -> NDArray[np.bool_]:
     """Return the mask of a lobed leaf.
 
-    In direction θ the edge lies at radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9 angle)) from the centre. The sines
-    are computed from powers of along + i · across, which avoids an arctangent per pixel.
+    The distance of the edge from the centre in direction θ is radius · (0.7 + 0.15 sin(3θ + angle) + 0.12 sin(5θ + 9
+    angle)). The sines are computed from powers of along + i · across, which avoids an arctangent per pixel.
     """
     squared = along * along + across * across
     squared += np.float32(1e-12)  # avoids a division by zero at the centre

@@ -1,5 +1,6 @@
-"""Scenes that need no files: dead leaves for training, a composition for viewing, and charts
-(docs/method.md#procedural-scenes).
+"""Scenes that l3 generates: dead leaves for training, a composition for viewing, and charts.
+
+See docs/method.md#procedural-scenes.
 """
 
 import functools
@@ -21,10 +22,10 @@ from l3cli.simulation.reflectances import DRAWN, drawn_bands, dyed, materials, p
 Array = NDArray[np.floating]
 Cube = NDArray[np.float32]  # (row, col, band)
 
-OVERSAMPLING = 2  # samples per pixel in each direction; their mean places edges at fractions of a pixel
+OVERSAMPLING = 2  # samples per pixel in each direction, so that edges can be at fractions of a pixel
 SMALLEST_RADIUS, LARGEST_RADIUS = 3.0, 100.0  # pixels; range of the leaf radii
-MAX_TIMES_WHITE = 3.0  # highest value of a scene relative to a perfect white, including highlights
-STRIP = 8  # number of rows drawn at once, few enough to stay in the processor cache
+MAX_TIMES_WHITE = 3.0  # largest value in a scene, including highlights, relative to a perfect white
+STRIP = 8  # number of rows that are drawn together, small enough for the processor cache
 Wavelength = NDArray[np.float64]
 Painter = Callable[[Any, np.random.Generator, Wavelength], NDArray[np.float32]]
 
@@ -33,9 +34,10 @@ FINER = 8  # samples per pixel in each direction for straight edges
 
 
 def grid(wavelength: Array) -> NDArray[np.float64]:
-    """Return the wavelengths (band), in nm, at which procedural scenes are drawn for a camera.
+    """Return the wavelengths, in nm, at which procedural scenes are drawn for a camera.
 
-    These are the wavelengths of DRAWN, extended in steps of 10 nm to the range of `wavelength`, which the camera sees.
+    These are the wavelengths of DRAWN, extended in steps of 10 nm to the range of `wavelength`, the wavelengths of the
+    camera.
     """
     first = max(np.floor(min(wavelength[0], DRAWN[0]) / 10.0) * 10.0, 10.0)  # not 0: materials divide by the wavelength
     last = np.ceil(max(wavelength[-1], DRAWN[-1]) / 10.0) * 10.0
@@ -50,13 +52,13 @@ class Coat:
     """Material and shading of each leaf. Positions are relative to the centre of the leaf, in radii."""
 
     reflectance: NDArray[np.float32]  # (leaf, band)
-    brightness: NDArray[np.float32]  # (leaf) natural logarithm of the mean brightness
-    slope: NDArray[np.float32]  # (2, leaf) gradient of the log brightness, down and across
-    hollow: NDArray[np.float32]  # (leaf) decrease of the log brightness from the centre to the rim
-    texture: NDArray[np.float32]  # (leaf) amplitude of the texture in log brightness
-    highlight: NDArray[np.float32]  # (leaf) peak of the highlight relative to a perfect white; 0 for matt leaves
-    sharpness: NDArray[np.float32]  # (leaf) sharpness of the highlight
-    position: NDArray[np.float32]  # (2, leaf) position of the highlight, down and across
+    brightness: NDArray[np.float32]  # (leaf,), natural logarithm of the mean brightness
+    slope: NDArray[np.float32]  # (2, leaf), gradient of the logarithm of the brightness, down and across
+    hollow: NDArray[np.float32]  # (leaf,), decrease of the logarithm of the brightness from the centre to the rim
+    texture: NDArray[np.float32]  # (leaf,), amplitude of the texture in the logarithm of the brightness
+    highlight: NDArray[np.float32]  # (leaf,), peak of the highlight relative to a perfect white; 0 for matt leaves
+    sharpness: NDArray[np.float32]  # (leaf,), sharpness of the highlight
+    position: NDArray[np.float32]  # (2, leaf), position of the highlight, down and across
 
 
 def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Array, patterned: float = 0.0) -> Cube:
@@ -71,8 +73,8 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     wavelength : ndarray, (band)
         Wavelengths in nm.
     patterned : float
-        Fraction of the leaves that carry fine regular patterns. The patterns have their own random generator, so nothing
-        else in the scene depends on this fraction.
+        Fraction of the leaves with fine regular patterns. The patterns have their own random generator, so that the rest of
+        the scene does not depend on this fraction.
 
     Returns
     -------
@@ -100,7 +102,7 @@ def dead_leaves(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
 def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
     """Draw the appearance of `count` leaves.
 
-    Each leaf has one of `materials` (material, band) or, with a probability of 40 %, a mixture of two.
+    A leaf has one of the materials, (material, band), or, with a probability of 40 %, a mixture of two materials.
     """
     one, other = materials[rng.integers(len(materials), size=(2, count))]
     share = np.where(rng.random(count) < 0.4, rng.random(count), 1.0)[:, None]
@@ -120,9 +122,9 @@ def _coats(rng: np.random.Generator, materials: Array, count: int) -> Coat:
 
 
 def _light(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Draw the relative illumination (row, col) of a scene.
+    """Draw the relative illumination of a scene at each pixel.
 
-    It is always uneven. In 30 % of the scenes it can include shadows with soft, ragged edges.
+    The illumination always varies smoothly. In 30 % of the scenes, it may contain shadows with soft, ragged edges.
     """
     logarithm = 0.4 * fields.pink(rng, shape, 1.8)
     shadows = rng.poisson(1.0) if rng.random() < 0.3 else 0
@@ -146,7 +148,7 @@ def _draw(
     light: NDArray[np.float32],
     rows: slice,
 ) -> None:
-    """Compute the reflectance of some rows of a scene by averaging samples over pixels, and write it into `cube`."""
+    """Compute the reflectance of some rows of a scene and write it into `cube`. Each pixel is the mean of its samples."""
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)
@@ -167,7 +169,7 @@ def _draw(
 
 
 def _block_mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the mean of each block of OVERSAMPLING × OVERSAMPLING samples (row, col)."""
+    """Return the mean of each block of OVERSAMPLING × OVERSAMPLING samples."""
     step = OVERSAMPLING
     samples = [values[row::step, col::step] for row in range(step) for col in range(step)]
     return functools.reduce(np.add, samples) / np.float32(step**2)
@@ -178,7 +180,7 @@ def _shading(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the shading and the gloss of each sample.
 
-    Shading is a factor on the reflectance of the material. Gloss is a mirror-like reflection that is added afterwards.
+    Shading is a factor on the reflectance of the material. Gloss is a specular reflection, which is added to the product.
     """
 
     def of(values: NDArray[Any]) -> NDArray[Any]:
@@ -201,8 +203,19 @@ def _shading(
 def _average(cube: Cube, materials: NDArray[np.float32], label: NDArray[np.integer], amount: NDArray[np.float32]) -> None:
     """Fill `cube` with the mean over each block of OVERSAMPLING × OVERSAMPLING samples.
 
-    Each sample contributes the spectrum of its leaf (`materials` (leaf, band), selected by `label` (row, col)) times its
-    `amount` (row, col). Most blocks show a single leaf. For these, the amounts are summed before the spectrum is multiplied.
+    The value of a sample is the product of the spectrum of its leaf and its amount. Most blocks show a single leaf. In these
+    blocks, the amounts are summed first, so that the spectrum is multiplied only once.
+
+    Parameters
+    ----------
+    cube : ndarray, (row, col, band)
+        Receives the result.
+    materials : ndarray, (leaf, band)
+        Spectrum of each leaf.
+    label : ndarray, (row, col)
+        Index of the leaf at each sample.
+    amount : ndarray, (row, col)
+        Amount of each sample.
     """
     step = OVERSAMPLING
     samples = [np.s_[row::step, col::step] for row in range(step) for col in range(step)]
@@ -221,7 +234,7 @@ def _blurred(cube: Cube, sigma: float) -> Cube:
     """Blur a scene with a Gaussian of `sigma` pixels, in place, to imitate the lens of a real picture.
 
     A blur of less than 0.2 pixels has no effect and is skipped. The scene is mirrored at its borders. The data are processed
-    row by row and so stay in the processor cache, which takes a fifth of the time of scipy.ndimage.
+    row by row, so that they remain in the processor cache. This takes a fifth of the time of scipy.ndimage.
     """
     if sigma <= 0.2:
         return cube
@@ -284,14 +297,14 @@ def composition(rng: np.random.Generator, size: tuple[int, int], wavelength: Arr
     return cube
 
 
-# ColorChecker in a composition, which is divided into 18 × 32 units: (rows, columns) in units, and its relative centre.
+# Size (rows, columns) of the ColorChecker in a composition of 18 × 32 units, in units, and relative position of its centre.
 CHART_PANEL = (8, 12), (0.66, 0.25)
 
 
 def _placed(
     size: tuple[int, int], units: tuple[int, int], centre: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the upper left corner and the shape, in pixels, of a panel in a composition of `size`."""
+    """Return the upper left corner and the shape, in pixels, of a panel in a composition."""
     unit = min(size[0] // 18, size[1] // 32)
     height, width = units[0] * unit, units[1] * unit
     return (round(size[0] * centre[0] - height / 2), round(size[1] * centre[1] - width / 2)), (height, width)
@@ -334,16 +347,16 @@ PAINTERS: dict[type, Painter] = {
 
 
 def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) -> Scene:
-    """Draw a procedural scene for a camera. Equal seeds give equal scenes.
+    """Draw a procedural scene for a camera. The scene is determined by the recipe and the seed.
 
     Parameters
     ----------
     wanted : WantedScene
-        The scene, as the recipe describes it.
+        The scene in the recipe.
     seed : int
-        The seed of the simulation.
-    camera_wavelength : ndarray, (wavelength)
-        Wavelengths that the camera sees, in nm.
+        Seed of the simulation.
+    camera_wavelength : ndarray, (wavelength,)
+        Wavelengths of the camera, in nm.
 
     Returns
     -------
@@ -361,10 +374,7 @@ def draw(wanted: sources.WantedScene, seed: int, camera_wavelength: Wavelength) 
 
 
 def colorchecker(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return the reflectance (row, col, band) of the classic ColorChecker, with 24 patches on a dark board.
-
-    The board fills `size` (rows, columns).
-    """
+    """Return the reflectance of the classic ColorChecker, with 24 patches on a dark board that fills the scene."""
     _, reflectance = spectra.colorchecker(wavelength)
     cube = np.full((*size, wavelength.size), BOARD, np.float32)
     for patch, (rows, cols) in zip(reflectance, colorchecker_patches(size), strict=True):
@@ -388,7 +398,7 @@ def colorchecker_patches(size: tuple[int, int]) -> list[tuple[slice, slice]]:
 
 
 def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
-    """Arrange patches (patch, band) in `rows` rows that fill `size`. Large patches get dark borders."""
+    """Arrange the reflectances of patches, (patch, band), in rows that fill the scene. Large patches have dark borders."""
     cols = len(reflectance) // rows
     row = np.arange(size[0]) * rows // size[0]
     col = np.arange(size[1]) * cols // size[1]
@@ -402,12 +412,12 @@ def patch_grid(reflectance: Array, rows: int, size: tuple[int, int]) -> Cube:
 def material_patches(
     kind: str, rng: np.random.Generator, patches: tuple[int, int], size: tuple[int, int], wavelength: Array
 ) -> Cube:
-    """Draw a chart of different samples of one kind of material.
+    """Draw a chart of different samples of one type of material.
 
     Parameters
     ----------
     kind : {"skin", "leaf"}
-        Kind of material.
+        Type of material.
     rng : Generator
         Source of the random numbers.
     patches : tuple of int
@@ -452,10 +462,9 @@ MUNSELL_HUES, MUNSELL_VALUES, MUNSELL_CHROMAS = 20, (30, 50, 70, 85), (8, 20, 35
 
 
 def munsell(size: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a chart of colours in CIE LCh under D65: hue varies across, lightness and chroma vary down.
+    """Return a chart of colours in CIE LCh under D65. Hue varies along rows; lightness and chroma vary along columns.
 
-    Each patch has the smoothest reflectance with its colour. Colours outside sRGB are moved towards grey until they are
-    inside.
+    Each patch has a smooth reflectance. The chroma of colours outside sRGB is reduced until they are inside sRGB.
     """
     hue = np.arange(MUNSELL_HUES) * (2 * np.pi / MUNSELL_HUES)
     value, chroma, hue = (axis.ravel() for axis in np.meshgrid(MUNSELL_VALUES, MUNSELL_CHROMAS, hue, indexing="ij"))
@@ -497,9 +506,9 @@ def slanted_edge(size: tuple[int, int], wavelength: Array, angle: float, dark: f
 
 
 def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube:
-    """Return concentric rings whose frequency grows linearly from the centre.
+    """Return concentric rings whose frequency increases linearly with the distance from the centre.
 
-    The frequency reaches `highest` cycles per pixel at the nearest edges of the picture.
+    At the nearest edges of the picture, the frequency is `highest` cycles per pixel.
     """
     down, across = _centred(size)
     phase = np.pi * highest * (down**2 + across**2) / (min(size) / 2)
@@ -507,9 +516,10 @@ def zone_plate(size: tuple[int, int], wavelength: Array, highest: float) -> Cube
 
 
 def frequencies(size: tuple[int, int], wavelength: Array, orders: int) -> Cube:
-    """Return a row of gratings, each with twice the frequency of its left neighbour.
+    """Return a row of gratings. The frequency doubles from grating to grating and is 0.5 cycles per pixel in the last
+    grating.
 
-    The last grating has 0.5 cycles per pixel. The contrast falls from 1 at the top to 1/100 at the bottom.
+    The contrast decreases from 1 at the top to 1/100 at the bottom.
     """
     across = np.arange(size[1])
     order = across * orders // size[1]
@@ -534,7 +544,7 @@ def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
 
 
 def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return greys from 1 % to 100 %: continuous in the upper half, in 16 steps in the lower half."""
+    """Return greys from 1 % to 100 %. The upper half is continuous, and the lower half has 16 steps."""
     position = (np.arange(shape[1]) + 0.5) / shape[1]
     smooth, steps = 0.01 ** (1 - position), 0.01 ** (1 - np.floor(position * 16) / 15)
     panel = np.where((np.arange(shape[0]) < shape[0] // 2)[:, None], smooth, steps)
@@ -542,7 +552,7 @@ def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return a zone plate that reaches 0.4 cycles per pixel at its rim, a hard test for every demosaicking method."""
+    """Return a zone plate with 0.4 cycles per pixel at its rim, which is a difficult test for demosaicking methods."""
     down, across = _centred(shape)
     panel = zone_plate(shape, wavelength, 0.4)
     panel[down**2 + across**2 >= (min(shape) / 2) ** 2] = BOARD
@@ -550,7 +560,10 @@ def zone_plate_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return black and white bars, slanted by 5°, that narrow from left to right. Their edges suit ISO 12233 analysis."""
+    """Return dark and bright bars, slanted by 5°, whose width decreases from left to right.
+
+    Their edges can be analysed with ISO 12233.
+    """
     down, across = _centred(shape, 4)
     position = (across + np.tan(np.radians(5)) * down) / shape[1] + 0.5
     bars = np.sin(2 * np.pi * (1.5 * position + 8 * position**3)) > 0
@@ -559,7 +572,7 @@ def slanted_bars_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
 
 
 def _centred(shape: tuple[int, int], finer: int = 1) -> tuple[Array, Array]:
-    """Return coordinates down and across, in pixels from the centre of `shape`, with `finer` samples per pixel."""
+    """Return the coordinates of samples down and across, in pixels from the centre, with `finer` samples per pixel."""
     down, across = ((np.arange(length * finer) + 0.5) / finer - length / 2 for length in shape)
     return down[:, None], across[None]
 

@@ -6,8 +6,8 @@ Random materials are varied, smooth and physically valid (docs/method.md#procedu
 2. a Gaussian distribution fitted to the measured surfaces in logit space,
 3. models of materials that are common in pictures: skin, leaves and hair.
 
-Saturation is low and varies between scenes. Each pixel of an RGB picture gets the smoothest reflectance that has its colour
-(docs/method.md#pictures-converted-to-spectra).
+The saturation is low and varies between scenes. For each pixel of an RGB picture, l3 computes a smooth reflectance with the
+colour of the pixel (docs/method.md#pictures-converted-to-spectra).
 """
 
 import functools
@@ -26,12 +26,12 @@ from l3cli.simulation.light import make_light, matching_weights
 Array = NDArray[np.floating]
 
 COMPONENTS = 8  # number of principal components of the Gaussian in logit space
-# nm; wavelengths at which materials are drawn. They do not depend on the camera, so neither does the colour of a material.
+# nm; wavelengths at which materials are drawn. They are the same for all cameras, so that the colours of materials are, too.
 DRAWN = np.arange(SHOWN[0], SHOWN[1] + 1.0, 10.0)
 
-# Relative frequency of each kind of material (docs/method.md#procedural-scenes).
+# Relative frequency of each type of material (docs/method.md#procedural-scenes).
 KIND_FREQUENCIES = {"library": 0.25, "mixture": 0.2, "gaussian": 0.35, "skin": 0.12, "leaf": 0.04, "hair": 0.04}
-# Kinds whose saturation is drawn at random for each scene. The other kinds have their natural saturation.
+# Types of material whose saturation is drawn at random. All other types have their natural saturation.
 DYED = ("library", "mixture", "gaussian")
 VIVID = (0.0, 1.2)  # range of the saturation in charts of dyed materials; 0 is grey, 1 is the measured saturation
 VESSEL = 0.007  # cm; radius of the blood vessels of the skin
@@ -57,19 +57,19 @@ EXACTNESS = 1e4  # weight of the colour equations relative to smoothness
 class Surfaces:
     """Measured reflectances, and a Gaussian distribution fitted to them in logit space."""
 
-    wavelength: Array  # (band) nm
-    measured: Array  # (sample, band) reflectance
-    mean: Array  # (band) mean logit
-    components: Array  # (component, band) principal components of the logit, each scaled to one standard deviation
-    drawn: NDArray[np.bool_]  # (band) whether the wavelength belongs to DRAWN
+    wavelength: Array  # (band,), nm
+    measured: Array  # (sample, band), reflectance
+    mean: Array  # (band,), mean logit
+    components: Array  # (component, band), principal components of the logit, each scaled to one standard deviation
+    drawn: NDArray[np.bool_]  # (band,), whether the wavelength is one of DRAWN
 
 
 @functools.lru_cache(maxsize=2)
 def surfaces(wavelength: tuple[float, ...]) -> Surfaces:
-    """Return the measured reflectances of colour-science, without the ColorChecker, and a Gaussian fitted to them.
+    """Return measured reflectances from colour-science, except the ColorChecker, and a Gaussian that is fitted to them.
 
-    The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so a
-    drawn material has the same colour on every wavelength grid.
+    The Gaussian is fitted at the wavelengths of DRAWN. Values at other wavelengths are predicted by linear regression, so
+    that a random material has the same colour on any wavelength grid.
 
     Parameters
     ----------
@@ -95,14 +95,14 @@ def _logit(reflectance: Array) -> Array:
 
 
 def drawn_bands(wavelength: Array) -> NDArray[np.bool_]:
-    """Return the mask (band) of the wavelengths, in nm, that belong to DRAWN."""
+    """Return whether each wavelength, in nm, is one of DRAWN."""
     return np.isin(wavelength, DRAWN)
 
 
 def palette(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the materials of one scene: 6 to 60 reflectances (material, band).
+    """Draw the materials of one scene: 6 to 60 reflectances, (material, band).
 
-    One kind of material dominates in half of the scenes.
+    In half of the scenes, one type of material is dominant.
     """
     count = int(np.exp(rng.uniform(np.log(6), np.log(60))))
     shares = np.array(list(KIND_FREQUENCIES.values()))
@@ -114,12 +114,12 @@ def palette(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def materials(kind: str, rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances (material, band) of the given kind, which is a key of KINDS."""
+    """Draw `count` reflectances, (material, band), of one type of material. `kind` is a key of KIND_FREQUENCIES."""
     return np.array([_material(rng, of, kind, 1.0) for _ in range(count)])
 
 
 def dyed(rng: np.random.Generator, of: Surfaces, count: int) -> Array:
-    """Draw `count` reflectances (material, band) of dyed surfaces, from grey to slightly more vivid than measured."""
+    """Draw `count` reflectances, (material, band), of dyed surfaces, from grey to slightly more saturated than measured."""
     shares = np.array([KIND_FREQUENCIES[kind] for kind in DYED])
     kinds = rng.choice(DYED, size=count, p=shares / shares.sum())
     return np.array([_dye(rng, of, kind, rng.uniform(*VIVID)) for kind in kinds])
@@ -137,7 +137,7 @@ def _dye(rng: np.random.Generator, of: Surfaces, kind: str, saturation: float) -
 
 
 def _painted(rng: np.random.Generator, reflectance: Array, wavelength: Array) -> Array:
-    """Apply the absorption edge of titanium white to a reflectance (band), as in paints, plastics and papers."""
+    """Apply the absorption edge of titanium white, as in paints, plastics and papers, to a reflectance."""
     edge = np.exp(rng.normal(np.log(0.2), 0.7))
     return with_titanium_white(reflectance, wavelength, edge, rng.uniform(5.0, 11.0))
 
@@ -147,7 +147,7 @@ def _library(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Mix two measured surfaces, side by side (arithmetic mean) or one over the other (geometric mean)."""
+    """Mix two measured surfaces: next to each other (arithmetic mean) or one on top of the other (geometric mean)."""
     one, other = of.measured[rng.integers(0, len(of.measured), 2)]
     share = rng.random()
     return one * share + other * (1 - share) if rng.random() < 0.5 else one**share * other ** (1 - share)
@@ -156,7 +156,7 @@ def _mixture(rng: np.random.Generator, of: Surfaces) -> Array:
 def _gaussian(rng: np.random.Generator, of: Surfaces) -> Array:
     scores = rng.standard_normal(COMPONENTS)
     logit = of.mean + scores @ of.components
-    # These bands are computed in a separate product, so that their rounding does not depend on the grid.
+    # The bands of DRAWN are computed in a separate product, so that their rounding does not depend on the grid.
     logit[of.drawn] = of.mean[of.drawn] + scores @ np.compress(of.drawn, of.components, axis=1)
     return 1.0 / (1.0 + np.exp(-logit))
 
@@ -192,7 +192,7 @@ def _skin(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the reflectance of a plant leaf: Gaussian absorption bands of chlorophyll and carotenoids in a clear tissue.
+    """Draw the reflectance of a plant leaf, modelled as Gaussian absorption bands of chlorophyll and carotenoids.
 
     A quarter of the leaves also contain anthocyanin.
     """
@@ -210,7 +210,7 @@ def _leaf(rng: np.random.Generator, of: Surfaces) -> Array:
 
 
 def _hair(rng: np.random.Generator, of: Surfaces) -> Array:
-    """Draw the reflectance of hair or fur, from dark brown to blond: a grey gloss plus the spectral slope of melanin."""
+    """Draw the reflectance of hair or fur, from dark brown to blond, as a grey gloss plus the spectral slope of melanin."""
     slope = (of.wavelength / 680.0) ** rng.uniform(0.3, 5.0)
     return rng.uniform(0.01, 0.04) + np.exp(rng.normal(np.log(0.06), 0.8)) * slope
 
@@ -219,17 +219,17 @@ _DRAW = {"library": _library, "mixture": _mixture, "gaussian": _gaussian, "skin"
 
 
 def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64], name: str) -> Scene:
-    """Turn a linear sRGB picture into a spectral scene: reflectance = red · R + green · G + blue · B.
+    """Convert a linear sRGB picture to a spectral scene: reflectance = red · R + green · G + blue · B.
 
-    The three spectra of `primaries` are non-negative and sum to 1 at every wavelength, so values from 0 to 1 give
-    reflectances from 0 to 1.
+    The three spectra of `primaries` are not negative, and their sum is 1 at each wavelength. Values from 0 to 1 therefore
+    become reflectances from 0 to 1.
 
     Parameters
     ----------
     linear : ndarray, (row, col, 3)
         Linear sRGB; 1 is white.
-    wavelength : ndarray, (band)
-        Wavelengths in nm. Each must belong to DRAWN or lie beyond its ends, where the spectra are constant.
+    wavelength : ndarray, (band,)
+        Wavelengths in nm. Each wavelength must be one of DRAWN or be outside the range of DRAWN, where spectra are constant.
     name : str
         Name of the scene.
 
@@ -239,7 +239,7 @@ def raise_to_spectra(linear: NDArray[np.float32], wavelength: NDArray[np.float64
         The scene, without an illuminant of its own.
     """
     cube = np.maximum(linear, np.float32(0.0)) @ primaries().astype(np.float32)
-    if not np.array_equal(wavelength, DRAWN):  # selecting bands of the same product gives every camera the same values
+    if not np.array_equal(wavelength, DRAWN):  # bands are selected after the product, so that all cameras have equal values
         cube = cube[..., abs(np.subtract.outer(wavelength, DRAWN)).argmin(axis=1)]
     return Scene(name, wavelength, cube, NO_ILLUMINANT)
 
@@ -252,7 +252,7 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
     linear : ndarray, (row, col, 3)
         The picture.
     by : int
-        Side of a block, in pixels. Incomplete blocks at the right and bottom are cut off.
+        Side of a block in pixels. Incomplete blocks at the right and at the bottom are left out.
 
     Returns
     -------
@@ -265,10 +265,10 @@ def shrunk(linear: NDArray[np.float32], by: int) -> NDArray[np.float32]:
 
 @functools.cache
 def primaries() -> Array:
-    """Return the smoothest reflectances (3, band), at DRAWN, whose colours under D65 are the sRGB primaries.
+    """Return the smoothest reflectances whose colours under D65 are the sRGB primaries, at the wavelengths of DRAWN.
 
-    They are non-negative and sum to 1 at every wavelength (after Mallett and Yuksel, "Spectral primary decomposition",
-    2019).
+    The reflectances, (3, band), are not negative, and their sum is 1 at each wavelength (after Mallett and Yuksel, "Spectral
+    primary decomposition", 2019).
     """
     count = DRAWN.size
     rough = np.diff(np.eye(count), axis=0)

@@ -46,7 +46,7 @@ CAMERA = [
     ("sigma_nm = 40", "sigma_nm = 0", ("responsivity.gaussians.g[1].sigma_nm is 0; use more than 0",)),
     ("well_capacity_e = 15000", "well_capacity_e = nan", ("noise.well_capacity_e is nan",)),
 ]
-SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | set proportions above 0
+SCENES = """illuminants = ["D656", "lamp.csv", "0 D65"]  # "D656" is unknown | lamp.csv does not exist | proportion of 0
 exposure_share = [0.9, -1]  # exposure_share[2] is -1; use more than 0
 lens.transmittance = "none.csv"  # none.csv does not exist
 lens.f_number = -3  # lens.f_number is -3

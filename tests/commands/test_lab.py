@@ -108,7 +108,7 @@ def test_the_default_recipe_is_the_built_in_one() -> None:
 
 def test_a_sweep_of_too_few_steps_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "lab.toml").write_text("[mono]\nfirst_nm = 690")
-    assert "three steps" in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
+    assert "at least 3 steps" in refused(2, "lab", bayer_recipe, "-o", tmp_path / "lab", "--recipe", tmp_path / "lab.toml")
 
 
 def test_a_sensor_too_small_for_a_chart_is_refused(bayer_recipe: Path, tmp_path: Path, refused: Refused) -> None:

@@ -463,7 +463,7 @@ def test_what_has_no_spectra_is_refused(codes: np.ndarray, tmp_path: Path, refus
 
     scene = SCENE.format(file="picture.png")
     assert 'target.outputs = "camera"' in words("exposure_share = [0.9]\n" + scene)
-    assert "no target.illuminant" in words('target.illuminant = "A"\n' + HEAD.format(share=0.9) + scene)
+    assert "remove target.illuminant" in words('target.illuminant = "A"\n' + HEAD.format(share=0.9) + scene)
     assert "r, g, b, o, c" in words(HEAD.format(share=0.9) + scene, "fiveband")
     assert "no illuminant of its own" in words('illuminants = ["scene"]\n' + HEAD.format(share=0.9) + scene)
     assert "holds" in words(HEAD.format(share=0.9) + scene.replace("codes", "code"))

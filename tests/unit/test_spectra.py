@@ -380,7 +380,7 @@ def test_every_command_that_takes_a_light_says_where_it_is_not_known(
     def warnings(*call: object) -> list[str]:
         code, out, err = l3(*call)
         assert code == 0, err
-        return [line for line in (out + err).splitlines() if line.strip().startswith("warning: light F2")]
+        return [line for line in (out + err).splitlines() if line.strip().startswith("warning: illuminant F2")]
 
     frames = tmp_path / "frames.h5"
     moments, pixel = tmp_path / "moments.h5", tmp_path / "design.toml"
@@ -421,7 +421,7 @@ def test_python_warns_of_lights_as_the_commands_do(tmp_path: Path) -> None:
     for call in calls:
         with pytest.warns(UserWarning, match="F2") as told:
             call()
-        (warning,) = [each for each in told if "light F2" in str(each.message)]
+        (warning,) = [each for each in told if "illuminant F2" in str(each.message)]
         require_stated(str(warning.message), camera, "F2")
         assert warning.filename == __file__
     heard = Gathering(Silent(), 9)
@@ -429,7 +429,7 @@ def test_python_warns_of_lights_as_the_commands_do(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         l3cli.render(*files, white="F2", backend="reference", force=True, console=heard)
         renderer.picture(values, white="A")
-    assert any("light F2" in each for each in heard.warnings)
+    assert any("illuminant F2" in each for each in heard.warnings)
 
 
 def test_files_that_end_where_a_channel_sees_are_said(tmp_path: Path, l3: L3) -> None:
@@ -490,7 +490,7 @@ def test_a_pixel_of_an_infrared_camera_fills_under_a_as_its_formula_says(tmp_pat
     stated = meaning["saturation_exposure_cd_s_per_m2"]["A"]
     assert stated == pytest.approx(filled(planck), rel=3e-3)
     assert filled(np.where(grid > 780, planck[420], planck)) > 1.02 * stated
-    assert ["light D65" in each for each in meaning["warnings"]] == [True]
+    assert ["illuminant D65" in each for each in meaning["warnings"]] == [True]
 
 
 def observer() -> tuple[np.ndarray, np.ndarray]:
