@@ -37,7 +37,7 @@ MAX_DIFFERENCE = 0.05  # squared relative difference of the signals from which t
 MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals are divided
 # If the likeness of the surroundings, as a fraction of its maximum, has the value HUE_DOUBT, the weight of their hue is one
 # half. GREY_DOUBT times the likeness of the clipped block to a white is added to this value.
-HUE_DOUBT, GREY_DOUBT = 0.03, 3.0
+HUE_DOUBT, GREY_DOUBT = 0.1, 3.0
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 

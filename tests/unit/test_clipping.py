@@ -184,7 +184,7 @@ def test_clipped_areas_take_the_hue_of_the_same_surface_nearby() -> None:
     assert not maps[:, :, :20].any()  # nothing clips
     assert not maps[:, :, 54:].any()  # every channel clips
     taken, x, z = maps[:, :, 28:34]
-    assert taken.min() > 0.8
+    assert taken.min() > 0.6
     np.testing.assert_allclose(x / taken, colour[0] / colour[1], rtol=0.03)
     np.testing.assert_allclose(z / taken, colour[2] / colour[1], rtol=0.06)
 
