@@ -41,6 +41,26 @@ class SpectralSmoothing:
 
 
 @dataclass(frozen=True)
+class ChromaSmoothing:
+    """Smoothing of chroma in tables with the outputs X, Y, Z (docs/method.md#smoothed-chroma).
+
+    Each pixel gets the mean chromaticity of eight neighbours with similar luminance and chroma, but keeps its luminance.
+    """
+
+    reach: float = data("float64", doc="relative difference of luminance from which neighbours have no weight")
+    likeness: float = data(
+        "float64", doc="difference of X/Y or Z/Y, relative to that of white, from which neighbours have no weight"
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not 0 < self.reach < 1:
+            raise ValueError(f"reach is {self.reach:g}, not between 0 and 1")
+        if not self.likeness > 0:
+            raise ValueError(f"likeness is {self.likeness:g}, not above 0")
+
+
+@dataclass(frozen=True)
 class LeadingComponents:
     """The components of a spectrum that a refinement layer reads and corrects (docs/method.md#leading-components)."""
 
@@ -95,6 +115,8 @@ class TransformTable(Artifact):
         Transforms for other noise, then for each illuminant.
     spectra : SpectralSmoothing or None
         Smoothing of spectra after all layers.
+    chroma_smoothing : ChromaSmoothing or None
+        Smoothing of chroma after all layers.
     components : LeadingComponents or None
         The components of a spectrum that a refinement layer corrects. None if the refinement layers compute X, Y, Z.
     """
@@ -125,6 +147,7 @@ class TransformTable(Artifact):
     camera: CameraModel | None = group(default=None)
     conditions: tuple[Condition, ...] = group(default=())
     spectra: SpectralSmoothing | None = group(default=None)
+    chroma_smoothing: ChromaSmoothing | None = group(default=None)
     components: LeadingComponents | None = group(default=None)
 
     def __post_init__(self) -> None:
@@ -155,6 +178,8 @@ class TransformTable(Artifact):
             raise ValueError(
                 f"the outputs {', '.join(self.outputs)} are not spectral bands and cannot be smoothed as spectra"
             )
+        if self.chroma_smoothing and (self.outputs != ("X", "Y", "Z") or not (self.white_point > 0).all()):
+            raise ValueError("chroma can only be smoothed if the outputs are X, Y, Z of a white above zero")
         if self.later and (
             len(self.later) > 1 or self.later[-1].coarse_chroma if self.components else len(self.outputs) != 3
         ):

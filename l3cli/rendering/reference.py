@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
-from l3cli.artifacts.table import SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import ChromaSmoothing, SpectralSmoothing, TransformTable
 from l3cli.classes.clipping import Mosaic, limited_to_white, replaced
 from l3cli.classes.coarse_chroma import coarse_change, scales_of
 from l3cli.classes.decide import label_mosaic
@@ -19,7 +19,12 @@ from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Spectra of darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
+# Offsets (row, column) of the neighbours for the smoothing of chroma, in pixels. They are few, so that the smoothing is fast, and
+# near and far, so that it averages over the patterns that noise and aliasing leave.
+CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
+CHROMA_REACH = 4  # pixels; largest offset
+
+# Darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
 SPECTRA_DARKEST = 2.0**-20
 
 
@@ -71,7 +76,11 @@ class ReferenceRenderer:
         if (clipped_white := self.table.clipped_white) is not None:
             made = limited_to_white(made, clipped_white)
         made = gain * made
-        return frame.light_share * (smoothed_spectra(made, self.table.spectra) if self.table.spectra else made)
+        if self.table.spectra:
+            made = smoothed_spectra(made, self.table.spectra)
+        if self.table.chroma_smoothing:
+            made = smoothed_chroma(made, self.table.chroma_smoothing, self.table.white_point)
+        return frame.light_share * made
 
     def planes(self, frame: RawFrame) -> NDArray[np.int32]:
         """Return the planes (plane, row, col) that the last layer reads. The table must have a refinement layer."""
@@ -292,3 +301,48 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     safe = np.where(brightness > SPECTRA_DARKEST, brightness, 1.0)
     share = safe / np.where(brightness > SPECTRA_DARKEST, brightness + brighter / total, 1.0)
     return np.where(brightness > SPECTRA_DARKEST, (planes + change / total) * share, planes)
+
+
+def smoothed_chroma(
+    planes: NDArray[np.float64], smoothing: ChromaSmoothing, white: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Smooth the chroma of X, Y, Z (3, row, col) over neighbours that are alike, without changing the luminance.
+
+    Let p be a pixel, q its neighbours (CHROMA_NEIGHBOURS), and e_q = X_q Y_p − X_p Y_q, and f_q the same for Z:
+
+        w_q = max(0, 1 − ((Y_q − Y_p) / (reach · Y_p))² − ((e_q / X_w)² + (f_q / Z_w)²) / (likeness · Y_p²)²)²
+        X_p ← X_p + Σ w_q e_q / (Y_p + Σ w_q Y_q)
+
+    Z is changed in the same way. The new X_p / Y_p is the mean of X over p and its neighbours divided by their mean of Y.
+    Areas of one chromaticity are unchanged to the last bit. At the borders, planes are mirrored about the outermost pixels.
+
+    Parameters
+    ----------
+    planes : ndarray, (3, row, col)
+        X, Y and Z.
+    smoothing : ChromaSmoothing
+        Differences of luminance and chroma at which the weight of a neighbour becomes zero.
+    white : ndarray, (3,)
+        XYZ of white, with Y = 1.
+
+    Returns
+    -------
+    ndarray, (3, row, col)
+    """
+    luminance, chroma = planes[1], planes[::2]
+    bright = luminance > SPECTRA_DARKEST
+    safe = np.where(bright, luminance, 1.0)
+    scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * np.square(safe)
+    padded, (rows, cols) = mirrored(planes, CHROMA_REACH), luminance.shape
+    total, change = safe.copy(), np.zeros_like(chroma)
+    for down, right in CHROMA_NEIGHBOURS:
+        first, left = CHROMA_REACH + down, CHROMA_REACH + right
+        there = padded[:, first : first + rows, left : left + cols]
+        unlike = there[::2] * safe - chroma * there[1]
+        square = np.square((there[1] - safe) / (smoothing.reach * safe)) + np.square(unlike / scale).sum(axis=0)
+        weight = np.maximum(1 - square, 0) ** 2
+        total += weight * there[1]
+        change += weight * unlike
+    smoothed = planes.copy()
+    smoothed[::2] += np.where(bright, change / total, 0.0)
+    return smoothed

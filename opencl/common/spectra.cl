@@ -16,9 +16,3 @@ INLINE floats inverse_of(floats brightness, float reach) {
 INLINE floats brightness_ratio(floats brightness, floats brighter) {
     return brightness > DARKEST ? brightness / (brightness + brighter) : (floats)1.0f;
 }
-
-// Returns the index of the sample that is used for index `wanted`: its mirror image if `wanted` is outside 0 … length - 1.
-INLINE int mirrored(int wanted, int length) {
-    const int mirror = wanted < 0 ? -wanted : wanted >= length ? 2 * (length - 1) - wanted : wanted;
-    return min(max(mirror, 0), length - 1);
-}

@@ -6,14 +6,6 @@
 #define REACHED (TILE + 2 * RADIUS)
 #define NEIGHBOURS (WINDOW * WINDOW)
 
-// Reads LANES values of a row, starting at column x. Columns outside 0 … columns - 1 are mirrored.
-INLINE floats read_across(__global const float *row, int x, int columns) {
-    if (x >= 0 && x + LANES <= columns) return LOAD_GLOBAL(floats, row + x);
-    float value[LANES];
-    for (int i = 0; i < LANES; i++) value[i] = row[mirrored(x + i, columns)];
-    return LOAD_PRIVATE(floats, value);
-}
-
 COMPILED_ONCE smooth_tile(int x0, int y0,
                           __global const float *restrict made,  // (output, made row, col)
                           __global float *restrict smoothed,    // (output, row, col)

@@ -140,6 +140,15 @@ def encoder_source(variant: str) -> str:
     return joined_files("common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *VARIANTS[variant].encoder_sources)
 
 
+def encoding_source(variant: str, name: str, *shared: str) -> str:
+    """Return the joined .cl files of a kernel that encodes outputs after a step of its own, as in `paired_source`."""
+    encoding = [each for each in VARIANTS[variant].encoder_sources if not each.endswith("encode.cl")]
+    return joined_files(
+        "common/lanes.cl", "common/vectors.cl", "common/encoding.cl", *encoding, *shared, f"common/{name}",
+        f"{FOLDERS[variant]}/{name}",
+    )  # fmt: skip
+
+
 def joined_files(*names: str) -> str:
     """Return the contents of several files in the folder opencl/ as one text."""
     folder = source_folder()

@@ -22,9 +22,11 @@ from l3cli.rendering.display import Display, require_known_layers, require_xyz
 from l3cli.rendering.opencl import layout
 from l3cli.rendering.opencl.coarse_chroma import DeviceClipping, DeviceCoarseChroma
 from l3cli.rendering.opencl.devices import pyopencl, refusals
-from l3cli.rendering.opencl.layout import Macros, joined_files, paired_source
+from l3cli.rendering.opencl.layout import Macros, joined_files
 from l3cli.rendering.opencl.programs import Programs, chosen, compiler_of
+from l3cli.rendering.opencl.smoothing import DeviceChroma, DeviceSpectra
 from l3cli.rendering.opencl.work import (
+    CHROMA,
     COARSE_CHROMA,
     SPECTRA,
     Band,
@@ -36,7 +38,6 @@ from l3cli.rendering.opencl.work import (
     shares_memory,
     stages_of,
 )
-from l3cli.rendering.reference import SPECTRA_DARKEST
 
 LONG_RUN = 1 << 14  # number of pixels per work-item of the shading kernel in the variant with vectors
 GROUP = 64  # number of work-items per group of the shading kernel in the variant with one pixel per work-item
@@ -96,48 +97,6 @@ class DeviceShading:
         if key not in self._buffers:
             self._buffers[key] = self._constant(getattr(shading, name)[rows])
         return self._buffers[key]
-
-
-class DeviceSpectra:
-    """The kernel that smooths spectra. It is compiled for the first frame."""
-
-    def __init__(
-        self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
-    ) -> None:
-        """Store the arguments. Nothing is compiled yet.
-
-        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
-        kernel on a track over rows and columns.
-        """
-        assert table.spectra is not None
-        self._make, self._run, self._variant = kernel, run, variant
-        self._outputs, self._smoothing = len(table.outputs), table.spectra
-        self._kernel: Any = None
-
-    def room(self, track: Track, band: Band) -> Any:
-        """Return the buffer of a track for the outputs of a band before smoothing."""
-        size = 4 * self._outputs * (band.made.stop - band.made.start) * band.columns
-        track.made = scratch(track.queue.context, track.made, size)
-        return track.made
-
-    def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
-        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
-
-        The smoothed outputs of the band, without the margins above and below, are written to `result`.
-        """
-        if self._kernel is None:
-            macros: Macros = {
-                "OUTPUTS": self._outputs,
-                "WINDOW": self._smoothing.window,
-                "RADIUS": self._smoothing.radius,
-                "DARKEST": f"{SPECTRA_DARKEST!r}f",
-            }
-            source = paired_source(self._variant, "spectra.cl")
-            self._kernel = self._make(source, macros, "smooth_spectra")
-        made, first = band.made, band.rows.start
-        where = map(np.int32, (made.stop - made.start, made.start, first, frame_rows))
-        reach = np.float32(self._smoothing.reach)
-        return self._run(self._kernel, track, band.shape(-1), track.made, result, reach, *where)
 
 
 @dataclass(frozen=True)
@@ -212,6 +171,7 @@ class OpenCLRenderer:
             self._joined = self._programs.joins  # whether one kernel determines classes and applies transforms
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
+            self._chroma = DeviceChroma(self._compiler, self._run, table, self.variant, self._cut) if table.chroma_smoothing else None
             chroma = table.later[-1].coarse_chroma if table.later else None
             self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
             clips = table.later and table.later[-1].clipping
@@ -302,7 +262,7 @@ class OpenCLRenderer:
         try:
             _, work = self._start_outputs(frame) if display is None else self._start_picture(frame, display)
             times = work.end().milliseconds()
-            if display is not None:
+            if display is not None and not self._chroma:
                 numbers = np.empty(frame.values.shape, np.float32)
                 bare = self._start(frame, [numbers], layout.NOT_ENCODED).end().milliseconds()["transforms"]
                 times["encode"] = max(0.0, times["transforms"] - bare)
@@ -356,7 +316,8 @@ class OpenCLRenderer:
         with refusals(self.device):
             shaded = self._shading.macros(frame.shading)
             joined = self._joined and not self._layers
-            kernel = None if ending is None else self._programs.transforms({**ending, **shaded}, joined)
+            transformed = layout.OUTPUTS_AS_THEY_ARE if ending is not None and self._chroma else ending
+            kernel = None if transformed is None else self._programs.transforms({**transformed, **shaded}, joined)
             encoding = None
             for band in self._bands(values.shape):
                 track = self._tracks[0]
@@ -372,7 +333,7 @@ class OpenCLRenderer:
                 if kernel is not None:
                     parts = [result[band.rows] for result in results]
                     target = self._target(track, parts, work)
-                    self._transform(kernel, encoding, track, band, target, levelled, work)
+                    self._transform(kernel, encoding, track, band, target, levelled, work, ending)
                     work.fetch(track.queue, target, parts)
                 for layer, array in labels.items():
                     classes = track.refined_labels[layer - 1] if layer else track.labels
@@ -455,14 +416,16 @@ class OpenCLRenderer:
         return read, (np.int32(band.shape(number - 1)[0]),)
 
     def _transform(
-        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work
-    ) -> None:
+        self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work,
+        ending: layout.Macros,
+    ) -> None:  # fmt: skip
         """Enqueue the transforms of the last layer for a band, and the encoding or smoothing of the outputs.
 
         The results are written to `result`.
         """
         number = len(self._layers)
-        into = self._spectra.room(track, band) if self._spectra else result
+        smooths = self._spectra or self._chroma
+        into = smooths.room(track, band) if smooths else result
         made = (into, *self._shading.gain(frame.shading, band.made))
         if self._coarse:
             events, blocks = self._coarse.blocks(track, band, self._sets.share(frame))
@@ -478,6 +441,8 @@ class OpenCLRenderer:
         work.add("transforms", self._run(kernel, track, band.shape(number), *arguments))
         if self._spectra:
             work.add(SPECTRA, self._spectra.smooth(track, band, result, len(frame.values)))
+        if self._chroma:
+            work.add(CHROMA, self._chroma.smooth(track, band, encoding, result, len(frame.values), ending))
 
     def _first_outputs(self, track: Track, band: Band, frame: RawFrame, work: Work) -> tuple[Any, ...]:
         """Enqueue the computation of the first layer's outputs, which the last layer corrects, and return their buffer."""

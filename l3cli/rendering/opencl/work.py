@@ -18,10 +18,12 @@ from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import BORDER_PIXELS
 from l3cli.frames.frame import mirrored_indices
 from l3cli.rendering.opencl.devices import pyopencl, refusals
+from l3cli.rendering.reference import CHROMA_REACH
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
 COARSE_CHROMA = "coarse chroma"  # stage between structures and transforms, for tables with coarse chroma
+CHROMA = "chroma"  # stage after the transforms, for tables that smooth chroma; it also encodes
 SPECTRA = "spectra"  # stage between transforms and encoding, for tables that smooth spectra
 BAND_PIXELS = 1 << 22  # approximate number of pixels of a band, without margins
 
@@ -34,7 +36,8 @@ def stages_of(table: TransformTable) -> tuple[str, ...]:
     stages = REFINEMENT_STAGES if table.later else STAGES
     if table.later and table.later[-1].coarse_chroma:
         stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
-    return (*stages[:-2], SPECTRA, *stages[-2:]) if table.spectra else stages
+    smoothing = [SPECTRA] if table.spectra else [CHROMA] if table.chroma_smoothing else []
+    return (*stages[:-2], *smoothing, *stages[-2:])
 
 
 def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
@@ -224,10 +227,10 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
     for first in range(0, rows, height):
         reads = [slice(first, min(first + height, rows))]
         margins = [max(BORDER_PIXELS, layer.radius) for layer in table.later] + (
-            [table.spectra.radius] if table.spectra else []
+            [table.spectra.radius] if table.spectra else [CHROMA_REACH] if table.chroma_smoothing else []
         )
         if coarse:
-            margins[-1] = COARSE_REACH
+            margins[len(table.later) - 1] = COARSE_REACH
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:

@@ -1,0 +1,103 @@
+"""Smoothing of spectra and of chroma on an OpenCL device. l3cli/rendering/reference.py is the reference."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from l3cli.artifacts.table import TransformTable
+from l3cli.rendering.opencl import layout
+from l3cli.rendering.opencl.devices import pyopencl
+from l3cli.rendering.opencl.layout import Macros, paired_source
+from l3cli.rendering.opencl.programs import Compiler
+from l3cli.rendering.opencl.work import Band, Track, scratch
+from l3cli.rendering.reference import CHROMA_REACH, SPECTRA_DARKEST
+
+DARKEST: Macros = {"DARKEST": f"{SPECTRA_DARKEST!r}f"}
+
+
+def room_for(track: Track, band: Band, outputs: int) -> Any:
+    """Return the track's buffer for the outputs of a band before smoothing."""
+    track.made = scratch(track.queue.context, track.made, 4 * outputs * (band.made.stop - band.made.start) * band.columns)
+    return track.made
+
+
+def place_of(band: Band, frame_rows: int) -> tuple[np.int32, ...]:
+    """Return the number of rows before smoothing, the first of them, the first smoothed row, and the rows of the frame."""
+    made, first = band.made, band.rows.start
+    return tuple(map(np.int32, (made.stop - made.start, made.start, first, frame_rows)))
+
+
+class DeviceSpectra:
+    """The kernel that smooths spectra. It is compiled for the first frame."""
+
+    def __init__(
+        self, kernel: Callable[[str, Macros, str], Any], run: Callable[..., Any], table: TransformTable, variant: str
+    ) -> None:
+        """Store the arguments. Nothing is compiled yet.
+
+        `kernel` is a function that compiles a kernel from its source, macros and name. `run` is a function that enqueues a
+        kernel on a track over rows and columns.
+        """
+        assert table.spectra is not None
+        self._make, self._run, self._variant = kernel, run, variant
+        self._outputs, self._smoothing = len(table.outputs), table.spectra
+        self._kernel: Any = None
+
+    def room(self, track: Track, band: Band) -> Any:
+        """Return the buffer of a track for the outputs of a band before smoothing."""
+        return room_for(track, band, self._outputs)
+
+    def smooth(self, track: Track, band: Band, result: Any, frame_rows: int) -> Any:
+        """Enqueue the smoothing of a band whose outputs are in the buffer from `room`.
+
+        The smoothed outputs of the band, without the margins above and below, are written to `result`.
+        """
+        if self._kernel is None:
+            macros: Macros = {
+                "OUTPUTS": self._outputs,
+                "WINDOW": self._smoothing.window,
+                "RADIUS": self._smoothing.radius,
+                **DARKEST,
+            }
+            source = paired_source(self._variant, "spectra.cl", "common/mirrored.cl")
+            self._kernel = self._make(source, macros, "smooth_spectra")
+        where, reach = place_of(band, frame_rows), np.float32(self._smoothing.reach)
+        return self._run(self._kernel, track, band.shape(-1), track.made, result, reach, *where)
+
+
+class DeviceChroma:
+    """The kernels that smooth chroma and write outputs or pictures. They are built for the first frame."""
+
+    def __init__(
+        self, compiler: Compiler, run: Callable[..., Any], table: TransformTable, variant: str, cut: layout.Cut
+    ) -> None:
+        """Store the arguments, without building anything.
+
+        `run` enqueues a kernel on a track, over rows and columns, which are divided by `cut`.
+        """
+        assert table.chroma_smoothing is not None
+        self._compiler, self._run, self._variant, self._cut = compiler, run, variant, cut
+        smoothing, white = table.chroma_smoothing, table.white_point / table.white_point[1]
+        by_chroma = 1 / np.square(smoothing.likeness * white[::2])
+        self._factors = tuple(map(np.float32, (1 / smoothing.reach**2, *by_chroma)))
+        self._kernels: dict[tuple[Any, ...], Any] = {}  # by ending
+
+    def room(self, track: Track, band: Band) -> Any:
+        """Return the track's buffer for the outputs of a band before smoothing."""
+        return room_for(track, band, 3)
+
+    def smooth(
+        self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros
+    ) -> Any:
+        """Enqueue the smoothing of a band whose outputs are in the buffer `room`.
+
+        The band's own rows go to `result`, as the macros `ending` determine. `encoding` are the constants of the display.
+        """
+        key = tuple(ending.items())
+        if key not in self._kernels:
+            macros = {**ending, **DARKEST, "CHROMA_REACH": CHROMA_REACH, "OUTPUTS": 3, **self._cut.macros}
+            source = layout.encoding_source(self._variant, "smoothed_chroma.cl", "common/mirrored.cl")
+            self._kernels[key] = pyopencl().Kernel(self._compiler.build(source, macros), "smooth_chroma")
+        arguments = track.made, encoding, result, *self._factors, *place_of(band, frame_rows)
+        return self._run(self._kernels[key], track, band.shape(-1), *arguments)

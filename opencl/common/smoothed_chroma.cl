@@ -1,0 +1,31 @@
+// Smoothing of chroma over eight neighbours that are alike. The luminance of each pixel is unchanged (l3cli/rendering/reference.py is the
+// reference). The neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and (0, ±CHROMA_REACH).
+
+// Factors of the squared differences between a pixel and its neighbours.
+typedef struct {
+    floats luminance, x, z;
+} Factors;
+
+INLINE Factors factors_of(floats luminance, float by_luminance, float by_x, float by_z) {
+    const floats above = luminance > DARKEST ? luminance : (floats)DARKEST, inverse = 1.0f / (above * above);
+    const floats fourth = inverse * inverse;
+    return (Factors){by_luminance * inverse, by_x * fourth, by_z * fourth};
+}
+
+// Adds a neighbour there[0] to there[2] of the pixel own[0] to own[2] to sums[0] to sums[2]: the changes of X and Z, and their divisor.
+INLINE void add_neighbour(floats *sums, const floats *own, const floats *there, Factors by) {
+    const floats brighter = there[1] - own[1];
+    const floats x = there[0] * own[1] - own[0] * there[1], z = there[2] * own[1] - own[2] * there[1];
+    const floats left = 1.0f - brighter * brighter * by.luminance - x * x * by.x - z * z * by.z;
+    const floats positive = left > 0.0f ? left : (floats)0.0f, weight = positive * positive;
+    sums[0] += weight * x;
+    sums[1] += weight * there[1];
+    sums[2] += weight * z;
+}
+
+// Changes the chroma of own[0] to own[2].
+INLINE void change_chroma(floats *own, const floats *sums) {
+    const floats divisor = own[1] > DARKEST ? own[1] + sums[1] : (floats)1.0f, share = 1.0f / divisor;
+    own[0] = own[1] > DARKEST ? own[0] + sums[0] * share : own[0];
+    own[2] = own[1] > DARKEST ? own[2] + sums[2] * share : own[2];
+}

@@ -1,0 +1,33 @@
+// Graphics variant: X, Y and Z of a band → the same with smoothed chroma, encoded, with one work-item per pixel (smoothed_chroma.cl).
+
+__kernel __attribute__((reqd_work_group_size(TILE, BAND, 1)))
+void smooth_chroma(__global const float *restrict made,    // (output, made row, col)
+                   __global const float *restrict matrix,  // (3, 3) encoded values from X, Y, Z, before the curve
+                   __global CODE *restrict picture,        // (row, col, 3), or (output, row, col)
+                   float by_luminance, float by_x, float by_z,
+                   int made_rows, int top,                 // number of made rows, and the frame's row of the first
+                   int first, int frame_rows,              // the frame's row of the first written row, and the frame's rows
+                   int rows, int columns) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows) return;
+    const size_t stride = (size_t)made_rows * columns, at = (size_t)y * columns + x;
+    const size_t pixel = (size_t)(first + y - top) * columns + x;
+    float own[3], sums[3] = {0.0f, 0.0f, 0.0f}, there[3];
+    for (int o = 0; o < 3; o++) own[o] = made[o * stride + pixel];
+    const Factors by = factors_of(own[1], by_luminance, by_x, by_z);
+    const int down[] = {-1, -1, 1, 1, -CHROMA_REACH, CHROMA_REACH, 0, 0}, right[] = {-1, 1, -1, 1, 0, 0, -CHROMA_REACH, CHROMA_REACH};
+    for (int n = 0; n < 8; n++) {
+        const size_t place = (size_t)(mirrored(first + y + down[n], frame_rows) - top) * columns + mirrored(x + right[n], columns);
+        for (int o = 0; o < 3; o++) there[o] = made[o * stride + place];
+        add_neighbour(sums, own, there, by);
+    }
+    change_chroma(own, sums);
+#ifdef PLANES
+    for (int o = 0; o < 3; o++) picture[o * (size_t)rows * columns + at] = own[o];
+#else
+    float linear[3];
+    for (int p = 0; p < 3; p++) linear[p] = matrix[3 * p] * own[0] + matrix[3 * p + 1] * own[1] + matrix[3 * p + 2] * own[2];
+    into_gamut(linear);
+    for (int p = 0; p < 3; p++) picture[3 * at + p] = (CODE)encode(linear[p]);
+#endif
+}
