@@ -161,8 +161,8 @@ def _computation(table: TransformTable, words: Words) -> str:
         if table.later
         else ("one_layer.c",)
     )
-    spectra = "spectra.c" if table.spectra else "no_spectra.c"
-    rest = ("classes.c", f"{words}.c", *layer_files, spectra, "render.c")
+    smoothing = "spectra.c" if table.spectra else "chroma.c" if table.chroma_smoothing else "no_smoothing.c"
+    rest = ("classes.c", f"{words}.c", *layer_files, smoothing, "render.c")
     return _piece("head.c") + _features(table.first.rule) + "".join(map(_piece, rest))
 
 
@@ -220,6 +220,11 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     if table.spectra:
         reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
+    if table.chroma_smoothing:
+        smoothing, (white_x, white_z) = table.chroma_smoothing, table.white_point[::2] / table.white_point[1]
+        factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
+        values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
+        values["DARKEST"] = _float(SPECTRA_DARKEST * (2**OUTPUT_FRACTION if words == "int16" else 1))
     if _coarse_chroma(table):
         values["PLANE_STEP"] = _float(PLANE_STEP)
     if table.later and table.later[-1].clipping:
@@ -375,6 +380,11 @@ def _readme(table: TransformTable, vector: Vector, arrays: list[Array], short: S
     if table.spectra:
         parts += ["readme_spectra.md"]
         known |= {"spectral_window": table.spectra.window, "spectral_reach": f"{table.spectra.reach:g}"}
+    if table.chroma_smoothing:
+        parts += ["readme_smoothed_chroma.md"]
+        white = table.white_point / table.white_point[1]
+        known |= {"white_x": f"{white[0]:.6g}", "white_z": f"{white[2]:.6g}"}
+        known |= {f"chroma_{name}": f"{of:g}" for name, of in vars(table.chroma_smoothing).items()}
     parts += ["readme_structure.md"] if any(isinstance(layer.rule, StructureRule) for layer in table.later) else []
     parts += ["readme_picture.md"] if table.outputs == XYZ else []
     parts += ["readme_tree.md"] if any(isinstance(layer.rule, TreeRule) for layer in table.later) else []

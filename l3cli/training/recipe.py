@@ -82,6 +82,11 @@ class LearningRecipe(Recipe):
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
     # smoothing ignores pixels whose brightness differs from that of the central pixel by at least this fraction
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
+    # X, Y, Z only: limit of the difference of X/Y and Z/Y, relative to those of white, for averaging the chroma of a pixel
+    # with that of a neighbour (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed
+    chroma_likeness: NotNegative = 0.0
+    # limit of the relative difference of luminance for the same
+    chroma_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.6
     symmetry: bool = True  # whether rotated and mirrored CFA sites are trained together (docs/method.md#symmetry)
     # whether all CFA sites must give the same outputs for a uniform patch (docs/method.md#equal-response)
     equal_response: bool = True

@@ -50,8 +50,10 @@ def insight(table: TransformTable) -> dict[str, Any]:
         * ``lights``: name and colour temperature, in K, of each illuminant with transforms of its own
         * ``noises``: analog gain and remaining fraction of the noise, for each additional set of transforms
         * ``spectra``: window, in pixels, and brightness reach of the smoothing of spectra
+        * ``chroma_smoothing``: luminance reach and chroma likeness of the smoothing of chroma
 
-        The entries ``features``, ``lights``, ``noises`` and ``spectra`` are missing if they do not apply to the table.
+        The entries ``features``, ``lights``, ``noises``, ``spectra`` and ``chroma_smoothing`` are missing
+        if they do not apply to the table.
     """
     trained, rule = table.first.samples > 0, table.first.rule
     taps = rule.patch**2
@@ -88,6 +90,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
         ],
         "later": [refinement_layer(layer, table.outputs) for layer in table.later],
         **({"spectra": {"window": table.spectra.window, "reach": table.spectra.reach}} if table.spectra else {}),
+        **({"chroma_smoothing": vars(table.chroma_smoothing)} if table.chroma_smoothing else {}),
         **({"lights": [_light(light) for light in table.lights]} if table.lights else {}),
         **({"noises": [{**vars(each.noise), "name": str(each.noise)} for each in table.noises]} if table.noises else {}),
     }
@@ -209,6 +212,11 @@ def learned(insight: dict[str, Any]) -> list[str]:
         side, reach = spectra["window"], spectra["reach"]
         within = f"whose brightness differs by less than {100 * reach:.3g} %"
         lines.append(f"spectra: smoothed over {side} × {side} pixels {within}")
+    if smoothing := insight.get("chroma_smoothing"):
+        reach, likeness = (f"{100 * smoothing[key]:.3g} %" for key in ("reach", "likeness"))
+        lines.append(
+            f"chroma: smoothed over neighbours that differ by less than {reach} in luminance and {likeness} in chroma"
+        )
     if lights := insight.get("lights"):
         named = " · ".join(f"{light['name']} {light['kelvin']} K" for light in lights)
         lines.append(f"transforms for single illuminants: {named}")

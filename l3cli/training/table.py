@@ -25,7 +25,7 @@ from l3cli.artifacts.conditions import Condition
 from l3cli.artifacts.layers import MosaicLayer, PlaneLayer, PlaneRule
 from l3cli.artifacts.partial_sums import ClassSums, LayerSums
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.table import LeadingComponents, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import ChromaSmoothing, LeadingComponents, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, TrainingPair, TrainingSet, white_signal
 from l3cli.classes.chroma import channel_shares, choose_chromas
 from l3cli.classes.decide import observe_patches
@@ -274,6 +274,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
         light=pass_.light,
         camera=replace(camera, fit=None),
         spectra=_spectra(head, pass_.recipe),
+        chroma_smoothing=_chroma_smoothing(head, pass_.recipe),
         components=_components(head, solutions, copies, pass_.white_point),
     )
 
@@ -283,6 +284,13 @@ def _spectra(head: TrainingSet, recipe: LearningRecipe) -> SpectralSmoothing | N
     if not recipe.spectral_window or len(head.outputs) == 1 or not spectra.is_spectrum(head.outputs, head.camera.channels):
         return None
     return SpectralSmoothing(recipe.spectral_window, recipe.spectral_reach)
+
+
+def _chroma_smoothing(head: TrainingSet, recipe: LearningRecipe) -> ChromaSmoothing | None:
+    """Return the settings for smoothing chroma, or None if the outputs are not X, Y, Z or the recipe has no smoothing."""
+    if not recipe.chroma_likeness or head.outputs != XYZ:
+        return None
+    return ChromaSmoothing(recipe.chroma_reach, recipe.chroma_likeness)
 
 
 def _components(

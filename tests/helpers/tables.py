@@ -10,7 +10,7 @@ from l3cli.artifacts.camera import CameraModel, NoiseScale
 from l3cli.artifacts.conditions import Condition, SceneLight
 from l3cli.artifacts.layers import COMPARED, PLANES, RATIO_TAPS, Clipping, CoarseChroma, MosaicLayer, PlaneLayer
 from l3cli.artifacts.plane_rules import TESTS, GradientScale, StructureRule, TreeRule
-from l3cli.artifacts.table import LeadingComponents, SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import ChromaSmoothing, LeadingComponents, SpectralSmoothing, TransformTable
 from l3cli.artifacts.training_set import LightSpectrum, white_signal
 from l3cli.classes.decide import label_mosaic
 from l3cli.classes.features import ClassRecipe
@@ -102,6 +102,11 @@ def with_spectra(table: TransformTable, window: int, reach: float) -> TransformT
     return dataclasses.replace(
         with_first(table, weights=weights, intercept=intercept), spectra=SpectralSmoothing(window, reach)
     )
+
+
+def with_smoothed_chroma(table: TransformTable, reach: float = 0.6, likeness: float = 0.4) -> TransformTable:
+    """Add smoothing of chroma."""
+    return dataclasses.replace(table, chroma_smoothing=ChromaSmoothing(reach, likeness))
 
 
 def with_lights(table: TransformTable, *lights: str, seed: int = 5) -> TransformTable:

@@ -1,4 +1,4 @@
-"""Smoothed spectra: what must hold of the formula, and the kernels against it (docs/method.md#smoothed-spectra)."""
+"""Smoothed spectra and smoothed chroma: properties of the formulas, and the kernels against them (docs/method.md)."""
 
 import dataclasses
 from pathlib import Path
@@ -10,15 +10,25 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from l3cli.artifacts.store import load, save
-from l3cli.artifacts.table import SpectralSmoothing, TransformTable
+from l3cli.artifacts.table import ChromaSmoothing, SpectralSmoothing, TransformTable
 from l3cli.errors import RecipeError
 from l3cli.recipes.faults import refuse_first
+from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_spectra
+from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_chroma, smoothed_spectra
 from l3cli.training.recipe import LearningRecipe, learning_faults
 from l3cli.training.summary import insight, learned
-from tests.helpers.tables import frame_of_all_levels, random_table, with_spectra
+from tests.helpers.cameras import BAYER, FIVE_BAND
+from tests.helpers.tables import (
+    frame_of_all_levels,
+    random_table,
+    with_clipping,
+    with_coarse_chroma,
+    with_refinement,
+    with_smoothed_chroma,
+    with_spectra,
+)
 
 SIXTEEN = np.arange(16).reshape(4, 4)
 SMOOTHINGS = st.builds(SpectralSmoothing, st.sampled_from([3, 5]), st.floats(0.01, 0.99))
@@ -120,3 +130,95 @@ def test_a_table_keeps_it_and_refuses_what_cannot_be(tmp_path: Path) -> None:
             with_spectra(random_table([[0, 1], [1, 2]], outputs=outputs), 3, 0.3)
     with pytest.raises(RecipeError, match="spectral_window is 4; use 0 for no smoothing, or one of 3, 5, 7, 9"):
         refuse_first(learning_faults(LearningRecipe(darkest=0.001, spectral_window=4)))
+
+
+# -------------------------------------------------------------------------------------------------------------- chroma
+CHROMA, WHITE = ChromaSmoothing(0.6, 0.4), np.array([0.95, 1.0, 1.09])
+FLAT = np.broadcast_to(np.array([0.4, 0.5, 0.3])[:, None, None], (3, 24, 30))
+
+
+def colours_of(seed: int, noise: float = 0.1) -> NDArray[np.float64]:
+    """X, Y, Z (3, row, col) of random brightness and chroma, some of them negative."""
+    rng = np.random.default_rng(seed)
+    return np.exp(rng.normal(-1, 0.3, (11, 13))) * (WHITE[:, None, None] + noise * rng.normal(size=(3, 11, 13)))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3), st.booleans())
+def test_chroma_keeps_luminance_scale_and_orientation(seed: int, turns: int, mirrored: bool) -> None:
+    def turned(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.rot90(values[..., ::-1] if mirrored else values, turns, (1, 2))
+
+    planes = colours_of(seed)
+    smoothed = smoothed_chroma(planes, CHROMA, WHITE)
+    assert np.array_equal(smoothed[1], planes[1])
+    np.testing.assert_allclose(smoothed_chroma(4 * planes, CHROMA, WHITE), 4 * smoothed, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(smoothed_chroma(turned(planes), CHROMA, WHITE), turned(smoothed), atol=1e-9)
+
+
+def test_one_chromaticity_stays_and_noise_of_chroma_falls() -> None:
+    rng = np.random.default_rng(1)
+    assert np.array_equal(smoothed_chroma(FLAT, CHROMA, WHITE), FLAT)
+    shaded = FLAT * np.exp2(rng.integers(-3, 4, FLAT.shape[1:]))  # powers of two, which are exact
+    assert np.array_equal(smoothed_chroma(shaded, CHROMA, WHITE), shaded)
+    noisy = FLAT.copy()
+    noisy[::2] += 0.005 * rng.normal(size=noisy[::2].shape)
+    share = np.std(smoothed_chroma(noisy, CHROMA, WHITE)[::2] - FLAT[::2]) / 0.005
+    assert share == pytest.approx(1 / 3, abs=0.03)  # mean of nine pixels
+
+
+def test_vivid_lines_of_one_pixel_keep_their_colour() -> None:
+    for line in ([0.41, 0.21, 0.02], [0.36, 0.72, 0.12], [0.18, 0.07, 0.95]):  # sRGB primaries
+        planes = FLAT.copy()
+        for across in (slice(15, 16), slice(5, 7)):
+            planes[:, :, across] = 0.5 / line[1] * np.array(line)[:, None, None]  # of the same luminance
+        assert np.array_equal(smoothed_chroma(planes, CHROMA, WHITE), planes)
+
+
+def test_the_dark_stays_finite() -> None:
+    rng = np.random.default_rng(2)
+    for level in (0.0, SPECTRA_DARKEST, 1e-30, -1.0):
+        dark = level * (1 + rng.normal(size=(3, 6, 6)))
+        made = smoothed_chroma(dark, CHROMA, WHITE)
+        assert np.isfinite(made).all()
+        below = dark[1] <= SPECTRA_DARKEST
+        assert np.array_equal(made[:, below], dark[:, below])
+
+
+CHROMA_TABLES = {
+    "one layer": lambda: random_table(BAYER, black_level=64.0, patch=5),
+    "two layers": lambda: with_refinement(random_table(FIVE_BAND, black_level=100.0, patch=5), 3),
+    "coarse chroma": lambda: with_clipping(with_coarse_chroma(with_refinement(random_table(BAYER, 12, 64.0, patch=5), 5))),
+}
+
+
+@pytest.mark.parametrize("variant", ["processor", "graphics"])
+@pytest.mark.parametrize("name", CHROMA_TABLES)
+def test_kernels_of_chroma_agree_with_the_reference(name: str, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outputs and pictures, also of frames smaller than the distance of the neighbours, and of bands of a few rows."""
+    bare = CHROMA_TABLES[name]()
+    table = with_smoothed_chroma(bare)
+    reference, renderer = ReferenceRenderer(table), OpenCLRenderer(table, variant=variant)
+    for shape, band in (((3, 4), 100), ((53, 70), 100), ((52, 71), 7)):
+        monkeypatch.setattr(work, "BAND_PIXELS", band * shape[1])
+        frame = frame_of_all_levels(table, np.random.default_rng(3), shape, (1, 1))
+        expected = reference.exact_outputs(frame)
+        assert shape[0] < 5 or np.abs(expected - ReferenceRenderer(bare).exact_outputs(frame)).max() > 0.05
+        for bits in (8, 16):
+            display = make_display(table.white_point, 1.0, bits)
+            off = np.abs(renderer.picture(frame, display).astype(int) - reference.picture(frame, display))
+            assert off.max() <= (1 if bits == 8 else 3)
+        np.testing.assert_allclose(renderer.outputs(frame), expected, atol=1e-5 * np.abs(expected).max())
+        assert np.array_equal(renderer.labels(frame), reference.labels(frame))
+
+
+def test_a_table_keeps_smoothed_chroma_and_refuses_other_outputs(tmp_path: Path) -> None:
+    table = with_smoothed_chroma(random_table(BAYER, patch=3), 0.5, 0.3)
+    save(table, tmp_path / "table.h5")
+    assert load(TransformTable, tmp_path / "table.h5").chroma_smoothing == ChromaSmoothing(0.5, 0.3)
+    assert insight(table)["chroma_smoothing"] == {"reach": 0.5, "likeness": 0.3}
+    assert "less than 50 % in luminance and 30 % in chroma" in "\n".join(learned(insight(table)))
+    for reach, likeness in ((0.0, 0.4), (1.0, 0.4), (0.6, 0.0)):
+        with pytest.raises(ValueError, match=r"reach is|likeness is"):
+            ChromaSmoothing(reach, likeness)
+    with pytest.raises(ValueError, match="outputs are X, Y, Z"):
+        with_smoothed_chroma(random_table(BAYER, outputs=("a", "b", "c")))

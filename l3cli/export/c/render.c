@@ -17,7 +17,7 @@ size_t l3_workspace_bytes(int rows, int columns) {
     if (rows < 1 || columns < 1 || rows > L3_MOST_PIXELS || columns > L3_MOST_PIXELS) return 0;
     Room room = {NULL, 0};
     (void)workspace_in(&room, rows, columns);
-    (void)spectra_in(&room, columns);
+    (void)smoothing_in(&room, columns);
     return room.used <= SIZE_MAX / 2 ? (size_t)room.used : 0;
 }
 
@@ -27,10 +27,10 @@ int l3_render(const uint16_t *raw, int rows, int columns, int phase_row, int pha
     if (phase_row < 0 || phase_row >= L3_CFA_ROWS || phase_column < 0 || phase_column >= L3_CFA_COLUMNS) return -1;
     Room room = {workspace, 0};
     const Workspace w = workspace_in(&room, rows, columns);
-    const Spectra spectra = spectra_in(&room, columns);
+    const Smoothing smoothing = smoothing_in(&room, columns);
     pad_mosaic(raw, rows, columns, padded_span(columns), w.statistics.padded);
     render_layers(&w, rows, columns, phase_row, phase_column, labels, outputs);
     limit_to_white((ptrdiff_t)rows * columns, outputs);
-    smooth_spectra(&spectra, rows, columns, outputs);
+    smooth_outputs(&smoothing, rows, columns, outputs);
     return 0;
 }

@@ -12,11 +12,11 @@ typedef struct {
     float *weight;        /* (NEIGHBOURS, column) weights of the neighbours of each pixel of a row */
     float *share;         /* (column) 1 / sum of the weights */
     float *kept;          /* (column) brightness of the pixel / weighted mean brightness of the neighbours */
-} Spectra;
+} Smoothing;
 
-static Spectra spectra_in(Room *room, int columns) {
+static Smoothing smoothing_in(Room *room, int columns) {
     const uint64_t span = (uint64_t)columns + 2 * REACHED;
-    Spectra s;
+    Smoothing s;
     s.span = (ptrdiff_t)span;
     s.made = take(room, L3_SPECTRAL_WINDOW * L3_OUTPUTS * span, sizeof *s.made);
     s.brightness = take(room, L3_SPECTRAL_WINDOW * span, sizeof *s.brightness);
@@ -26,13 +26,13 @@ static Spectra spectra_in(Room *room, int columns) {
     return s;
 }
 
-static float *made_row(const Spectra *s, int row, int output) {
+static float *made_row(const Smoothing *s, int row, int output) {
     return s->made + (row % L3_SPECTRAL_WINDOW * L3_OUTPUTS + output) * s->span;
 }
 
-static float *brightness_row(const Spectra *s, int row) { return s->brightness + row % L3_SPECTRAL_WINDOW * s->span; }
+static float *brightness_row(const Smoothing *s, int row) { return s->brightness + row % L3_SPECTRAL_WINDOW * s->span; }
 
-static void keep_row(const Spectra *s, int row, int rows, int columns, const float *outputs) {
+static void keep_row(const Smoothing *s, int row, int rows, int columns, const float *outputs) {
     float *restrict brightness = brightness_row(s, row);
     for (ptrdiff_t p = 0; p < s->span; p++) brightness[p] = 0;
     for (int o = 0; o < L3_OUTPUTS; o++) {
@@ -48,7 +48,7 @@ static void keep_row(const Spectra *s, int row, int rows, int columns, const flo
     for (ptrdiff_t p = 0; p < s->span; p++) brightness[p] *= 1.0f / L3_OUTPUTS;
 }
 
-static void weigh_neighbours(const Spectra *s, int row, int rows, int columns) {
+static void weigh_neighbours(const Smoothing *s, int row, int rows, int columns) {
     const float *restrict own = brightness_row(s, row) + REACHED;
     float *restrict share = s->share, *restrict kept = s->kept;
     for (int x = 0; x < columns; x++) share[x] = kept[x] = 0;
@@ -71,7 +71,7 @@ static void weigh_neighbours(const Spectra *s, int row, int rows, int columns) {
     }
 }
 
-static void smooth_row(const Spectra *s, int row, int rows, int columns, int output, float *restrict to) {
+static void smooth_row(const Smoothing *s, int row, int rows, int columns, int output, float *restrict to) {
     const float *restrict own = made_row(s, row, output) + REACHED, *restrict brightness = brightness_row(s, row) + REACHED;
     for (int x = 0; x < columns; x++) to[x] = 0;
     for (int n = 0; n < NEIGHBOURS; n++) {
@@ -87,7 +87,7 @@ static void smooth_row(const Spectra *s, int row, int rows, int columns, int out
 }
 
 /* Replaces the spectrum of each pixel with the mean spectrum of neighbours of similar brightness. The brightness does not change. */
-static void smooth_spectra(const Spectra *s, int rows, int columns, float *outputs) {
+static void smooth_outputs(const Smoothing *s, int rows, int columns, float *outputs) {
     for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
     for (int row = 0; row < rows; row++) {
         if (row + REACHED < rows) keep_row(s, row + REACHED, rows, columns, outputs);

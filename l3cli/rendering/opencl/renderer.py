@@ -171,7 +171,9 @@ class OpenCLRenderer:
             self._joined = self._programs.joins  # whether one kernel determines classes and applies transforms
             self._shading = DeviceShading(self._kernel, self._constant, self._cut.lanes)
             self._spectra = DeviceSpectra(self._kernel, self._run, table, self.variant) if table.spectra else None
-            self._chroma = DeviceChroma(self._compiler, self._run, table, self.variant, self._cut) if table.chroma_smoothing else None
+            self._chroma = (
+                DeviceChroma(self._compiler, self._run, table, self.variant, self._cut) if table.chroma_smoothing else None
+            )
             chroma = table.later[-1].coarse_chroma if table.later else None
             self._coarse = chroma and DeviceCoarseChroma(self._kernel, self._run, self._constant, chroma, self.variant)
             clips = table.later and table.later[-1].clipping

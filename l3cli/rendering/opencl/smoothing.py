@@ -87,9 +87,7 @@ class DeviceChroma:
         """Return the track's buffer for the outputs of a band before smoothing."""
         return room_for(track, band, 3)
 
-    def smooth(
-        self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros
-    ) -> Any:
+    def smooth(self, track: Track, band: Band, encoding: Any, result: Any, frame_rows: int, ending: Macros) -> Any:
         """Enqueue the smoothing of a band whose outputs are in the buffer `room`.
 
         The band's own rows go to `result`, as the macros `ending` determine. `encoding` are the constants of the display.

@@ -1,0 +1,75 @@
+/* --------------------------------------------------------------------------------------------------------- smoothed chroma */
+
+#define REACHED 4 /* distance of the farthest neighbours in pixels */
+#define HELD (2 * REACHED + 1)
+#define NEIGHBOURS 8
+
+/* Copies of the latest rows of X, Y and Z, because the smoothed rows overwrite the outputs. Row r is at index r % HELD. It has REACHED
+ * mirrored columns on both sides. */
+typedef struct {
+    ptrdiff_t span; /* length of a row with the mirrored columns */
+    L3Output *made; /* (HELD, 3, span) outputs before smoothing */
+} Smoothing;
+
+static Smoothing smoothing_in(Room *room, int columns) {
+    const uint64_t span = (uint64_t)columns + 2 * REACHED;
+    Smoothing s;
+    s.span = (ptrdiff_t)span;
+    s.made = take(room, HELD * 3 * span, sizeof *s.made);
+    return s;
+}
+
+static L3Output *made_row(const Smoothing *s, int row) { return s->made + row % HELD * 3 * s->span; }
+
+static void keep_row(const Smoothing *s, int row, int rows, int columns, const L3Output *outputs) {
+    for (int o = 0; o < 3; o++) {
+        const L3Output *restrict from = outputs + ((ptrdiff_t)o * rows + row) * columns;
+        L3Output *restrict to = made_row(s, row) + o * s->span;
+        for (int i = 0; i < REACHED; i++) {
+            to[i] = from[mirrored(i - REACHED, columns, 1)];
+            to[columns + REACHED + i] = from[mirrored(columns + i, columns, 1)];
+        }
+        for (int x = 0; x < columns; x++) to[REACHED + x] = from[x];
+    }
+}
+
+/* Writes X and Z of a row, of which `stride` is the distance between X, Y and Z in memory. */
+static void smooth_row(const Smoothing *s, int row, int rows, int columns, ptrdiff_t stride, L3Output *to) {
+    static const int down[NEIGHBOURS] = {-1, -1, 1, 1, -REACHED, REACHED, 0, 0};
+    static const int right[NEIGHBOURS] = {-1, 1, -1, 1, 0, 0, -REACHED, REACHED};
+    const ptrdiff_t span = s->span;
+    const L3Output *own = made_row(s, row) + REACHED, *there[NEIGHBOURS];
+    for (int n = 0; n < NEIGHBOURS; n++) there[n] = made_row(s, mirrored(row + down[n], rows, 1)) + REACHED + right[n];
+    for (int x = 0; x < columns; x++) {
+        const float own_x = (float)own[x], luminance = (float)own[span + x], own_z = (float)own[2 * span + x];
+        if (luminance <= L3_DARKEST) continue;
+        const float inverse = 1 / (luminance * luminance), fourth = inverse * inverse;
+        const float by_luminance = L3_BY_LUMINANCE * inverse, by_x = L3_BY_X * fourth, by_z = L3_BY_Z * fourth;
+        float divisor = luminance, change_x = 0, change_z = 0;
+        for (int n = 0; n < NEIGHBOURS; n++) {
+            const float its = (float)there[n][span + x], brighter = its - luminance;
+            const float unlike_x = (float)there[n][x] * luminance - own_x * its;
+            const float unlike_z = (float)there[n][2 * span + x] * luminance - own_z * its;
+            const float left =
+                1 - brighter * brighter * by_luminance - unlike_x * unlike_x * by_x - unlike_z * unlike_z * by_z;
+            const float positive = left > 0 ? left : 0, weight = positive * positive;
+            divisor += weight * its;
+            change_x += weight * unlike_x;
+            change_z += weight * unlike_z;
+        }
+        const float share = 1.0f / (1 << L3_OUTPUT_FRACTION) / divisor;
+        to[x] = changed(own[x], change_x * share);
+        to[2 * stride + x] = changed(own[2 * span + x], change_z * share);
+    }
+}
+
+/* Replaces the chroma of each pixel with the mean chroma of the pixel and of those neighbours that have similar luminance and chroma.
+ * The luminance does not change. */
+static void smooth_outputs(const Smoothing *s, int rows, int columns, L3Output *outputs) {
+    for (int row = 0; row < REACHED && row < rows; row++) keep_row(s, row, rows, columns, outputs);
+    for (int row = 0; row < rows; row++) {
+        if (row + REACHED < rows) keep_row(s, row + REACHED, rows, columns, outputs);
+        smooth_row(s, row, rows, columns, (ptrdiff_t)rows * columns, outputs + (ptrdiff_t)row * columns);
+    }
+}
+
