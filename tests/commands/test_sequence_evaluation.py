@@ -136,7 +136,7 @@ def test_what_does_not_belong_jointly_is_refused(ideal: Path, tmp_path: Path, re
             video.write(picture)
     assert "ends before" in refused(3, *call, tmp_path / "short.mkv")
     for option in (("--viewing", 60), ("--backend", "reference"), ("--force",)):
-        assert f"{option[0]} is for a table" in refused(2, *call, ideal, *option)
+        assert f"{option[0]} cannot be used with --sequence" in refused(2, *call, ideal, *option)
     assert "ends after 3" in refused(3, "evaluate", "--sequence", ideal, "--ideal", tmp_path / "short.mkv")
     write_picture(ideal / "00002_x_motion.exr", np.zeros((8, 8, 3), np.float32), ("down", "right", "seen"))
     assert "the motion of frames of 24×32" in refused(3, *call, folder_of(tmp_path / "four", pictures()))
