@@ -225,7 +225,7 @@ def test_wrong_calls_are_one_line(trained: Path, refused: Refused, l3: L3, tmp_p
 
     rewritten(frames, tmp_path / "small.h5", ("X", "Y", "Z"), small)
     assert "CFAs" in refused(3, "evaluate", tmp_path / "other.h5", frames)
-    assert "holds no frames" in refused(3, "evaluate", table, tmp_path / "empty.h5")
+    assert "contains no frames" in refused(3, "evaluate", table, tmp_path / "empty.h5")
     assert "4×40 pixels" in refused(3, "evaluate", table, tmp_path / "small.h5")
     code, out, err = l3("evaluate", table, frames, "--border", "24")
     assert (code, out) == (3, "")

@@ -361,7 +361,7 @@ def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp
     assert "different cameras or targets" in refused(3, "train", good, targets, "--shard", "1/2", "-o", out)
     assert "smaller than a patch of 9×9 pixels" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
     assert "smaller than a patch of 9×9 pixels" in refused(3, "train", tiny, "-o", out)
-    assert "holds no frames" in refused(3, "train", empty, "-o", out)
+    assert "contains no frames" in refused(3, "train", empty, "-o", out)
     (tmp_path / "classes.toml").write_text("[classes]\nlevel = 3\n")
     assert "unknown key `level` in [classes]" in refused(2, "train", good, "--classes", tmp_path / "classes.toml", "-o", out)
     (tmp_path / "few.toml").write_text("[classes]\nlevels = 50000\n")
