@@ -52,7 +52,7 @@ class Light:
     measured: str = ""  # digest of the measured spectra of which the illuminant consists
 
     def at(self, luminance: float) -> "Light":
-        """Return the same illuminant at another luminance, in cd/m²."""
+        """Return this illuminant, scaled to a luminance in cd/m²."""
         return replace(self, luminance=luminance, radiance=self.radiance * (luminance / self.luminance))
 
     @property

@@ -114,7 +114,7 @@ class IsetScenes(FileSource, tag_field="source", tag="iset", kw_only=True):
 class RgbPictures(FileSource, tag_field="source", tag="rgb", kw_only=True):
     # "sRGB": the values are colours. "codes": the values are linear signals of the camera channels r, g and b.
     holds: Literal["sRGB", "codes"] = "sRGB"
-    shrink: Count = 1  # averages blocks of shrink × shrink pixels, which also removes JPEG and demosaicking artifacts
+    shrink: Count = 1  # side of the blocks of pixels that are averaged, which also removes JPEG and demosaicking artifacts
 
 
 class Spectral(FileSource, kw_only=True):
@@ -364,8 +364,7 @@ def turned(cube: NDArray[np.float32], framing: Framing) -> NDArray[np.float32]:
 
 
 def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) -> tuple[int, int]:
-    """Return the rows and columns of the result of `framed` for a scene of the given size. For a clip, return its frame
-    size.
+    """Return the rows and columns of the result of `framed` for a scene of `size` or, for a clip, of each frame.
 
     Raises
     ------

@@ -382,10 +382,10 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 
 
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the meaning and the faults of a recipe.
+    """Check a recipe, and return a summary of its content and its faults.
 
-    The types of the values are checked first, then the values. If the recipe has no faults so far, its meaning is computed,
-    which may find further faults.
+    The types of the values are checked first, then the values. If there are no faults so far, the summary is computed, which
+    may find further faults.
     """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:

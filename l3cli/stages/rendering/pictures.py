@@ -144,7 +144,7 @@ class RemotePictures:
 def _without_shading(task: FrameTask, shading: "Shading | None") -> FrameTask:
     """Return the frame without the shading of the camera model.
 
-    The shading is larger than the frame. Workers read it from the camera model.
+    The shading takes more bytes than the frame. Workers therefore read the shading from the file of the camera model.
     """
     if task.frame is None or shading is None or task.frame.shading is not shading:
         return task

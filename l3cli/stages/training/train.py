@@ -103,7 +103,7 @@ def execution_of(
         if scheduler:
             training = tuple(path.absolute() for path in training)  # workers may have another working directory
         run = open_run(training, options)
-        runs_by_light(run)  # called here for its errors, before any work
+        runs_by_light(run)  # raises an error, before any work, if learning.lights does not fit the training sets
         used = files_to_read({"training sets": training, **options.inputs(all=False)})
         blamed = raised_as(RecipeError, classes or "the built-in class recipe", RecipeError)
         with blamed, workers(options.jobs, scheduler) as pool, cached_for_a_run():
