@@ -66,7 +66,8 @@ def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum 
     seen = electrons[0] > BLIND * electrons[0].max()
     if not seen.any():
         raise InputFileError(
-            f"camera {camera.name} does not respond to the illuminant of a frame; simulate it under another illuminant"
+            f"camera {camera.name} does not respond to the illuminant of a frame; "
+            "simulate the frame under another illuminant"
         )
     library, falling = lit_library(wanted or light)
     xyz = library * falling @ spectra.xyz_weights((wanted or light).wavelength).T
@@ -209,7 +210,8 @@ def balance_of(white: Array, exposure: float, camera: CameraModel) -> Array:
     """
     if not white.max() > 0:
         raise InputFileError(
-            f"camera {camera.name} does not respond to the illuminant of a frame; simulate it under another illuminant"
+            f"camera {camera.name} does not respond to the illuminant of a frame; "
+            "simulate the frame under another illuminant"
         )
     seen = white > BLIND * white.max()
     return np.where(seen, 1.0 / np.where(seen, white, 1.0), 0.0) / exposure

@@ -122,7 +122,7 @@ def _with_plugins(known: dict[str, Demosaic], cfa: CFA) -> dict[str, Demosaic]:
     methods = dict(known)
     for name, entry in plugins(BASELINES).items():
         if name in known:
-            raise L3Error(f"{described(entry)} has the name of a baseline of l3; rename the plugin")
+            raise L3Error(f"{described(entry)} has the same name as a built-in baseline of l3; rename the plugin")
         with blamed(entry):
             method = entry.load()(cfa)
         if method is not None:
@@ -232,7 +232,7 @@ def _panchromatic(values: Array, period: tuple[int, ...], weights: Mapping[Direc
 def _edge_weights(values: Array, period: tuple[int, ...]) -> dict[Direction, Array]:
     """Return the weight (row, col) of the neighbour in each direction (equations 25 to 27).
 
-    The weight is small if samples of the same band change over one period in this direction. The pixel itself has weight 1.
+    The weight is small if samples of one band change over one period in this direction. The weight of the pixel itself is 1.
     """
     weights: dict[Direction, Array] = {(0, 0): np.ones(values.shape)}
     for down, right in DIRECTIONS:

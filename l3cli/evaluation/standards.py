@@ -81,7 +81,7 @@ def edge_sharpness(plane: Array) -> Sharpness:
         weight = np.where(np.abs(place - np.polyval(line, rows)[:, None]) < reach, slope, 0.0)
         crossed = weight.any(axis=1)
         if crossed.sum() < len(rows) / 2:
-            raise EdgeError("no straight edge crosses the rows of the picture")
+            raise EdgeError("the picture has no straight edge that crosses its rows")
         at = (weight[crossed] @ place) / weight[crossed].sum(axis=1)
         line, reach = np.polyfit(rows[crossed], at, 1), SEARCHED
     angle = np.arctan(line[0])

@@ -26,7 +26,8 @@ from l3cli.system.text import printable
 TEMPERATURES = {"A": 2856, "D50": 5003, "D65": 6504}  # K, correlated colour temperature
 STEP_NM = 5.0  # nm; spacing of the wavelengths for colour matrices
 VISIBLE = (380.0, 780.0)  # nm
-# Smallest response to grey, as a fraction of the largest channel. Dimmer channels contain little but noise.
+# Smallest permitted response of a channel to grey, as a fraction of the response of the most sensitive channel. Channels
+# with a smaller response contain almost only noise.
 DIMMEST = 1e-4
 TYPICAL = 0.2  # fraction of the signal of white at which noise and colour errors are weighed against each other
 DIGITS = 5  # decimals of matrices in files
@@ -35,7 +36,7 @@ DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
 NOISE_LEVELS = 64  # number of signals to which a noise profile is fitted, from 1 DN at 16 bits to the white level
 MIN_CHANNELS = 3  # smallest number of channels for colour matrices
 RGB = ({"r", "red"}, {"g", "green"}, {"b", "blue"})  # names of red, green and blue channels
-SIXTEEN = 16  # bit depth of signals in tuning files
+SIGNAL_BITS = 16  # bit depth of signals in tuning files
 DECLARED_AS = {  # names in `CameraModel.declared`, by quantity
     "overall system gain K": "gain",
     "temporal dark noise": "noise",
@@ -222,7 +223,7 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
     Standard deviation and signal are in DN at 16 bits. The fit is least squares over signals whose square roots are evenly
     spaced. The constant is not negative.
     """
-    scale = 2.0 ** (SIXTEEN - camera.bits)
+    scale = 2.0 ** (SIGNAL_BITS - camera.bits)
     root = np.linspace(1.0, np.sqrt((camera.white_level - camera.black_level) * scale), NOISE_LEVELS)
     deviation = scale * np.sqrt(camera.noise_variance(root**2 / scale))
     slope, constant = np.polyfit(root, deviation, 1)
@@ -233,7 +234,7 @@ def noise_profile(camera: CameraModel) -> tuple[float, float]:
 
 def black_level_16(camera: CameraModel) -> int:
     """Return the black level in DN at 16 bits, as in tuning files."""
-    return round(camera.black_level * 2 ** (SIXTEEN - camera.bits))
+    return round(camera.black_level * 2 ** (SIGNAL_BITS - camera.bits))
 
 
 def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target) -> tuple[Array, Array, Array]:

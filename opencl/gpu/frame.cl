@@ -1,6 +1,6 @@
-// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. The TILE × BAND pixels of a work-group share
-// their neighbourhood in local memory. For classes, they also share the sums over the rows of the patch. Weights are read from global memory
-// through the caches.
+// Graphics variant: the kernels for classes and for transforms. A work-item processes a pixel. A work-group processes TILE × BAND pixels and
+// copies them and their neighbourhood to local memory. For classes, local memory also contains the sums over the rows of the patch. Weights
+// are read from global memory through the caches.
 //
 // Adjacent work-items run together, and are fastest if they read the weights of the same class. Adjacent work-items therefore process pixels
 // with the same CFA column. TILE is a multiple of CFA_COLUMNS.

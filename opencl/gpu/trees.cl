@@ -6,7 +6,7 @@
 // and no value exceeds the threshold of a leaf.
 #define STRUCTURE_CONSTANTS LABEL_CONSTANTS, __global const uint *restrict nodes, __global const uint *restrict leaf_of_node
 
-// Returns the next node. One product and one comparison in float32 decide, and have the same result on every device.
+// Returns the next node, chosen by a product and a comparison in float32, whose results are the same on every device.
 INLINE uint next_node(uint node, const Evidence *e, __global const uint *nodes) {
     const uint word = nodes[2 * node + 1];
     return (word >> 8) + (e->numerator[word & 0x3f] > as_float(nodes[2 * node]) * e->denominator[word >> 6 & 3]);

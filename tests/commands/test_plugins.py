@@ -104,7 +104,7 @@ def test_names_that_are_taken_or_unknown_are_refused(
     entries = installed / "my_l3-1.0.dist-info/entry_points.txt"
     text = entries.read_text()
     for name, words in {
-        "basic": "has the name of a baseline of l3",
+        "basic": "has the same name as a built-in baseline of l3",
         "ideal": '"ideal" is already in use',
         "a/b": "may contain only letters",
     }.items():

@@ -39,7 +39,7 @@ static void chroma_slopes(const int32_t *restrict u_above, const int32_t *restri
     }
 }
 
-/* Computes these quantities for padded row k - 1, and stores them as row k of the rings. */
+/* Computes slopes, bends and products at padded row k - 1, and stores them as row k of the rings. */
 static void plane_products(const Gradients *g, int k, int columns) {
     int32_t *row[QUANTITIES];
     for (int q = 0; q < QUANTITIES; q++) row[q] = quantity_row(g, q, k);
@@ -55,7 +55,7 @@ static inline int32_t size_of(int32_t value) { return negated(value, value >> 31
 static inline int32_t larger_of(int32_t a, int32_t b) { return a > b ? a : b; }
 static inline float squared_with_sign(int32_t value) { return (float)(value * size_of(value)); }
 
-/* Computes the weighted sums for the tests of a row: the first nine quantities over 5 x 5 pixels, and others over 3 x 3 pixels. */
+/* Computes the weighted sums for the tests of a row: the first nine quantities over 5 x 5 pixels, and the other sums over 3 x 3 pixels. */
 static void weigh_row(const Gradients *g, int k, int columns) {
     for (int q = XX; q <= CHROMA_BEND_YY; q++) weigh_wide(g, q, k, columns, g->weighed + q * g->span);
     static const int near[] = {XX, YY, BEND_XX, BEND_YY, SLOPE_X, SLOPE_Y};
