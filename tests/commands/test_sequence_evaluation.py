@@ -196,7 +196,7 @@ def test_a_report_plots_sequences_over_their_frames(
     assert l3("report", *evaluations, tmp_path / "camera.h5", "-o", tmp_path / "both.html", "--quiet") == (0, "", "")
     assert l3("report", *evaluations, "-o", tmp_path / "alone.html", "--quiet") == (0, "", "")
     for page in (tmp_path / "both.html", tmp_path / "alone.html"):
-        section = page.read_text().partition(">Sequences over time</h2>")[2].partition("</section>")[0]
+        section = page.read_text().partition(">Sequences</h2>")[2].partition("</section>")[0]
         plots = re.findall(r"<svg viewBox.*?</svg></svg>", section)
         assert len(plots) == 6
         lines = [plot.count('stroke-linejoin="round"') for plot in plots]
