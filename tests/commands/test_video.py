@@ -265,7 +265,7 @@ def test_frames_of_another_size_are_named(l3: L3, tmp_path: Path, table: Path) -
 
 def test_nothing_is_left_where_no_frame_could_be_read(refused: Refused, tmp_path: Path, table: Path) -> None:
     np.save(tmp_path / "f.npy", frames().astype(np.float32)[0] / 3)
-    assert "no DN" in refused(3, "render", table, tmp_path / "f.npy", "-o", tmp_path / "a.mp4", *FAST)
+    assert "not DN" in refused(3, "render", table, tmp_path / "f.npy", "-o", tmp_path / "a.mp4", *FAST)
     nothing = subprocess.run(
         [sys.executable, "-c", RUN, "render", str(table), "-", "-o", str(tmp_path / "a.mp4"), "--size", "20x28", *FAST],
         stdin=subprocess.DEVNULL,
