@@ -80,8 +80,8 @@ def test_arrays_of_one_pixel_are_ranked_as_training_ranks_them(
 ) -> None:
     """By the ΔE00 of unseen leaves, which the moments are of, and less strictly of compositions, of which one alone ranks
     arrays of like error otherwise than another does."""
-    unseen = stage.UNSEEN.replace("seed = 7\n", "seed = 7\ncount = 3\n").replace("count = 2\n", "count = 4\n")
-    monkeypatch.setattr(stage, "UNSEEN", unseen)
+    unseen = stage.EVALUATION_SCENES.replace("seed = 7\n", "seed = 7\ncount = 3\n").replace("count = 2\n", "count = 4\n")
+    monkeypatch.setattr(stage, "EVALUATION_SCENES", unseen)
     recipe, scenes = tmp_path / "design.toml", tmp_path / "scenes.h5"
     pattern = f"[[pattern]]\narrays = {[each.split('/') for each in arrays]}\n"
     recipe.write_text(DESIGN + pattern + SHARE + "".join(map(DARKER.format, lights)))
