@@ -84,7 +84,8 @@ def test_the_percentile_shown_white_is_numpys(kind: type) -> None:
     rng = np.random.default_rng(0)
     for size in (1, 2, 50, 51, 99, 100, 101, 102, 199, *rng.integers(1, 20000, 100).tolist()):
         values: np.ndarray = rng.gamma(1.0, size=(size, 1)).astype(kind)
-        assert white_percentile(values) == float(np.percentile(values, 99))
+        exact = np.percentile(values.astype(np.float64), 99)  # of float32, versions of numpy round it differently
+        assert white_percentile(values) == (exact if kind is np.float64 else pytest.approx(exact, rel=3e-7))
     assert np.isnan(white_percentile(np.array([np.nan, *range(500)], kind)))
 
 
