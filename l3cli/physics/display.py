@@ -52,7 +52,7 @@ def white_luminance(luminance: Array) -> float:
 
 
 def white_percentile(values: Array) -> float:
-    """Return the 99th percentile of `values`, with the same bits as np.percentile.
+    """Return the 99th percentile of `values` as np.percentile does, up to the rounding of float32 in its versions.
 
     np.percentile would import numpy's masked arrays, which takes a twentieth of the time for rendering a picture.
     """
