@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from l3cli.errors import InputFileError, RecipeError, suggestion
+from l3cli.system.text import counted
 
 # Subfolder of configs/ → type of the recipes in the subfolder, for messages.
 KIND_OF_FOLDER = {"cameras": "camera", "lab": "lab", "scenes": "scene", "classes": "class", "designs": "design"}
@@ -186,7 +187,8 @@ def summary(starter: Path) -> str:
     )
     sentence = textwrap.shorten(re.split(r"[:;] |[.] (?=[A-Z])", comment)[0].rstrip("."), 84, placeholder=" …")
     period = f"{len(cfa['pattern'])}×{len(cfa['pattern'][0].split())}"
-    return f"{period}, {len(cfa['channels']):2} channels  {sentence}"
+    channels = counted(len(cfa["channels"]), "channel")
+    return f"{period}, {channels:11}  {sentence}"
 
 
 def classes_of(camera: Path) -> str:

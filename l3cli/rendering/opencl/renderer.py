@@ -332,7 +332,7 @@ class OpenCLRenderer:
                     encoding = self._constant(layout.display_constants(self.table, matrix), np.float32)
                 for number in range(max(labels) if kernel is None else len(self._layers)):
                     self._classify_refinement(number, track, band, levelled, work)
-                if kernel is not None:
+                if kernel is not None and ending is not None:
                     parts = [result[band.rows] for result in results]
                     target = self._target(track, parts, work)
                     self._transform(kernel, encoding, track, band, target, levelled, work, ending)
