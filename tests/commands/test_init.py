@@ -114,7 +114,7 @@ def test_arrays_with_classes_of_their_own_get_them(tmp_path: Path, l3: L3) -> No
 def test_a_phase_comes_with_its_base(tmp_path: Path, l3: L3) -> None:
     code, _, err = l3("init", "bayer_bggr", tmp_path / "demo")
     assert code == 0
-    assert "2×2,  3 channels  A Bayer array, BGGR" in err
+    assert "2×2, 3 channels   A Bayer array, BGGR" in err
     assert {path.name for path in (tmp_path / "demo").iterdir()} == {*COMMON, "camera.toml", "bayer.toml"}
     assert load_camera(tmp_path / "demo/camera.toml").name == "Bayer BGGR"
 
