@@ -307,7 +307,7 @@ def test_a_benchmark_learns_from_pictures_and_judges_on_others(workplace: Workpl
     folder = tmp_path / "benchmark"
     code, _, err = l3("init", "benchmark-bayer", folder)
     assert code == 0
-    assert "2×2,  3 channels  A Bayer array, GRBG" in err
+    assert "2×2, 3 channels   A Bayer array, GRBG" in err
     assert {path.name for path in folder.iterdir()} == set(BENCHMARK)
     for name in BENCHMARK:
         assert (folder / name).read_bytes() == (CONFIGS / "benchmarks/bayer" / name).read_bytes()
