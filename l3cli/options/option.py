@@ -136,7 +136,8 @@ class Declaration:
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
     """Return a dataclass field that declares an option.
 
-    If `reader` is None, the type of the field determines the reader. `about` are the other attributes of Declaration.
+    If `reader` is None, the type of the field determines the reader. `about` are the other attributes of Declaration. An
+    option that is off by default should have the default None. Other defaults, even 0, enter the key that identifies a run.
     """
     return field(default=default, metadata={"option": (help, reader, about)})
 
