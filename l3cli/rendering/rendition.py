@@ -194,8 +194,8 @@ def frame_and_display(
     A `scale` of 0 means automatic exposure.
     """
     frame = balanced(frame, renderer.table, balance.gains)
-    # Automatic exposure of a single frame needs the luminance of all pixels before encoding. The outputs of a frame that is a
-    # single band stay on the device, and the picture is encoded from them. Larger frames are rendered twice.
+    # Automatic exposure of a single frame needs the luminance of all pixels before encoding. If the frame is a single band,
+    # its outputs stay on the device, and the picture is encoded from them. Larger frames are rendered twice.
     scale = scale * balance.luminance or still_scale(renderer.outputs(frame)[1], frame, renderer.table)
     scale *= 2**rendition.stops
     adaptation = shown_adaptation(renderer.table, balance.adaptation)

@@ -94,7 +94,7 @@ def test_a_picture_is_not_taken_for_a_stack_of_narrow_frames(
 ) -> None:
     for channels in (1, 3):
         np.save(tmp_path / "a.npy", np.dstack([mosaic] * channels))
-        assert "(row, col)" in refused(3, "render", table, tmp_path / "a.npy", "-o", tmp_path / "out")
+        assert "looks like a picture" in refused(3, "render", table, tmp_path / "a.npy", "-o", tmp_path / "out")
 
 
 def test_what_the_caller_knows_better_wins(tmp_path: Path, mosaic: np.ndarray) -> None:

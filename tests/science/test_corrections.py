@@ -368,7 +368,7 @@ def test_render_corrects_them_where_it_is_asked_to(tmp_path: Path, l3: L3, refus
     with h5py.File(tmp_path / "table.h5", "r+") as root:
         del root["camera"]
     seal(tmp_path / "table.h5")
-    assert "--hot needs the camera's noise" in refused(2, *call, tmp_path / "no.exr", "--hot", "auto")
+    assert "--hot needs the noise model" in refused(2, *call, tmp_path / "no.exr", "--hot", "auto")
 
 
 DARK_CORNERS = (0.45, 0.5, 0.6)
@@ -499,7 +499,7 @@ def test_a_map_beyond_the_sensor_or_a_field_of_nonsense_is_refused(bayer: Camera
         replace(bayer, flat_field=FlatField(np.array([0.0, 95.0]), np.array([0.0, 255.0]), np.ones((3, 2, 2))))
     with pytest.raises(ValueError, match="twice"):
         DefectMap(np.array([[1, 0], [1, 0]]), ("hot", "hot"))
-    with pytest.raises(ValueError, match="not a kind"):
+    with pytest.raises(ValueError, match="known types are hot"):
         DefectMap(np.array([[1, 0]]), ("warm",))
     lines = np.array([0.0, 100.0])
     for gain in (0.0, 20.0, np.array([1.0, 1.0, 4.0])[:, None, None]):

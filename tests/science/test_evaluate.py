@@ -397,7 +397,7 @@ def test_a_channel_that_sees_nothing_of_the_light_has_no_state(fiveband: CameraM
     assert (colour.balance[3], colour.matrix[:, 3].any()) == (0, False)
     assert develop(frame, blind, colour, interpolate) == pytest.approx(np.asarray(frame.target), rel=1.5e-3)
     nothing = dataclasses.replace(light_of(frame, blind), wavelength=np.linspace(900, 1000, 81))
-    with pytest.raises(InputFileError, match="is invisible"):
+    with pytest.raises(InputFileError, match="no visible light"):
         fit_colour(blind, nothing)
 
 

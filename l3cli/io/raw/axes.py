@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from l3cli.errors import InputFileError
+from l3cli.system.text import counted
 
 MOST_CHANNELS = 4  # maximum number of channels of a picture; no frame has so few columns
 FRAMES_LAST = 16  # if both other axes are at least this many times longer, the last axis counts frames
@@ -67,7 +68,7 @@ def frame_axes(name: str, shape: Sequence[int], names: Sequence[str] = (), usual
     if meanings[:1] == ["frame"]:
         return STACK
     if shape[2] <= MOST_CHANNELS and usual is None:
-        raise InputFileError(f"{array}, which looks like a picture with {shape[2]} channels; {GIVE}")
+        raise InputFileError(f"{array}, which looks like a picture with {counted(shape[2], 'channel')}; {GIVE}")
     if usual is None and FRAMES_LAST * shape[2] <= min(shape[:2]):
         raise InputFileError(f"{array} whose last axis seems to count frames; save it as {COUNTED}")
     return usual or STACK
