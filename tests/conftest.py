@@ -47,8 +47,8 @@ def pytest_collection_finish() -> None:
 def environment_of_processes() -> None:
     """Set the environment in which tests start other processes.
 
-    pytest-xdist states a terminal of 80 columns, which is removed. Two modules that cannot be imported hide matplotlib and
-    pandas from colour-science, so that a process starts as fast as where neither is installed.
+    pytest-xdist states a terminal of 80 columns, which is removed. A module that cannot be imported hides matplotlib from
+    colour-science, so that a process starts as fast as where matplotlib is not installed.
     """
     for name in ("COLUMNS", "LINES"):
         os.environ.pop(name, None)

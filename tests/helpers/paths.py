@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
-HIDDEN = Path(__file__).parent / "hidden"  # modules that cannot be imported
+HIDDEN = Path(__file__).parent / "hidden"  # contains a module that cannot be imported
 PYTHONPATH = os.pathsep.join(map(str, (ROOT, HIDDEN)))  # of the processes that tests start
 
 
