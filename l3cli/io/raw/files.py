@@ -329,7 +329,7 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     )
     if not dark < span:
         raise InputFileError(
-            f"{frame.name}: the dark current alone is {dark:.4g} DN, but full scale is {span:.4g} DN; "
+            f"{frame.name}: the dark signal alone is {dark:.4g} DN, but full scale is {span:.4g} DN; "
             "check that the exposure time is in seconds"
         )
     corrected = replace(
