@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.design import GROUPS, SIDE, LightMoments
 from l3cli.design.error import (
     TAP_RIDGE,
@@ -20,6 +21,7 @@ from l3cli.design.error import (
     gather,
     groups_of,
     in_all_orientations,
+    noise_of,
     seen_by,
     spectra_of,
     wanted_outputs,
@@ -192,3 +194,11 @@ def test_more_light_is_less_error_until_it_clips(moments: LightMoments) -> None:
     total = Problem((seen(moments),), tuple(levels), NOISE).means(bayer)
     assert total[0] > total[1] > total[2]
     assert total[3] > 2 * total[2]
+
+
+def test_designs_have_the_noise_of_cameras(fiveband: CameraModel) -> None:
+    """Designs have a formula of their own. A new noise term must be part of both formulas."""
+    noise, (constant, linear, quadratic) = noise_of(fiveband), fiveband.noise_terms()
+    assert constant == pytest.approx(noise.floor * fiveband.gain**2, rel=1e-9)
+    assert linear == pytest.approx(fiveband.gain, rel=1e-9)
+    assert quadratic == pytest.approx(noise.prnu**2, rel=1e-9)
