@@ -275,15 +275,15 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Return class indices from the values of the features, which are integers or arrays.
+        """Return the class indices for the given feature values, which are integers or arrays.
 
-        Without `site`, the result is an index among the classes of one site.
+        Without `site`, the classes of a single site are counted from 0.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the values of the features of classes, given an index or an array of indices."""
+        """Return the feature values of the class with the given index. `index` may be an array."""
         rest, kind = divmod(index, self.kinds)
         rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
@@ -291,7 +291,7 @@ class ClassRule:
         return ClassPlace(site, level, contrast, combination, kind)
 
     def join_features(self, values: Any) -> Any:
-        """Return the number of the combination of the values of all additional features, which are given in order."""
+        """Return the index of a combination of additional features. `values` has one value per feature, in order."""
         combined: Any = 0
         for feature, value in zip(self.feature_list, values, strict=True):
             combined = combined * feature.size + value

@@ -1,4 +1,7 @@
-"""Results of the calibration, and how well the camera model explains them. They form the group `fit` of a camera model."""
+"""Calibration results, and the quality of the fit of the camera model to the measurements.
+
+The results are stored in the group `fit` of a camera model.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +17,7 @@ GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Results from dark and white frames for each channel, as EMVA 1288 defines them."""
+    """Results from dark and white frames for each channel, as defined in EMVA 1288."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(

@@ -39,13 +39,13 @@ SHORT_TOP = 2**15 - 1
 
 @dataclass(frozen=True)
 class Array:
-    """A constant array of l3_table.c."""
+    """A constant array in l3_table.c."""
 
     name: str
     values: NDArray
     axes: str  # comment above the array, with the axes in parentheses
-    # Write a long array as string literals of its bytes, with a single axis. Compilers read strings fifty times as fast as
-    # numbers.
+    # whether the array is written as string literals that contain its bytes, flattened to one axis; used for long arrays,
+    # because compilers parse strings fifty times as fast as numbers
     packed: bool = False
 
     @property

@@ -404,10 +404,11 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 
 
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
-    """Return a DCP as JSON for json2dcp from dcamprof, with matrices for ILLUMINANTS.
+    """Return a DCP in the JSON format of `dcamprof json2dcp`, with matrices for ILLUMINANTS.
 
-    Two additional keys are not part of a DCP: Channels lists the names of the channels, with r, g and b in the order of raw
-    files. AsShotNeutral contains the signals of a grey under each illuminant, for use in DNG files.
+    Two keys are added that are not part of a DCP. Channels lists the names of the channels: r, g, b if the camera has these
+    channels, otherwise all channels in the order of the camera. AsShotNeutral contains the signals of a grey object under
+    each illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]

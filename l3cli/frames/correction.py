@@ -390,7 +390,7 @@ def correction_again(file: CameraFile) -> Correction:
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """Return the camera model in a file, which may be a transform table."""
+    """Load the camera model from a file that is either a camera model or a transform table."""
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:

@@ -488,10 +488,10 @@ class StatedTimes:
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the increment from one frame number to the next, or None if the numbers do not count frames.
+    """Return the step between consecutive frame numbers, or None if the numbers are irregular, as in time stamps.
 
-    The increment is the most common difference between consecutive numbers. It must account for at least half of the
-    differences, and every difference must be a multiple of it.
+    The step is the smallest difference between consecutive numbers. Numbers are irregular unless at least half of the
+    differences are equal to the step, and every difference is a multiple of the step.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)

@@ -16,7 +16,7 @@ from l3cli.recipes.messages import place, plain
 from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED_FAULTS = 100  # number of faults with a message; further faults are only counted
+LISTED_FAULTS = 100  # maximum number of faults that are reported individually; further faults are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 

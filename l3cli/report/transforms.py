@@ -133,7 +133,7 @@ def _contrast(table: TransformTable, contrast: int) -> str:
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw the number of patches for each row and level. A cell is more opaque the more patches it contains."""
+    """Draw a heat map of the number of patches per row and level. Cells with more patches are more opaque."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())

@@ -153,7 +153,7 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Create a folder for a camera with the CFA that has the smallest predicted error in a design.
+    """Create a camera folder from a design, with the CFA that has the smallest predicted error.
 
     Raises
     ------

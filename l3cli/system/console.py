@@ -20,13 +20,13 @@ class Console(Protocol):
     """Interface of objects that receive the messages of a stage, such as a terminal or `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield `items` and report progress. `total` is their number, if known, and `what` is their noun in the plural."""
+        """Yield `items` and report progress. `total` is the number of items, if known; `what` is a plural noun for them."""
 
     def info(self, message: str) -> None:
-        """Report what was made, or what the user can do next."""
+        """Report a result, or suggest what the user can do next."""
 
     def warn(self, message: str) -> None:
-        """Warn about something that may make the result worse."""
+        """Warn about something that may degrade the result."""
 
     def report(self, message: str) -> None:
         """Report that l3 left out part of the work, or a risk that it cannot prevent. Shown even with --quiet."""

@@ -347,7 +347,7 @@ def expose_patches(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
-    """Convert signals to raw values with noise, from which the class of each patch is determined.
+    """Convert signals to noisy raw values, which determine the class of each patch.
 
     Parameters
     ----------
@@ -356,7 +356,8 @@ def expose_patches(
     camera : CameraModel
     rng : numpy.random.Generator
     carried : ndarray, optional
-        Noise variance that real signals already contain, in full scale². Only the missing noise is added. [default: 0]
+        Noise variance that measured signals already contain, in full scale². Only the rest of the noise is added.
+        [default: 0]
     dark : float
         Dark signal that has been subtracted from the frame, in DN.
     channel : ndarray, optional

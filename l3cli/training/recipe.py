@@ -66,7 +66,7 @@ class LearningRecipe(Recipe):
     # (docs/method.md#second-pass)
     error_power: ErrorPower = 0.25
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    # weight of the noise covariance for Y; spectral outputs have this weight, too, but at most 1
+    # weight of the noise covariance for Y, and also for spectral outputs, for which it is limited to 1
     # (docs/method.md#noise-weights)
     luminance_noise: NotNegative = 1.5
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
@@ -149,8 +149,8 @@ class LayerRecipe(Recipe):
 
 
 class TrainingRecipe(Recipe):
-    """A class recipe: the classes of the first layer, their training, and up to three refinement layers. Keys that the
-    recipe omits have the defaults below, which describe a single layer."""
+    """A class recipe: the classes of the first layer, how they are trained, and up to three refinement layers. Omitted keys
+    have the defaults below, which describe a single layer."""
 
     title: ClassVar[str] = "a class recipe"
 

@@ -104,7 +104,7 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the numbers of the parents of the classes `index`."""
+    """Return the index of the parent of each class in `index`."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 

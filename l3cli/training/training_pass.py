@@ -77,10 +77,10 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness of targets (patch, output), to which errors are relative.
+        """Return the brightness of each target (patch, output). Training errors are relative to the brightness.
 
-        The brightness is the output Y. If no output is called Y, the brightness is the mean of the outputs. Negative values
-        are replaced by 0.
+        The brightness is the output Y, or the mean of the outputs if no output is called Y. Negative values are replaced
+        by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 

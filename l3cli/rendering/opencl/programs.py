@@ -19,7 +19,7 @@ BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 # Macros that select the kernels of a program, so that unused kernels are not compiled.
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # only the kernel for the transforms
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # only the kernel for the classes of the first layer
-JOINED: layout.Macros = {"JOINED": 1}  # only the kernel for both the classes and the transforms of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # only the combined kernel for the classes and transforms of the first layer
 Key = tuple[Any, ...]
 
 
@@ -105,7 +105,7 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder) and macros of the ending → program
+        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder), and macros for the form of the results → program
         self._kernels: dict[Key, Any] = {}  # key of the program and name of the kernel → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]

@@ -248,9 +248,9 @@ SURFACES = 64  # number of measured reflectances to which the colour correction 
 UNSURE = 1e-3  # error of rendered surfaces, used as a ridge so that the correction does not amplify errors
 MIN_WEIGHT_LUMINANCE = 0.05  # surfaces with a lower luminance relative to white have the weight of this luminance
 MAX_DUV = 0.03  # largest plausible distance of a lamp from the black-body locus in CIE 1960 uv
-SAME_WHITE = 5e-4  # whites at a smaller distance in CIE 1960 uv are treated as equal, because coordinates are rounded
+SAME_WHITE = 5e-4  # whites closer together than this in CIE 1960 uv are treated as equal, because coordinates are rounded
 MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the channels; real lamps have at most half of it
-NEAR_WHITE = 0.02  # whites at a larger distance in CIE 1976 u′v′ belong to different illuminants
+NEAR_WHITE = 0.02  # whites farther apart than this in CIE 1976 u′v′ belong to different illuminants
 COOLEST, WARMEST = 24_000.0, 1_700.0  # range of plausible colour temperatures, in K
 
 

@@ -378,7 +378,7 @@ class _Transforms:
             chosen = np.add(place[part, None], offset, out=taps[: flat.size - first])
             runs = [(self._weights[index], slice(start, stop)) for index, start, stop in runs_of(flat[part])]
             for source, made in zip(sources, sums[:, part], strict=True):
-                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # other modes would allocate a copy
+                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # the default "raise" would buffer `out`
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
         sums += self._intercept[flat]
