@@ -147,7 +147,7 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps that follow the window taps (colour ratios and bilateral chroma), if there are any."""
+    """Return the weights of the taps after the window taps (colour ratios, bilateral chroma), if such taps exist."""
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
 

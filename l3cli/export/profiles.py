@@ -1,7 +1,7 @@
-"""Files of a camera for other software (docs/method.md#colour-matrices).
+"""Exports a camera model to other software (docs/method.md#colour-matrices).
 
-The files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for json2dcp from dcamprof, tuning
-files for libcamera, and a data sheet as CSV.
+The exported files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
+tuning files for libcamera, and a data sheet as CSV.
 """
 
 import csv

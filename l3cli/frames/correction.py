@@ -329,7 +329,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Subtract a dark frame from a frame. Its mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
+    """Subtract a dark frame from a frame. The mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
 
     Raises InputFileError if the dark frame has another size, phase, orientation or exposure time.
     """

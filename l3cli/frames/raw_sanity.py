@@ -209,8 +209,8 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     """Whether `means` is the mean super-pixel times a checkerboard, which is 1 plus or minus a product of two functions.
 
-    One is a function of the row and the other of the column. In CFAs that repeat with another period, either all sites of
-    the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
+    One function depends on the row, and the other function on the column. In CFAs that repeat with another period, either
+    all sites of the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:

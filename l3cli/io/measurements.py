@@ -224,7 +224,7 @@ def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
 
 
 def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
-    """Read the files that a measurement file lists, except frames. Of frames, it only checks that the files exist.
+    """Read the files that a measurement file lists, except frames, and check that the frames exist.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
 
 
 def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
-    """Return the light of the lamp during a capture, relative to the light when its spectrum was measured.
+    """Return the lamp output during a capture, relative to the output when the spectrum was measured.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     nm : float
         Wavelength in nm of the maximum of the capture's spectrum.
     folder : Path
-        The folder of the measurement file. The name of the table is relative to it.
+        The folder of the measurement file, to which the name of the table is relative.
     read : callable
         Reads a table.
 

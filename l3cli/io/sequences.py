@@ -1,6 +1,6 @@
 """Find the numbered frames of a sequence: a folder, pattern, glob, stack, headerless stream or video.
 
-The module also finds sequences of finished pictures for evaluation. It lists frames without reading them. Memory therefore
+The module also finds sequences of finished pictures for evaluation. Frames are listed without being read. Memory therefore
 does not grow with the number of frames, and frames can be read in advance.
 """
 
@@ -118,7 +118,7 @@ def find_frames(
     selection: range | None = None,
     dataset: str | None = None,
 ) -> FrameSequence:
-    """Find the frames of one input of any kind, or of several files with one frame each.
+    """Find the frames of one input of any type, or of several files with one frame each.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of an input. References are created one by one during iteration, because there may be many."""
+    """The frames of an input. References are created one by one during iteration, because an input may have many frames."""
 
     series: _Series
     wanted: Iterable[int]
@@ -430,7 +430,7 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
     """Read the motion of a frame since the previous frame, as an array (3, row, col).
 
-    The planes are the motion down in pixels, the motion right in pixels, and 1 where the motion is known.
+    The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known.
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():

@@ -38,7 +38,7 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Yield the faults of a table in a recipe, with keys that are extended by the position `table` in the recipe."""
+    """Yield the faults of a table in a recipe, with the position `table` of the table prepended to each key."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 

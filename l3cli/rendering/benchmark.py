@@ -204,7 +204,7 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return the measurements to make on a device, as functions without parameters.
+    """Return functions without parameters, each of which runs one benchmark case.
 
     Without `variant`, the default variant and the reference renderer are measured.
     """

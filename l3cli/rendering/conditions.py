@@ -214,7 +214,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table without transforms for single illuminants in the same way as `at_gain`."""
+    """Convert a table as `at_gain` does. The table must not contain transforms for single illuminants."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -227,7 +227,7 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return a table with one set of transforms for a gain.
+    """Return a table with a single set of transforms, which is for the given gain.
 
     A level at this gain has the same relative noise as another level at the gain of the camera model. Each class gets the
     transforms of this other level. Classes of clipped pixels keep their own transforms.
@@ -303,7 +303,7 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
 
 
 class NoiseSets:
-    """All sets of transforms of a table. For each pixel of a frame, one set is chosen by the remaining noise.
+    """All sets of transforms of a table. The remaining noise of a pixel determines the set with which the pixel is rendered.
 
     The first set is for the noise of the table's camera, and the other sets are for less noise. The classes of all sets are
     numbered consecutively, as if each set had its own sites, so that all transforms are in one array.

@@ -16,7 +16,7 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing; numbers replace them
+MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing and are replaced by numbers
 MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
 
 

@@ -29,7 +29,7 @@ class Console(Protocol):
         """Warn about something that may degrade the result."""
 
     def report(self, message: str) -> None:
-        """Report that l3 left out part of the work, or a risk that it cannot prevent. Shown even with --quiet."""
+        """Report omitted work, or a risk that l3 cannot prevent. Shown even with --quiet."""
 
 
 class Silent:
@@ -144,7 +144,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a line. If the log can no longer be written, report this once, and let the command continue."""
+        """Append a line. If the log can no longer be written, report the failure once and continue."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

@@ -183,7 +183,7 @@ def white_channels(
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
     """Return the relative error of the signals of white that a regression on measured surfaces predicts.
 
-    The error is a few per cent for visible light. It is large for a camera that is sensitive to infrared light, which X, Y
+    The error is a few per cent for visible light, but large for a camera that is sensitive to infrared light, which X, Y
     and Z do not contain.
 
     Returns

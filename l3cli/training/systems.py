@@ -119,7 +119,7 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
     """Return X Xᵀ + noise_weight · Λ + ridge for the chosen classes, as an array (class, tap, tap)."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
-    diagonal = np.einsum("cii->ci", systems)  # a view, so changes of the diagonal change `systems`
+    diagonal = np.einsum("cii->ci", systems)  # a view, so changing the diagonal changes `systems`
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12

@@ -259,7 +259,7 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the content of a file to a frame. Facts in `known` precede facts in the file, which precede the table."""
+    """Convert the content of a file to a frame. `known` takes precedence over the file, and the file over the table."""
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
         raise InputFileError(f"{name} contains no pixels; use a raw file")

@@ -103,7 +103,7 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return the names of the camera and the settings of the shot from TIFF tags, or nothing if the file is not a TIFF."""
+    """Return the camera names and the shot settings in TIFF tags, or empty values if the file is not a TIFF."""
     import tifffile
 
     try:
@@ -164,7 +164,7 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by colour code, or {} if it is invalid. If a code is repeated, the first row counts."""
+    """Return the rows of a matrix by colour code, or {} if the matrix is invalid. Repeated codes are ignored."""
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}

@@ -71,7 +71,8 @@ def make_ready(device: str | None = None, variant: str | None = None) -> None:
 def usual_encoder(compiler: Compiler, variant: str) -> int:
     """Compile the encoder for 8-bit sRGB pictures, and return the length of the device's vectors.
 
-    The length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one pixel.
+    The vector length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one
+    pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -137,7 +138,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that determines the classes of a layer. It may be part of several programs."""
+        """Return the kernel that determines the classes of a layer. Several programs may contain this kernel."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")

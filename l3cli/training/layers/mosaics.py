@@ -255,7 +255,7 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 def margin_of(side: int) -> int:
     """Return the distance, in pixels, up to which a layer with windows of `side` pixels reads around a pixel.
 
-    This includes the pixels that determine the class.
+    The distance includes the pixels that determine the class.
     """
     return max(BORDER_PIXELS, side // 2)
 
