@@ -227,7 +227,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise a RecipeError if the recipe contains transforms for single illuminants, which cannot be trained in shards."""
+    """Raise a RecipeError if the recipe sets `lights`. Transforms for single illuminants cannot be trained in shards."""
     if learning.lights:
         raise RecipeError(
             "transforms for single illuminants (learning.lights) cannot be trained in shards; train without ‹shard›, or "

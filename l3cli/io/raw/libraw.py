@@ -164,7 +164,10 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by colour code, or {} if the matrix is invalid. Repeated codes are ignored."""
+    """Return the rows of a matrix by colour code, or {} if the matrix is invalid.
+
+    For a repeated code, the first row is used.
+    """
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}
