@@ -15,7 +15,7 @@ from l3cli.artifacts.schema import check, data, group
 
 MAX_COMBINATIONS = 4096  # largest number of combinations of the values of additional features
 MAX_WINDOW_TAPS = 4096  # largest number of taps in all windows, so that sums of 12-bit values are exact in float32
-CLASS_BITS = 12  # classes depend on the upper 12 bits of a value only, so that 32-bit sums are exact
+CLASS_BITS = 12  # classes depend only on the upper 12 bits of a value, so that 32-bit sums are exact
 CHROMA_SCALE = 1 << 10  # scale of the chroma weights, with which sums over 16 channels fit into 32 bits
 MAX_CHROMAS = 64
 MAX_PATCH = 15
@@ -65,7 +65,7 @@ class StoredFeatures:
 
     @classmethod
     def of(cls, features: tuple[Feature, ...]) -> "StoredFeatures":
-        """Convert features to arrays."""
+        """Convert feature objects to arrays."""
         windows = np.array([window for feature in features for window in feature.windows], np.int64)
         return cls(
             tuple(feature.name for feature in features),
@@ -117,7 +117,7 @@ class ClassPlace(NamedTuple):
     site: Any  # CFA row · CFA columns + CFA column
     level: Any
     contrast: Any
-    combination: Any  # number of the combination of the values of additional features; 0 without additional features
+    combination: Any  # index of the combination of the values of additional features; 0 without additional features
     kind: Any  # chroma if nothing is saturated, otherwise chromas − 1 + saturation case
 
 
@@ -129,9 +129,9 @@ class ClassRule:
 
         (((site · levels + level) · contrasts + contrast) · combinations + combination) · kinds + kind
 
-    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated. Otherwise
-    the kind is chromas − 1 + saturation case. The combination is a number for the values of all additional features,
-    which a recipe adds to level, contrast, saturation and chroma. Without additional features, the combination is 0.
+    with site = row · CFA columns + column. The kind is the chroma if no pixel near the centre is saturated. Otherwise the
+    kind is chromas − 1 + saturation case. The combination is an index that encodes the values of all additional features,
+    which a recipe can use besides level, contrast, saturation and chroma. Without additional features, the combination is 0.
     """
 
     patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
@@ -275,15 +275,15 @@ class ClassRule:
         return math.prod(self.shape)
 
     def join(self, level: Any, contrast: Any, kind: Any, site: Any = 0, combination: Any = 0) -> Any:
-        """Return class indices from the values of the features, which are integers or arrays.
+        """Return the class indices for the given feature values, which are integers or arrays.
 
-        Without `site`, the result is an index among the classes of one site.
+        Without `site`, the classes of a single site are counted from 0.
         """
         stem = (site * self.levels + level) * self.contrasts + contrast
         return (stem * self.combinations + combination) * self.kinds + kind
 
     def split(self, index: Any) -> ClassPlace:
-        """Return the values of the features of classes, given an index or an array of indices."""
+        """Return the feature values of the class with the given index. `index` may be an array."""
         rest, kind = divmod(index, self.kinds)
         rest, combination = divmod(rest, self.combinations)
         rest, contrast = divmod(rest, self.contrasts)
@@ -291,14 +291,14 @@ class ClassRule:
         return ClassPlace(site, level, contrast, combination, kind)
 
     def join_features(self, values: Any) -> Any:
-        """Return the number of the combination of the values of all additional features, which are given in order."""
+        """Return the index of a combination of additional features. `values` has one value per feature, in order."""
         combined: Any = 0
         for feature, value in zip(self.feature_list, values, strict=True):
             combined = combined * feature.size + value
         return combined
 
     def split_features(self, combined: Any) -> tuple[Any, ...]:
-        """Return the value of each additional feature, in order, given the number of their combination."""
+        """Return the value of each additional feature, in order, for the given index of a combination."""
         values = []
         for feature in reversed(self.feature_list):
             combined, value = divmod(combined, feature.size)
@@ -306,15 +306,15 @@ class ClassRule:
         return tuple(reversed(values))
 
     def on_site(self, index: Any, site: Any) -> Any:
-        """Convert indices among the classes of one site to indices among the classes of all sites."""
+        """Convert class indices within a site to class indices in the table."""
         return site * self.classes_per_site + index
 
     def within_site(self, index: Any) -> Any:
-        """Convert indices among the classes of all sites to indices among the classes of one site."""
+        """Convert class indices in the table to class indices within their site."""
         return index % self.classes_per_site
 
     def of_site(self, site: int) -> slice:
-        """Return the range of a site's classes among the classes of all sites."""
+        """Return the range of class indices that belong to a site."""
         return slice(site * self.classes_per_site, (site + 1) * self.classes_per_site)
 
     def by_feature(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -327,12 +327,12 @@ class ClassRule:
     def kind(self, chroma: Any, case: Any) -> Any:
         """Return the kind of pixels, given their chroma and saturation case.
 
-        It depends on the chroma only if the case is 0.
+        The kind depends on the chroma only if the case is 0.
         """
         return np.where(np.greater(case, 0), self.chromas - 1 + case, chroma)
 
     def case(self, kind: Any) -> Any:
-        """Return the saturation case of kinds. It is 0 if nothing is saturated and the kind is a chroma."""
+        """Return the saturation case of each kind. The case is 0 for kinds that are chromas."""
         return np.maximum(kind, self.chromas - 1) - (self.chromas - 1)  # avoids negative values, as kinds may be unsigned
 
     def lost(self, kind: Any) -> Any:
@@ -347,5 +347,5 @@ class ClassRule:
         return self.chromas - 1 + case if case else slice(0, self.chromas)
 
     def join_cases(self, level: Any, contrast: Any, case: Any) -> Any:
-        """Return indices within a site of coarser classes, which distinguish saturation cases but not chromas."""
+        """Return indices, within a site, of coarser classes that distinguish saturation cases but not chromas."""
         return (level * self.contrasts + contrast) * self.cases + case

@@ -39,8 +39,7 @@ class _Sink(io.RawIOBase):
     """The file object to which HDF5 writes.
 
     HDF5 crashes if a write fails. Errors are therefore stored, and raised after HDF5 has closed the file. Signals are
-    delayed, because an exception inside one of these methods would crash HDF5, or would be ignored together with the
-    data to be written.
+    delayed, because an exception in one of these methods would either crash HDF5, or be swallowed so that data are lost.
     """
 
     def __init__(self, descriptor: int) -> None:

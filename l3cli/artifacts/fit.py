@@ -1,4 +1,7 @@
-"""Results of the calibration, and how well the camera model explains them. They form the group `fit` of a camera model."""
+"""Calibration results, and the quality of the fit of the camera model to the measurements.
+
+The results are stored in the group `fit` of a camera model.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +17,7 @@ GUESSED_PROBABILITY, MAX_GUESSES = 0.9, 4
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """Results from dark and white frames for each channel, as EMVA 1288 defines them."""
+    """Results from dark and white frames for each channel, as defined in EMVA 1288."""
 
     conversion_gain: NDArray[np.float64] = data("float64", "channel", unit="DN/e-", doc="overall system gain K")
     conversion_gain_error: NDArray[np.float64] = data(
@@ -71,7 +74,7 @@ class SweepFit:
 class ChartFit:
     """Fit of the chart captures (Eq. 2 in docs/method.md#gain-and-offset).
 
-    It contains the measured value and the predicted value of every patch.
+    The fit contains the measured and the predicted value of every patch.
     """
 
     alpha: NDArray[np.float64] = data(
@@ -96,7 +99,7 @@ class ChartFit:
 class DriftFit:
     """Drift of the lamps that was estimated from the charts.
 
-    It is larger than the drift that the measurement file declares.
+    This drift is larger than the drift that the measurement file declares.
     """
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
@@ -176,7 +179,7 @@ class PhotoWindow:
     size: NDArray[np.int64] = data("int64", "photo", "coordinate", unit="pixel", doc="rows, columns of each photo")
 
     def of(self, photo: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the CFA site of the first pixel, and the size, of a photo."""
+        """Return the CFA site of a photo's first pixel, and the size of the photo."""
         (row, col), (rows, cols) = self.first_site[photo].tolist(), self.size[photo].tolist()
         return (row, col), (rows, cols)
 

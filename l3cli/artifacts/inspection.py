@@ -41,7 +41,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def _refuse_null(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Raise InputFileError if a dataset has the null dataspace of HDF5, which l3 never writes."""
+    """Raise InputFileError if a dataset has an HDF5 null dataspace. l3 never writes such datasets."""
     if dataset.shape is None:
         raise InputFileError(f"{path}: dataset {name} is empty; create the file again")
 

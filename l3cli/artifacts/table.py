@@ -15,7 +15,7 @@ from l3cli.artifacts.training_set import LightSpectrum, white_signal
 
 LUMINANCE = ("Y",)  # outputs of a table that renders luminance only
 GREY = ("Y", "Y", "Y")  # outputs of a luminance table that was converted for rendering pictures
-WINDOWS = (3, 5, 7, 9)  # pixels; allowed sides of the window for smoothing spectra
+WINDOWS = (3, 5, 7, 9)  # allowed side lengths, in pixels, of the window for smoothing spectra
 
 
 @dataclass(frozen=True)

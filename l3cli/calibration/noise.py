@@ -304,5 +304,5 @@ def _local_spread(site: Array, temporal: float) -> float:
     inner = slice(WINDOW // 2, -(WINDOW // 2))
     local = _local_mean(site)[inner, inner]
     deviation = site[inner, inner] / local - 1.0
-    # Each sample is part of its own local mean, which reduces its deviation by the factor 1 − 1/n.
+    # Each sample is part of its own local mean, which reduces the variance of the deviations by a factor of 1 − 1/n.
     return float(np.mean(deviation**2) / (1.0 - 1.0 / WINDOW**2) - temporal * np.mean(1.0 / local**2))

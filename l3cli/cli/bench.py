@@ -13,9 +13,9 @@ from l3cli.options.commands import BenchOptions
 @click.command()
 @declared.of(BenchOptions)
 def bench(options: BenchOptions) -> Result:
-    """Measure how long an OpenCL device takes to render synthetic frames. The result is the median of 40 frames for each
-    stage of rendering, from uint16 raw values to sRGB, both in host memory. Tiny frames are also timed with the numpy
-    reference.
+    """Measure how long an OpenCL device takes to render synthetic frames from uint16 raw values to sRGB. Raw values and
+    sRGB are in host memory. The result is the median over 40 frames for each stage of rendering. Tiny frames are also timed
+    with the numpy reference.
 
     \b
     Example: l3 bench --device 0 --json

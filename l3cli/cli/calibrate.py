@@ -44,7 +44,7 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write a draft of a measurement file. Options of a calibration raise UsageError."""
+    """Write a draft measurement file. Raises UsageError if a calibration option or a measurement file is also given."""
     from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]

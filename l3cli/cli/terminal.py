@@ -28,17 +28,17 @@ PARAMETER = re.compile("‹([a-z_]+)›")  # the form in which messages of other
 
 
 def show(*lines: str) -> None:
-    """Print lines of a result on stdout."""
+    """Print lines of a result to stdout."""
     click.echo("\n".join(map(printable, lines)))
 
 
 def show_table(title: Sequence[str], headings: Sequence[str], rows: Sequence[Sequence[str]], *notes: str) -> None:
-    """Print a table on stdout, fitted to the width of the terminal, with a title above and notes below."""
+    """Print a table to stdout, fitted to the width of the terminal, with a title above and notes below."""
     show(*title, *columns(headings, rows, width()), *notes)
 
 
 def show_json(document: Any) -> None:
-    """Print a document as JSON on stdout.
+    """Print a document as JSON to stdout.
 
     The output is ASCII, so that file names can be printed in every encoding.
     """
@@ -73,7 +73,7 @@ def with_options(message: str) -> str:
 
 
 def to_stderr(message: str) -> None:
-    """Print a message on stderr. If this fails, the command continues without the message."""
+    """Print a message to stderr. If printing fails, the message is dropped and the command continues."""
     try:
         click.echo(printable(with_options(message)), err=True)
     except OSError:
@@ -81,7 +81,7 @@ def to_stderr(message: str) -> None:
 
 
 def prepare() -> None:
-    """Print "?" for characters that stdout or stderr cannot encode, and ignore invalid COLUMNS or LINES."""
+    """Make stdout and stderr print "?" for characters that they cannot encode, and ignore invalid COLUMNS and LINES."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

@@ -1,6 +1,6 @@
 """Prediction of the error of any CFA from moments of spectral patches (docs/method.md#designs).
 
-The moments are computed once for a lens, a pixel and an illuminant. The error of an array then follows in closed form,
+The moments are computed once for a lens, a pixel and an illuminant. The error of a CFA then follows in closed form,
 without training. For the error in CIELAB, a patch with luminance Y has the weight (Y + 0.02)^(-2/3), which is the slope of
 CIELAB at a grey, so that an error of 1 is about one ΔE00. For linear errors, all weights are 1. If a filter clips on average
 in a group of patches, it contributes no information in this group.
@@ -30,7 +30,7 @@ WINDOW = 2  # half of the side, in pixels, of the square around the centre of a 
 
 
 def empty_sums(terms: int) -> Sums:
-    """Return sums of zero for `terms` principal spectra."""
+    """Return sums that contain no patches yet, for `terms` principal spectra."""
     kinds, taps = (len(WEIGHTINGS), len(GROUPS)), SIDE**2 * terms
     shapes = {"patches": kinds[1:], "weight": kinds, "mean": (*kinds, taps)}
     shapes["moment"] = (*kinds, taps + SOFT.stop + terms, taps + SOFT.stop + terms)
@@ -141,7 +141,7 @@ def groups_of(around: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def in_all_orientations(sums: Sums, terms: int) -> Sums:
-    """Average the sums over the eight orientations of a patch, so that an array and its mirror image have equal errors."""
+    """Average the sums over the eight orientations of a patch, so that a CFA and its mirror image have equal errors."""
     taps = np.arange(SIDE**2 * terms).reshape(SIDE, SIDE, terms)
     behind = np.arange(taps.size, taps.size + SOFT.stop + terms)
     moment, mean = np.zeros_like(sums["moment"]), np.zeros_like(sums["mean"])
@@ -162,7 +162,7 @@ CLIPPED_NOISE = 1e6  # noise variance of a clipped tap relative to its power; th
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a pixel, in electrons."""
+    """Noise parameters and full scale of a pixel, referred to electrons."""
 
     floor: float  # e-², variance of read noise, offsets and quantisation
     dark: float  # e-/s, dark current
@@ -171,7 +171,7 @@ class Noise:
 
 
 def noise_of(camera: CameraModel) -> Noise:
-    """Return the noise of the pixels of a camera, assuming that all channels have the same exposure and gain."""
+    """Return the noise parameters of a camera's pixels, assuming that all channels have the same exposure and gain."""
     noise = camera.noise
     floor = noise.temporal + noise.fixed + QUANTISATION / camera.gain**2
     return Noise(floor, noise.dark_current, camera.full_scale, noise.prnu)
@@ -189,9 +189,9 @@ class Level:
 
 
 def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
-    """Return the exposure of a white in cd s/m², and the exposure time in s.
+    """Return the exposure in cd s/m², which is the luminance of white times the exposure time, and the exposure time in s.
 
-    `white` is the signal of the brightest filter in the array, in e-/s, for a white of 1 cd/m².
+    `white` is the signal of the brightest filter in the CFA, in e-/s, for a white of 1 cd/m².
     """
     if level.share is None:
         return level.luminance * level.seconds, level.seconds
@@ -203,7 +203,7 @@ def exposure(level: Level, noise: Noise, white: float) -> tuple[float, float]:
 class Seen:
     """Moments of filter signals and outputs, for each group of patches under one illuminant.
 
-    The moments contain all filters of a library, so that the moments for an array are a selection of rows and columns. This
+    The moments contain all filters of a library, so that the moments for a CFA are a selection of rows and columns. This
     class also stores moments of the coefficients of principal spectra, which do not depend on any filters. The axis "filter"
     is then the principal spectrum, and `white` is empty.
     """
@@ -295,14 +295,14 @@ def seen_by(curves: Array, moments: LightMoments, spectra: Seen) -> Seen:
 
 
 def site_filters(cfa: Cfa) -> NDArray[np.intp]:
-    """Return the index of the filter at each tap of the patch around each site of an array, (site, tap)."""
+    """Return the index of the filter at each tap of the patch around each site of a CFA, as an array (site, tap)."""
     off = np.arange(SIDE) - SIDE // 2
     around = [np.ix_((row + off) % cfa.shape[0], (col + off) % cfa.shape[1]) for row, col in np.ndindex(*cfa.shape)]
     return np.array([cfa[each].ravel() for each in around])
 
 
 def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np.float64]:
-    """Return the predicted error of an array for each group of patches, averaged over the sites of the array."""
+    """Return the predicted error of a CFA for each group of patches, averaged over the sites of the CFA."""
     filters, tap, weight = site_filters(cfa), np.arange(SIDE**2), seen.weight[:, None]
     matrix = seen.signal[filters[:, :, None], filters[:, None, :], :, tap[:, None], tap].transpose(0, 3, 1, 2)
     cross = seen.cross[:, :, tap, filters].transpose(2, 0, 3, 1)  # (site, group, tap, output)
@@ -319,7 +319,7 @@ def array_errors(seen: Seen, cfa: Cfa, noise: Noise, level: Level) -> NDArray[np
 def clips_everything(seen: Seen, level: Level, noise: Noise) -> bool:
     """Whether each filter clips, on average, in each group of patches.
 
-    If the exposure is automatic, it is chosen for each filter as if the array consisted of this filter only.
+    If the exposure is automatic, the exposure of each filter is chosen as if the CFA consisted of this filter only.
     """
     doses, filled = np.array([exposure(level, noise, white)[0] for white in seen.white]), seen.patches > 0
     signals = seen.mean[filled].mean(axis=1) / seen.weight[filled, None] * doses  # (group, filter)

@@ -122,11 +122,11 @@ class DesignRecipe(Recipe):
     # chroma. "linear" is a difference in percent of white.
     counts: Literal["lab", "scielab", "luminance", "linear"] = "lab"
     optimise: OptimiseRecipe | None = None
-    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further arrays to train with --truth, as lists of rows
+    rivals: list[list[str]] = msgspec.field(default_factory=list)  # further CFAs to train with --truth, as lists of rows
 
     @property
     def needed(self) -> int:
-        """Smallest number of independent outputs that an array must have."""
+        """Minimum number of linearly independent outputs that a CFA must provide."""
         if self.output != "XYZ":
             return min(2, len(self.filters))
         return 1 if self.counts == "luminance" else 3

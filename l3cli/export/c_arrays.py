@@ -39,13 +39,13 @@ SHORT_TOP = 2**15 - 1
 
 @dataclass(frozen=True)
 class Array:
-    """A constant array of l3_table.c."""
+    """A constant array in l3_table.c."""
 
     name: str
     values: NDArray
     axes: str  # comment above the array, with the axes in parentheses
-    # Write a long array as string literals of its bytes, with a single axis. Compilers read strings fifty times as fast as
-    # numbers.
+    # whether the array is written as string literals that contain its bytes, flattened to one axis; used for long arrays,
+    # because compilers parse strings fifty times as fast as numbers
     packed: bool = False
 
     @property
@@ -147,7 +147,7 @@ def _last_floats(table: TransformTable) -> list[Array]:
 
 
 def _ratio_weights(taps: NDArray) -> list[Array]:
-    """Return the weights of the taps that follow the window taps (colour ratios and bilateral chroma), if there are any."""
+    """Return the weights of the taps after the window taps (colour ratios, bilateral chroma), if such taps exist."""
     return [Array("l3_ratio_weights", taps, "(class, output, tap)", packed=True)] if taps.size else []
 
 

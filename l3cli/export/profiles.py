@@ -1,7 +1,7 @@
-"""Files of a camera for other software (docs/method.md#colour-matrices).
+"""Exports a camera model to other software (docs/method.md#colour-matrices).
 
-The files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile as JSON for json2dcp from dcamprof, tuning
-files for libcamera, and a data sheet as CSV.
+The exported files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
+tuning files for libcamera, and a data sheet as CSV.
 """
 
 import csv
@@ -404,10 +404,11 @@ def _curves(camera: CameraModel) -> dict[str, str]:
 
 
 def _dcp_json(camera: CameraModel, known: Mapping[str, LightMatrices]) -> str:
-    """Return a DCP as JSON for json2dcp from dcamprof, with matrices for ILLUMINANTS.
+    """Return a DCP in the JSON format of `dcamprof json2dcp`, with matrices for ILLUMINANTS.
 
-    Two additional keys are not part of a DCP: Channels lists the names of the channels, with r, g and b in the order of raw
-    files. AsShotNeutral contains the signals of a grey under each illuminant, for use in DNG files.
+    Two keys are added that are not part of a DCP. Channels lists the names of the channels: r, g, b if the camera has these
+    channels, otherwise all channels in the order of the camera. AsShotNeutral contains the signals of a grey object under
+    each illuminant, for use in DNG files.
     """
     planes = list(rgb_order(camera.channels) or range(len(camera.channels)))
     lights = [known[light] for light in ILLUMINANTS]

@@ -329,7 +329,7 @@ def average_dark(frames: Iterable[RawFrame]) -> DarkFrame:
 
 
 def without_dark(frame: RawFrame, dark: DarkFrame) -> RawFrame:
-    """Subtract a dark frame from a frame. Its mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
+    """Subtract a dark frame from a frame. The mean level becomes `RawFrame.dark`, and clipped pixels stay clipped.
 
     Raises InputFileError if the dark frame has another size, phase, orientation or exposure time.
     """
@@ -390,7 +390,7 @@ def correction_again(file: CameraFile) -> Correction:
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """Return the camera model in a file, which may be a transform table."""
+    """Load the camera model from a file that is either a camera model or a transform table."""
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:

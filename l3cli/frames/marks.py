@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDING = 1e-5  # relative tolerance for marks that are written as text, such as -3.40282e+38
+ROUNDING = 1e-5  # relative tolerance for no-data values that are written as text, such as -3.40282e+38
 
 
 def missing(values: NDArray, mark: float, good: NDArray[np.bool_] | None = None) -> NDArray[np.bool_] | None:

@@ -16,7 +16,7 @@ from l3cli.frames.frame import RawFrame
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 # Differences between sites are relative to the signal.
-BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum number of super-pixels along a block, and of blocks along a frame
+BLOCK_SIDE, MAX_BLOCKS = 8, 32  # maximum side of a block in super-pixels; maximum number of blocks in each direction
 MIN_SIGNAL = 1e-3  # fraction of full scale; frames with a lower mean are too dark to check
 SITES_DIFFER = 0.02  # difference that indicates a wrong phase; correct phases reach 0.007, and wrong phases at least 0.045
 FAR_FROM_GREY = 0.75  # ln of the ratio of two channels, relative to a grey object; coloured scenes reach 0.67
@@ -28,7 +28,7 @@ MIN_BLACK, MAX_BLACK = 1 / 64, 1 / 6  # range of the black levels of real camera
 ROUGH, SMOOTHER = 0.01, 3.0
 MAX_BANDS = 32  # maximum number of bands, each two super-pixels high, in which roughness is measured
 ARRAY_PERIODS_PIXELS, COMMON_PERIOD = (4, 6, 8), 24  # periods of the CFAs that are considered, and a common multiple
-TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles along a frame
+TILE, TILES = 120, 8  # side of a tile in pixels, a multiple of all periods; maximum number of tiles in each direction
 # Mean difference between sites that indicates another CFA. Real Bayer frames reach 0.001 to 0.02, other CFAs 0.05 to 2.
 ARRAYS_DIFFER = 0.05
 MOST_SITES_DIFFER = 0.03  # with another CFA, 30 % of the sites differ by more; otherwise only autofocus pixels do
@@ -209,8 +209,8 @@ def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.
 def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     """Whether `means` is the mean super-pixel times a checkerboard, which is 1 plus or minus a product of two functions.
 
-    One is a function of the row and the other of the column. In CFAs that repeat with another period, either all sites of
-    the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
+    One function depends on the row, and the other function on the column. In CFAs that repeat with another period, either
+    all sites of the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
     """
     sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:

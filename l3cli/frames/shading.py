@@ -1,6 +1,6 @@
 """Correction of lens shading, the loss of light towards the corners (docs/method.md#corrections).
 
-The loss averaged over the channels is corrected by a gain on the outputs, which is possible because transforms are linear.
+The loss averaged over the channels is corrected by a gain of the outputs, which is possible because transforms are linear.
 Classes are still determined from the uncorrected values, whose noise agrees with the noise model. Only the deviation of each
 channel from the average is corrected in the values themselves, which changes their noise only slightly.
 """
@@ -24,15 +24,15 @@ MIN_COLOUR_SHADING = 8  # units of 2^-FRACTION (0.02 % in total); smaller differ
 class Shading:
     """The correction of lens shading for the frames of a sensor."""
 
-    gain: NDArray[np.float32]  # (row, node) gain on the outputs at every node; interpolated linearly between nodes
-    colour: NDArray[np.int16] | None  # (row, col) gain on the values minus 1, in units of 2^-FRACTION; None means 0
+    gain: NDArray[np.float32]  # (row, node) output gain at every node; interpolated linearly between nodes
+    colour: NDArray[np.int16] | None  # (row, col) gain of the raw values minus 1, in units of 2^-FRACTION; None means 0
 
     def gain_map(self, cols: int) -> NDArray[np.float64]:
-        """Return the gain on the outputs of each pixel (row, col)."""
+        """Return the output gain of each pixel, as an array (row, col)."""
         return self.gain_at(np.arange(len(self.gain)), np.arange(cols))
 
     def gain_at(self, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> NDArray[np.float64]:
-        """Return the gain (row, col) on the outputs at the given rows and columns."""
+        """Return the output gain for all combinations of the given rows and columns, as an array (row, col)."""
         node, part = cols // NODE_SPACING_COLUMNS, (cols % NODE_SPACING_COLUMNS) / NODE_SPACING_COLUMNS
         gain = self.gain[rows].astype(np.float64)
         return np.asarray(gain[:, node] + (gain[:, node + 1] - gain[:, node]) * part)
@@ -42,8 +42,8 @@ class Shading:
     ) -> "Shading":
         """Return the shading correction for patches instead of a frame.
 
-        It contains the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch. The
-        centres are all combinations of `rows` and `cols`.
+        The result contains the colour shading (patch, tap) of the pixels `taken`, and the gain at the centre of each patch.
+        The centres are all combinations of `rows` and `cols`.
         """
         colour = None if self.colour is None else self.colour[taken].reshape(rows.size * cols.size, -1)
         return Shading(self.gain_at(rows, cols).reshape(-1, 1).astype(np.float32), colour)

@@ -1,4 +1,4 @@
-"""Read photos of charts, their illuminants and the reflectances of the charts (docs/method.md#charts-in-photographs)."""
+"""Read photos of charts, with the illuminant and chart reflectances of each (docs/method.md#charts-in-photographs)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

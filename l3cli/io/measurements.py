@@ -150,7 +150,7 @@ def read_photos(photos: Sequence[Path], light: str | None, levels: Levels | None
 
 
 def parse_measurements(text: str, path: Path) -> AnyRecipe:
-    """Parse the text of a measurement file. Raises RecipeError, beginning with `path`, if a key is wrong."""
+    """Parse the text of a measurement file. Raises RecipeError with `path` in the message if a key is wrong."""
     name, based = str(path), "base" in parse_toml(text, str(path))
     recipe = parse_recipe(text, CorrectionRecipe, name) if based else parse_recipe(text, MeasurementRecipe, name)
     refuse_first(key_faults(recipe), path)
@@ -190,12 +190,12 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
 
 
 class MonoLight(NamedTuple):
-    """The measured light of one monochromator step."""
+    """The light measured at one monochromator step."""
 
     wavelength: Array  # (wavelength) nm
     radiance: Array  # (wavelength) photons/s/sr/m²/nm
     absolute: bool  # whether the absolute scale of the radiance is known
-    monitor: float  # light of the lamp during the capture, relative to the light when the spectrum was measured
+    monitor: float  # lamp output during the capture, relative to the output when the spectrum was measured
 
 
 class PatchRadiances(NamedTuple):
@@ -207,7 +207,7 @@ class PatchRadiances(NamedTuple):
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of all listed files except frames. Each tuple has the order of the measurement file."""
+    """The contents of all listed files except frames. Each tuple is in the order of the measurement file."""
 
     base: CameraModel | None = None
     mono: tuple[MonoLight, ...] = ()
@@ -219,12 +219,12 @@ class Contents:
 
 
 def _raised(*keys: KeyPath) -> AbstractContextManager[None]:
-    """Return a context that does not catch any errors. The first error then ends the reading."""
+    """Return a context that catches no errors, so that reading stops at the first error."""
     return contextlib.nullcontext()
 
 
 def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
-    """Read the files that a measurement file lists, except frames. Of frames, it only checks that the files exist.
+    """Read the files that a measurement file lists, except frames, and check that the frames exist.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: A
 
 
 def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable = read_table) -> float:
-    """Return the light of the lamp during a capture, relative to the light when its spectrum was measured.
+    """Return the lamp output during a capture, relative to the output when the spectrum was measured.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     nm : float
         Wavelength in nm of the maximum of the capture's spectrum.
     folder : Path
-        The folder of the measurement file. The name of the table is relative to it.
+        The folder of the measurement file, to which the name of the table is relative.
     read : callable
         Reads a table.
 
@@ -417,9 +417,9 @@ def _assembled(
     levels: Levels | None,
     read: Callable[[Path, Levels], RawContent],
 ) -> Measurements:
-    """Combine a recipe and the contents of its files to measurements, and read its photos.
+    """Combine a recipe and the contents of its files into measurements, and read the photos.
 
-    `levels` are used if photos do not state their levels. If `levels` is None, the levels of [datasheet] are used.
+    `levels` is used for photos that do not state their own levels. If `levels` is None, the levels in [datasheet] are used.
     """
     if isinstance(recipe, CorrectionRecipe):
         assert contents.base is not None

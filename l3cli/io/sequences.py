@@ -1,6 +1,6 @@
-"""Find the frames of a sequence, in order and with numbers: folders, patterns, globs, stacks, headerless streams, videos.
+"""Find the numbered frames of a sequence: a folder, pattern, glob, stack, headerless stream or video.
 
-The module also finds sequences of finished pictures for evaluation. It lists frames without reading them. Memory therefore
+The module also finds sequences of finished pictures for evaluation. Frames are listed without being read. Memory therefore
 does not grow with the number of frames, and frames can be read in advance.
 """
 
@@ -65,10 +65,10 @@ class FrameSequence:
     count: int | None  # expected number of frames; None for a stream of unknown length
     stills: bool  # whether the frames are independent pictures rather than a sequence in time
     rate: Fraction | None = None  # frames per second, if the file states it
-    missing: Sequence[range] = ()  # numbers of the frames that are missing
+    missing: Sequence[range] = ()  # ranges of frame numbers that are missing from the sequence
     is_stream: bool = False
-    wanted: range | None = None  # numbers selected from a stream
-    unit: int | None = 1  # increment of the numbers from frame to frame; None if the numbers do not count frames
+    wanted: range | None = None  # frame numbers selected from a stream
+    unit: int | None = 1  # step between consecutive frame numbers; None if irregular, as in time stamps
     times: Stated | None = None  # times of the frames, if the file states them
     part: range | None = None  # positions, counted from 0, of the frames to render; None for all frames
 
@@ -93,22 +93,22 @@ class FrameSequence:
         return InputFileError(f"{named} not in {self.what}; select existing frames with ‹frames›, or add ‹skip_bad›")
 
     def rest(self, number: int) -> range:
-        """Return the selected numbers that a stream no longer contains if it ended before frame `number`."""
+        """Return the selected frame numbers from `number` on, which are missing if a stream ended before this frame."""
         return self.wanted[self.wanted.index(number) :] if self.wanted else range(0)
 
 
 @dataclass(frozen=True)
 class _Series:
-    """An input: the numbers of its frames, and a function that reads a frame by its number."""
+    """An input: its frame numbers, and a function that reads the frame with a given number."""
 
     what: str  # name of the input in messages
-    numbers: Collection[int] | None  # in order; None for a stream
+    numbers: Collection[int] | None  # frame numbers in order; None for a stream
     read: Callable[[int], RawFrame | None]
     stem: Callable[[int], str]
     rate: Fraction | None = None
-    files: Mapping[int, Path] | None = None  # number → file, if each frame has its own file
+    files: Mapping[int, Path] | None = None  # frame number → file, if each frame has its own file
     times: Stated | None = None  # times of the frames, for a stream
-    expected: range | None = None  # numbers that should exist; None if no further numbers are expected
+    expected: range | None = None  # frame numbers that should exist; None if no numbers other than `numbers` are expected
 
 
 def find_frames(
@@ -118,7 +118,7 @@ def find_frames(
     selection: range | None = None,
     dataset: str | None = None,
 ) -> FrameSequence:
-    """Find the frames of one input of any kind, or of several files with one frame each.
+    """Find the frames of one input of any type, or of several files with one frame each.
 
     Parameters
     ----------
@@ -165,11 +165,11 @@ def find_frames(
 
 
 def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], list[range]]:
-    """Split the wanted numbers into existing numbers, in order, and ranges of missing numbers.
+    """Split the wanted frame numbers into existing numbers, in order, and ranges of missing numbers.
 
     Ranges are not expanded, because they may contain too many numbers to list.
     """
-    if isinstance(numbers, range):  # numbers of the frames of a stack, beginning with 0
+    if isinstance(numbers, range):  # a stack, whose frames are numbered from 0
         there: Sequence[int] = range(wanted.start, min(wanted.stop, len(numbers)), wanted.step)
         return there, [wanted[len(there) :]] if len(there) < len(wanted) else []
     there, missing, following = sorted(number for number in numbers if number in wanted), [], 0
@@ -212,7 +212,7 @@ def is_still(path: Path, table: TransformTable, known: RawOverrides) -> bool:
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of an input. References are created one by one during iteration, because there may be many."""
+    """The frames of an input. References are created one by one during iteration, because an input may have many frames."""
 
     series: _Series
     wanted: Iterable[int]
@@ -277,8 +277,8 @@ def _globbed(path: Path) -> list[Path]:
 def _series_of_files(what: str, paths: Iterable[Path], table: TransformTable, known: RawOverrides) -> _Series:
     """Return a series with one frame per file.
 
-    The number of a frame is the last number in its file name. If a name has no number, or if two have the same number, the
-    frames are counted from 0.
+    The number of a frame is the last number in its file name. If a name contains no number, or if two
+    names contain the same number, the frames are numbered from 0.
     """
     paths = list(paths)
     named = [number for path in paths if (number := last_number(path)) is not None]
@@ -430,7 +430,7 @@ def paired(ours: PictureSequence, wanted: PictureSequence | None) -> Iterator[tu
 def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
     """Read the motion of a frame since the previous frame, as an array (3, row, col).
 
-    The planes are the motion down in pixels, the motion right in pixels, and 1 where the motion is known.
+    The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known.
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():

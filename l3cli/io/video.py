@@ -71,7 +71,7 @@ class Encoding:
     reorders: int = 0  # number of frames that x265 needs before it knows the decoding times of B-frames
 
 
-# The output of x264 depends on how it divides the work. By default, it splits every frame into one slice per core, which
+# The output of x264 depends on how x264 divides the work. By default, every frame is split into one slice per core, which
 # makes files up to a tenth larger. A fixed number of parallel frames gives the same bytes on every machine.
 ENCODINGS = {
     "h264": Encoding("libx264", {8: "yuv420p"}, (".mp4", ".mov", ".mkv"), presets=True, frames_at_once=4),
@@ -488,10 +488,10 @@ class StatedTimes:
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the increment from one frame number to the next, or None if the numbers do not count frames.
+    """Return the step between consecutive frame numbers, or None if the numbers are irregular, as in time stamps.
 
-    The increment is the most common difference between consecutive numbers. It must account for at least half of the
-    differences, and every difference must be a multiple of it.
+    The step is the smallest difference between consecutive numbers. Numbers are irregular unless at least half of the
+    differences are equal to the step, and every difference is a multiple of the step.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
@@ -505,7 +505,7 @@ class Pacing:
     Parameters
     ----------
     unit : int or None
-        Increment of the frame numbers. None if the numbers do not count frames. Frames are then evenly spaced.
+        Step between consecutive frame numbers. None if the numbers are irregular. Frames are then evenly spaced.
     stated : StatedTimes, optional
         Times to use instead of the frame numbers.
     step : int

@@ -1,1 +1,1 @@
-"""Recipes: typed values from TOML files, their faults, their JSON schemas, and the recipes that come with l3."""
+"""Recipes: parsing of TOML files into typed values, error reporting, JSON schemas, and the recipes supplied with l3."""

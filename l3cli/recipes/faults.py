@@ -16,7 +16,7 @@ from l3cli.recipes.messages import place, plain
 from l3cli.recipes.toml import KeyPath, Recipe, refusals
 
 R = TypeVar("R", bound=Recipe)
-LISTED_FAULTS = 100  # number of faults with a message; further faults are only counted
+LISTED_FAULTS = 100  # maximum number of faults that are reported individually; further faults are only counted
 _fields = functools.cache(msgspec.structs.fields)
 UNIONS = (Union, types.UnionType)
 
@@ -38,7 +38,7 @@ def _path(key: str | KeyPath) -> KeyPath:
 
 
 def inside(faults: Iterable[Fault], *table: str | int) -> Iterator[Fault]:
-    """Yield the faults of a table in a recipe, with keys that are extended by the position `table` in the recipe."""
+    """Yield the faults of a table in a recipe, with the position `table` of the table prepended to each key."""
     return (Fault(message, tuple((*table, *key) for key in keys)) for message, keys in faults)
 
 

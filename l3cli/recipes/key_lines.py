@@ -1,4 +1,4 @@
-"""Finds the line of each key in a TOML text, which tomllib does not report."""
+"""Find the line number of each key in a TOML document. tomllib does not report line numbers."""
 
 import re
 import tomllib
@@ -16,17 +16,17 @@ TOKEN = re.compile(rf"{STRING}|#[^\n]*|[^\"'#.,\[\]{{}}=\n]+|.", re.DOTALL)  # a
 
 
 def line_of(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
-    """Return the line of a key. If the key is missing, return the line of its table, or 1 if there is no table."""
+    """Return the line number of a key. If the key is missing, return the line of its table, or 1 if there is no table."""
     return next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), 1)
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line of every key, table and list entry in a valid TOML text. Lines are counted from 1."""
+    """Return the line number, from 1, of every key, table and list entry in a valid TOML document."""
     return _Scanner(text.replace("\r\n", "\n")).document()
 
 
 class _Scanner:
-    """Finds the lines of keys in one pass over the tokens. Each method reads one element of TOML."""
+    """Finds the line numbers of keys in one pass over the tokens. Each method reads one element of TOML."""
 
     def __init__(self, text: str) -> None:
         self.text, self.tokens = text, TOKEN.finditer(text)

@@ -33,12 +33,12 @@ TWO_LAYERS = ("default",)  # class recipes with a second layer
 STRENGTHS, COHERENCE, DIRECTED = (1.7, 8.0, 40.0), 31, 2.0  # as in configs/classes/default.toml
 BITS, BLACK_LEVEL, WHITE_LEVEL, CASE_COUNT = 12, 109, 4095, 10
 FRAMES = 40  # number of frames that are timed
-WARM_UP = 3  # number of frames that are rendered before without timing
+WARM_UP = 3  # number of frames that are rendered before the timing starts
 
 
 @dataclass(frozen=True)
 class Case:
-    """Parameters of one measurement, which is one line of the result."""
+    """Parameters of one benchmark case. Each case is one line of the result."""
 
     width: int
     height: int
@@ -204,7 +204,7 @@ SMALL_CASES = (Case(64, 48, 9, "five-band", "fast"),)
 
 
 def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str, Any]]]:
-    """Return the measurements to make on a device, as functions without parameters.
+    """Return functions without parameters, each of which runs one benchmark case.
 
     Without `variant`, the default variant and the reference renderer are measured.
     """

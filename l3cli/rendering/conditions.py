@@ -84,7 +84,7 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
 def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     """Return a mixture that consists of only the nearer illuminant in the result of `mix_for`.
 
-    It is used for pictures, whose white balance corrects the remaining difference between the illuminants.
+    This mixture is used for pictures, whose white balance corrects the remaining difference between the illuminants.
     """
     mix = mix_for(table, white)
     return None if mix is None else replace(mix, share=float(mix.share >= 0.5))
@@ -149,7 +149,7 @@ def _mixed_layers(common: Layers, warm: Layers, cool: Layers, shares: Sequence[N
 
 
 def _between(warm: NDArray[Float], cool: NDArray[Float], share: NDArray[np.float64] | float) -> NDArray[Float]:
-    """Return the weighted mean of two arrays. `share` is the weight of `cool`, as one number or one per first index.
+    """Return the weighted mean of two arrays. `share` is the weight of `cool`: a number, or an array along the first axis.
 
     Elements that are equal in both arrays stay unchanged to the last bit.
     """
@@ -189,7 +189,7 @@ def nearest_step(gain: float) -> float:
 
 
 def at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table to frames with a different analog gain (docs/method.md#gains).
+    """Convert a table for frames with a different analog gain (docs/method.md#gains).
 
     Transforms for less noise are kept if they apply at this gain. A table without its camera is returned unchanged.
 
@@ -214,7 +214,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_gain(table: TransformTable, gain: float) -> TransformTable:
-    """Convert a table without transforms for single illuminants in the same way as `at_gain`."""
+    """Convert a table as `at_gain` does. The table must not contain transforms for single illuminants."""
     usual, known = replace(table, conditions=()), [(each.noise, each) for each in table.noises if each.noise]
     less = []
     for at in (1.0, *(gain * left for left in LEFT if gain * left > 1)):
@@ -227,7 +227,7 @@ def _at_gain(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _equivalent(table: TransformTable, gain: float) -> TransformTable:
-    """Return a table with one set of transforms for a gain.
+    """Return a table with a single set of transforms, which is for the given gain.
 
     A level at this gain has the same relative noise as another level at the gain of the camera model. Each class gets the
     transforms of this other level. Classes of clipped pixels keep their own transforms.
@@ -268,11 +268,11 @@ def _equivalent(table: TransformTable, gain: float) -> TransformTable:
 
 
 def _at_levels(layer: Any, sites: int, place: NDArray[np.float64]) -> Any:
-    """Return a copy of a layer in which unclipped classes have the transforms of other levels.
+    """Return a copy of a layer in which unclipped classes use transforms from other levels.
 
-    Transforms of unclipped classes have no intercept, so they can be exchanged between levels. `place` contains, for each
-    level of the first layer, the number of the level whose transforms replace its own. A fractional number interpolates
-    between two levels. `sites` is the number of CFA sites.
+    Transforms of unclipped classes have no intercept, so they can be used at other levels. `place` contains, for each level
+    of the first layer, the index of the level from which the transforms are copied. If an index is fractional, the
+    transforms of the two adjacent levels are interpolated. `sites` is the number of CFA sites.
     """
     rule, first = layer.rule, isinstance(layer, MosaicLayer)
     every, numbers = np.arange(len(layer.weights)), np.arange(place.size)
@@ -296,14 +296,14 @@ def noise_limits(table: TransformTable) -> dict[NoiseScale, float]:
     Returns
     -------
     dict of NoiseScale to float
-        Limits by the noise of the set. The set with the largest noise comes first.
+        Limit for the noise of each set. The set with the largest noise comes first.
     """
     lower = sorted((each.noise for each in table.noises if each.noise and each.noise.shot < 1), key=lambda each: -each.shot)
     return {each: each.shot**0.75 * above.shot**0.25 for above, each in itertools.pairwise([NoiseScale(), *lower])}
 
 
 class NoiseSets:
-    """All sets of transforms of a table. For each pixel of a frame, one set is chosen by the remaining noise.
+    """All sets of transforms of a table. The remaining noise of a pixel determines the set with which the pixel is rendered.
 
     The first set is for the noise of the table's camera, and the other sets are for less noise. The classes of all sets are
     numbered consecutively, as if each set had its own sites, so that all transforms are in one array.
@@ -344,7 +344,7 @@ class NoiseSets:
 
     @functools.cached_property
     def first(self) -> MosaicLayer:
-        """The first layers of all sets, joined into one layer. Its class rule is that of the first set."""
+        """The first layers of all sets, joined into one layer, with the class rule of the first set."""
         names = ("weights", "intercept", "samples", "condition")
         return self._joined(names, [table.first for table in self.tables])
 
@@ -401,7 +401,10 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
 
 
 def _with_edges(rule: ClassRule, share: float | NDArray[np.float64]) -> ClassRule:
-    """Scale the class edges that depend on noise. `share` is a fraction of the noise variance, for all or for each level."""
+    """Scale the class edges that depend on noise.
+
+    `share` is a fraction of the noise variance, which may be one number for all levels or one number per level.
+    """
     features = tuple(module.with_less_noise(feature, share) for module, feature in features_of(rule))
     stored = StoredFeatures.of(features) if features else None
     return replace(rule, contrast_edges=_scaled(rule.contrast_edges, share), features=stored)

@@ -25,7 +25,7 @@ NOISE_WHERE_CLIPPED = 0.05
 
 
 class SpreadSamples:
-    """Takes about 1500 evenly spaced patches from a frame, all at the same CFA site, and determines their classes."""
+    """Extracts about 1500 evenly spaced patches at one CFA site from a frame, and determines the class of each patch."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table = table
@@ -33,7 +33,7 @@ class SpreadSamples:
         self._orders: dict[int, TapOrder] = {}  # CFA site → order of the taps
 
     def of(self, frame: RawFrame, gains: np.ndarray | None = None) -> tuple[RawFrame, int, Integers]:
-        """Return patches of a frame, their CFA site and their classes.
+        """Return patches of a frame, with the CFA site and the class of each patch.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class SpreadSamples:
         return replace(frame, values=patches, shading=shading)
 
     def shape(self, frame: RawFrame) -> tuple[int, int]:
-        """Return the numbers of rows and columns of the grid of patches. The patches are numbered row by row."""
+        """Return the number of rows and of columns in the grid of patches. The patches are numbered row by row."""
         down, across = self._geometry(frame)
         return len(_windows(*down)[0]), len(_windows(*across)[0])
 
@@ -110,7 +110,7 @@ class LightMeter:
         self._limit = np.inf if table.clipped_white is None else table.clipped_white[1]
 
     def brightness(self, frame: RawFrame, balance: WhiteBalance | None = None) -> float:
-        """Return the luminance Y that should be displayed as white, after the gains of a white balance."""
+        """Return the luminance Y to be displayed as white, with the gains of `balance` applied."""
         patches, site, labels = self._samples.of(frame, None if balance is None else balance.gains)
         classes = self.table.first.rule.on_site(labels, site)
         luminance = np.einsum("nt,nt->n", self._weights[classes], self._samples.signal(patches)) + self._intercept[classes]
@@ -207,7 +207,7 @@ class SteadyExposure:
     """Computes the exposure scale of the frames of a sequence, one after another.
 
     The first frame gets the scale that its brightness requires. After the first frame, the logarithm of the scale approaches
-    the required value exponentially. This averages the measurement noise, and follows changes of the light without
+    the required value exponentially. This smooths the measurement noise, and follows changes of the light without
     overshoot. Changes of the analog gain are followed immediately. The scale does not depend on later frames.
     """
 
@@ -237,7 +237,7 @@ class OutOfRange:
 
 
 class RangeMeter:
-    """Measures for which fraction of its pixels a table was not trained, from about 1500 pixels per frame."""
+    """Measures the fraction of a frame's pixels for which a table was not trained, from about 1500 pixels per frame."""
 
     def __init__(self, table: TransformTable) -> None:
         self._table, self._spread = table, SpreadSamples(table)

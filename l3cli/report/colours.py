@@ -70,12 +70,12 @@ def _at_luminance(linear: Array) -> Array:
 
 
 def hex_colour(linear: Array) -> str:
-    """Format a linear sRGB colour (3) as #rrggbb."""
+    """Format a linear sRGB colour as #rrggbb."""
     return "#" + "".join(f"{code:02x}" for code in srgb_codes(linear))
 
 
 def ink_on(linear: Array) -> str:
-    """Choose black or white text, whichever is easier to read on a linear sRGB background (3)."""
+    """Return black or white, whichever is easier to read as text on the background colour `linear` (linear sRGB)."""
     return "#000000" if float(linear @ LUMA) > LINE_LUMINANCE else "#ffffff"
 
 

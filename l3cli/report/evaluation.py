@@ -391,7 +391,10 @@ def _class_blocks(document: dict[str, Any]) -> tuple[Block, ...]:
 
 
 def lit_as(luminance: float, at: float | None) -> bool:
-    """Whether the luminance of a frame (cd/m²) is equal to `at` within SAME_LUMINANCE. Always true if `at` is None."""
+    """Whether the luminance of a frame (cd/m²) matches `at`, with a relative tolerance of SAME_LUMINANCE.
+
+    The result is true if `at` is None.
+    """
     return at is None or abs(luminance / at - 1) < SAME_LUMINANCE
 
 

@@ -16,7 +16,7 @@ from l3cli.system.text import tidy
 
 Array = NDArray[np.floating]
 DECADE_OPACITIES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)  # opacity of cells with 1–9, 10–99, … patches
-MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing; numbers replace them
+MAX_NAME_CHARACTERS = 22  # longer names do not fit next to a drawing and are replaced by numbers
 MAX_MAPS = 3  # maximum number of outputs whose weights are drawn
 
 
@@ -133,7 +133,7 @@ def _contrast(table: TransformTable, contrast: int) -> str:
 
 
 def _population(counts: Array, rows: list[str], levels: list[str], title: str, y_label: str) -> Figure:
-    """Draw the number of patches for each row and level. A cell is more opaque the more patches it contains."""
+    """Draw a heat map of the number of patches per row and level. Cells with more patches are more opaque."""
     decade = np.clip(np.floor(np.log10(np.maximum(counts, 1))), 0, len(DECADE_OPACITIES) - 1).astype(int)
     shares = np.where(counts > 0, np.array(DECADE_OPACITIES)[decade], 0.0)
     filled = int((counts > 0).sum())

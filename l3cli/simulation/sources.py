@@ -175,7 +175,7 @@ class WantedScene:
 
     @property
     def error(self) -> type[L3Error]:
-        """Class of errors about this scene: InputFileError if the scene is a file, otherwise RecipeError."""
+        """Class of exceptions for faults in this scene: InputFileError if the scene is a file, otherwise RecipeError."""
         return RecipeError if self.path is None else InputFileError
 
 

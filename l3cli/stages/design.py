@@ -483,7 +483,11 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Train and evaluate the `most` best CFAs, a Bayer CFA, the rivals in the recipe, and the CFA with tuned filters."""
+        """Train and evaluate CFAs.
+
+        The CFAs are the best ones of the design (at most `most`), the best Bayer CFA, and the rival CFAs in the recipe. If
+        filters were tuned, the CFA with tuned filters is also trained, both with the original and with the tuned filters.
+        """
         task, names = self.task, self.task.names
         given = [made.patterns[place] for place in made.best(most)]
         given += [shown(task.numbered(rows), names) for rows in task.wanted.rivals]

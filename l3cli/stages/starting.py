@@ -153,7 +153,7 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Create a folder for a camera with the CFA that has the smallest predicted error in a design.
+    """Create a camera folder from a design, with the CFA that has the smallest predicted error.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
-    """Write a recipe folder. Raise an error if its camera cannot be simulated."""
+    """Write a recipe folder. Raises an error if the camera in the folder cannot be simulated."""
     used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
@@ -188,7 +188,7 @@ def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[s
 def named_camera(name: str) -> PhotoCamera:
     """Return a camera that l3 knows by name.
 
-    Its responsivities were measured and its sensor data were published. Other values, such as the f-number, are assumed.
+    The responsivities were measured, and the sensor data were published. Other values, such as the f-number, are assumed.
     """
     known, curves = known_cameras().camera[name], known_curves(name)
     return without_photo(known.body, known.levels, known.stated, curves, known_cameras().source)

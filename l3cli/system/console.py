@@ -20,16 +20,16 @@ class Console(Protocol):
     """Interface of objects that receive the messages of a stage, such as a terminal or `Silent`."""
 
     def progress(self, items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-        """Yield `items` and report progress. `total` is their number, if known, and `what` is their noun in the plural."""
+        """Yield `items` and report progress. `total` is the number of items, if known; `what` is a plural noun for them."""
 
     def info(self, message: str) -> None:
-        """Report what was made, or what the user can do next."""
+        """Report a result, or suggest what the user can do next."""
 
     def warn(self, message: str) -> None:
-        """Warn about something that may make the result worse."""
+        """Warn about something that may degrade the result."""
 
     def report(self, message: str) -> None:
-        """Report that l3 left out part of the work, or a risk that it cannot prevent. Shown even with --quiet."""
+        """Report omitted work, or a risk that l3 cannot prevent. Shown even with --quiet."""
 
 
 class Silent:
@@ -144,7 +144,7 @@ class Logged(Passing):
         self.heard("info", f"{what}: {done} done in {time.monotonic() - start:.3g} s")
 
     def heard(self, level: str, message: str) -> None:
-        """Append a line. If the log can no longer be written, report this once, and let the command continue."""
+        """Append a line. If the log can no longer be written, report the failure once and continue."""
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         if self._lost:
             return

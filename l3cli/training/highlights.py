@@ -87,9 +87,9 @@ def grey_patches(
         for nearly in CLIPPING_FRACTIONS:
             saturated = clipped >= nearly * threshold
             case = int(saturation.cases(rule, saturation.code_of(saturated)))
-            # Greys that clip in every channel all have the same values. If greys whose last channel almost clips were added,
-            # the class would learn to raise its output steeply over the last per cent of this channel. Textures, whose taps
-            # are far below clipping, would then become black.
+            # All greys that clip in every channel have identical values. If greys with a channel just short of clipping were
+            # added, the class would learn a steep rise over the top 1 % of the range of this channel. Textures, whose taps
+            # are far below clipping, would then be rendered black.
             if not case or (saturated.all() and clipped.min() < 1.0):
                 continue
             clipped_filters = (saturated[:, None] | ~same).all(axis=0).mean() or UNCLIPPED_FRACTION
@@ -183,7 +183,7 @@ def white_channels(
 def error_of_white(light: LightSpectrum, camera: CameraModel) -> Array:
     """Return the relative error of the signals of white that a regression on measured surfaces predicts.
 
-    The error is a few per cent for visible light. It is large for a camera that is sensitive to infrared light, which X, Y
+    The error is a few per cent for visible light, but large for a camera that is sensitive to infrared light, which X, Y
     and Z do not contain.
 
     Returns

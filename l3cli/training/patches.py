@@ -27,8 +27,8 @@ class Patches:
 
     signal: Floats  # (patch, tap) as a fraction of full scale
     target: Floats  # (patch, output) in the output unit of the table
-    carried: Floats | None = None  # (patch, tap) noise variance that real signals already contain, in full scale², or None
-    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None means that none does
+    carried: Floats | None = None  # (patch, tap) noise variance that measured signals contain, in full scale², or None
+    colourless: NDArray[np.bool_] | None = None  # (patch) whether a patch shows only luminance; None if none does
 
     def possible(self, scale: NDArray[np.float64]) -> NDArray[np.float64]:
         """Limit the factors by which patches are made brighter or darker.
@@ -330,7 +330,7 @@ def _normal_deviates() -> Floats:
 def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     """Return standard normal values, which are read from 2²⁰ precomputed values starting at a random position.
 
-    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only decide the class
+    This is twenty times as fast as drawing new values. The repetition does no harm, because the values only affect the class
     of each patch.
     """
     pool, size = _normal_deviates(), math.prod(shape)
@@ -347,7 +347,7 @@ def expose_patches(
     dark: float = 0.0,
     channel: NDArray[np.integer] | None = None,
 ) -> NDArray[np.uint32]:
-    """Convert signals to raw values with noise, from which the class of each patch is determined.
+    """Convert signals to noisy raw values, which determine the class of each patch.
 
     Parameters
     ----------
@@ -356,7 +356,8 @@ def expose_patches(
     camera : CameraModel
     rng : numpy.random.Generator
     carried : ndarray, optional
-        Noise variance that real signals already contain, in full scale². Only the missing noise is added. [default: 0]
+        Noise variance that measured signals already contain, in full scale². Only the rest of the noise is added.
+        [default: 0]
     dark : float
         Dark signal that has been subtracted from the frame, in DN.
     channel : ndarray, optional
@@ -402,10 +403,10 @@ def _variance(
 ) -> Floats:
     """Return the variance of the noise to add to each signal, in full scale².
 
-    This is the noise variance of the camera, minus the variance `carried` that the signals already contain, minus the
+    The result is the noise variance of the camera, minus the variance `carried` that the signals already contain, minus the
     variance `later`, in DN², that rounding will add.
     """
-    if carried is not None:  # only real signals can be negative
+    if carried is not None:  # only measured signals can be negative
         signal = np.clip(signal, 0.0, np.inf)
     span = camera.white_level - camera.black_level
     constant, linear, quadratic = camera.noise_terms(dark, channel)

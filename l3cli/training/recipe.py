@@ -66,7 +66,7 @@ class LearningRecipe(Recipe):
     # (docs/method.md#second-pass)
     error_power: ErrorPower = 0.25
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
-    # weight of the noise covariance for Y; spectral outputs have this weight, too, but at most 1
+    # weight of the noise covariance for Y, and also for spectral outputs, for which it is limited to 1
     # (docs/method.md#noise-weights)
     luminance_noise: NotNegative = 1.5
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma outputs
@@ -80,15 +80,15 @@ class LearningRecipe(Recipe):
     # spectral outputs only: width in pixels (odd) of the window over which spectra are smoothed while each pixel keeps its
     # brightness (docs/method.md#smoothed-spectra); with 0, spectra are not smoothed
     spectral_window: Annotated[int, msgspec.Meta(ge=0, le=WINDOWS[-1])] = 0
-    # smoothing ignores pixels whose brightness differs from that of the central pixel by at least this fraction
+    # smoothing ignores pixels whose brightness differs from the central pixel by at least this fraction
     spectral_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.3
     # X, Y, Z only: limit of the difference of X/Y and Z/Y, relative to those of white, for averaging the chroma of a pixel
     # with that of a neighbour (docs/method.md#smoothed-chroma); with 0, chroma is not smoothed
     chroma_likeness: NotNegative = 0.0
-    # limit of the relative difference of luminance for the same
+    # limit of the relative difference of luminance for averaging the chroma
     chroma_reach: Annotated[float, msgspec.Meta(gt=0, lt=1)] = 0.6
     symmetry: bool = True  # whether rotated and mirrored CFA sites are trained together (docs/method.md#symmetry)
-    # whether all CFA sites must give the same outputs for a uniform patch (docs/method.md#equal-response)
+    # whether all CFA sites must produce the same outputs for a uniform patch (docs/method.md#equal-response)
     equal_response: bool = True
 
     @property
@@ -123,10 +123,10 @@ class LayerRecipe(Recipe):
     ridge: Positive = 1e-5  # regularisation of the least squares, relative to the mean power of a tap
     luminance_noise: NotNegative = 1.5  # weight of the noise covariance for Y, or for spectral outputs
     chroma_noise: NotNegative = 2.0  # weight of the noise covariance for the two chroma planes
-    # training samples have the weight (Y / level)^-power; without this key, the power is that of [learning]
+    # training samples have the weight (Y / level)^-power; without this key, the power in [learning] is used
     brightness_power: Share | None = None
     # training samples have the weight (e² + ¼)^-power, where e is the error of the previous layers; without this key, the
-    # power is that of [learning]
+    # power in [learning] is used
     error_power: ErrorPower | None = None
     # last layer only: whether the transforms also read the chroma that a pixel would have if only the shading varied
     # (docs/method.md#colour-ratios)
@@ -149,8 +149,8 @@ class LayerRecipe(Recipe):
 
 
 class TrainingRecipe(Recipe):
-    """A class recipe: the classes of the first layer, their training, and up to three refinement layers. Keys that the
-    recipe omits have the defaults below, which describe a single layer."""
+    """A class recipe: the classes of the first layer, how they are trained, and up to three refinement layers. Omitted keys
+    have the defaults below, which describe a single layer."""
 
     title: ClassVar[str] = "a class recipe"
 
@@ -227,7 +227,7 @@ def draft_of(recipe: TrainingRecipe) -> TrainingRecipe:
 
 
 def require_one_go(learning: LearningRecipe) -> None:
-    """Raise a RecipeError if the recipe asks for transforms for single illuminants, which shards cannot train."""
+    """Raise a RecipeError if the recipe sets `lights`. Transforms for single illuminants cannot be trained in shards."""
     if learning.lights:
         raise RecipeError(
             "transforms for single illuminants (learning.lights) cannot be trained in shards; train without ‹shard›, or "

@@ -104,12 +104,12 @@ def parents_of(sums: ClassSums, rule: ClassRule) -> ClassSums:
 
 
 def parent_of(index: Any, rule: ClassRule) -> Any:
-    """Return the numbers of the parents of the classes `index`."""
+    """Return the index of the parent of each class in `index`."""
     place = rule.split(index)
     return rule.join_cases(place.level, place.contrast, rule.case(place.kind))
 
 
-# In textured classes, a difference between sites counts as much as an error on this number of uniform patches per patch.
+# Weight of differences between sites in textured classes, as the equivalent number of uniform patches per patch.
 UNIFORM_WEIGHT = 0.2
 # Uniform surfaces have the weight 1 / (1 + 1000 μ + (2000 χ μ)²) at the ratio μ of noise power to signal power. χ is the
 # nearness of the chroma to white (docs/method.md#uniform-surfaces).
@@ -123,8 +123,8 @@ class OutputKind(NamedTuple):
 
     noise_weight: float  # weight of noise relative to bias (docs/method.md#noise-weights)
     # Whether the output is also trained on uniform greys, surfaces and single bands (docs/method.md#clipped-areas).
-    # Luminance is trained on these only if uniform areas have classes of their own, because the mean luminance of clipped
-    # textures differs from that of clipped uniform areas.
+    # Luminance is trained on these patches only if uniform areas have classes of their own, because the mean luminance of
+    # clipped textures differs from the mean luminance of clipped uniform areas.
     taught: bool
 
 
@@ -132,9 +132,9 @@ class OutputKind(NamedTuple):
 class Solution:
     """Wiener solutions of the classes of one canonical site, in the opponent basis (docs/method.md#equal-response).
 
-    The *response* of a transform is the sum of its taps for each channel, and its intercept. It describes how the transform
-    renders uniform areas. The *compliance* describes how the best taps change if the response is constrained to another
-    value.
+    The *response* of a transform is the sum of its taps for each channel, and its intercept. The response describes how the
+    transform renders uniform areas. The *compliance* describes how the best taps change if the response is constrained to
+    another value.
     """
 
     taps: Array  # (class, tap + 1, output); the last tap is the intercept
@@ -195,7 +195,7 @@ def solve(
     solved = parents.count[parent] > 0 if recipe.parent_patches else samples > 0
     if not solved.any():
         raise L3Error("no class has training patches; simulate more frames")
-    groups = np.append(window, window.max() + 1)  # the intercept is treated as a further channel
+    groups = np.append(window, window.max() + 1)  # the intercept is treated as an additional channel
     member = (groups[None] == np.arange(groups.max() + 1)[:, None]).astype(np.float64)
     equations = _equations(recipe, goal, rule)
     basis = _opponent_basis(goal)
@@ -294,9 +294,9 @@ def equal_responses(
 ) -> list[Transforms]:
     """Constrain the transforms of all sites to a common response (docs/method.md#equal-response).
 
-    All sites then give the same outputs for a uniform patch, and white is rendered exactly as white. In textured classes of
-    spectral outputs, the responses may differ if this reduces the error. If a class has no solution at some site, all sites
-    use the transform of the nearest class that has solutions at all sites.
+    All sites then produce the same outputs for a uniform patch, and white is rendered exactly as white. In textured classes
+    of spectral outputs, the responses may differ if this reduces the error. If a class has no solution at some site, all
+    sites use the transform of the nearest class that has solutions at all sites.
 
     Parameters
     ----------

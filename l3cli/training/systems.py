@@ -95,7 +95,10 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
 
 
 def fits_between(transforms: Array) -> NDArray[np.bool_]:
-    """Return, for each class, whether its transform (tap + 1, plane) from planes to planes fits the integer formats."""
+    """Return, for each class, whether the transform can be represented in the integer formats.
+
+    The transforms (class, tap + 1, plane) compute the planes of one layer from the planes of the previous layer.
+    """
     planes = np.swapaxes(transforms, 1, 2)
     return room_between(planes[..., :-1], planes[..., -1]) > ROUNDING_MARGIN
 
@@ -116,7 +119,7 @@ def _systems(equations: Equations, chosen: NDArray[np.intp], ridge: float) -> Ar
     """Return X Xᵀ + noise_weight · Λ + ridge for the chosen classes, as an array (class, tap, tap)."""
     taps = equations.noise.shape[1]
     systems = equations.power[chosen]
-    diagonal = np.einsum("cii->ci", systems)  # a view, so changes of the diagonal change `systems`
+    diagonal = np.einsum("cii->ci", systems)  # a view, so changing the diagonal changes `systems`
     diagonal[:, taps:] += 1e-9
     mean = diagonal[:, :taps].mean(axis=1, keepdims=True)
     diagonal[:, :taps] += equations.noise_weight * equations.noise[chosen] + ridge * mean + 1e-12

@@ -183,7 +183,7 @@ def canonical_sites(head: TrainingSet, rule: ClassRule, recipe: LearningRecipe) 
 
 
 def add_up(pass_: TrainingPass, parts: Iterable[ClassSums]) -> ClassSums:
-    """Return the total of the sums in `parts`, or raise an L3Error if a class has too many patches for an exact addition."""
+    """Add up the partial sums in `parts`. Raises L3Error if a class has too many patches for an exact total."""
     outputs = len(pass_.head.outputs)
     sums = empty_sums(pass_.rule, outputs)
     for part in parts:

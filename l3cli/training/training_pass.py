@@ -52,7 +52,7 @@ class TrainingPass:
 
     @functools.cached_property
     def goal(self) -> Goal:
-        """What the transforms are trained for.
+        """The goal of the training.
 
         The goal is cached for all sites, because its computation can take as long as solving the equations of one site.
         """
@@ -62,8 +62,8 @@ class TrainingPass:
     def divisors(self) -> dict[int, int]:
         """For each canonical site, the divisor of its number of patches (docs/method.md#symmetry).
 
-        Some rotations and reflections leave the CFA around a site unchanged. Each of these turns a patch into an additional
-        patch. Sites with more of these symmetries therefore need fewer patches.
+        Some rotations and reflections leave the CFA around a site unchanged. Each such symmetry turns a patch into an
+        additional patch. Sites with more symmetries therefore need fewer patches.
         """
         camera, allowed = self.head.camera, self.recipe.orientations
         channel = neighbourhoods(camera.cfa, self.rule.patch, len(camera.channels)).channel
@@ -77,10 +77,10 @@ class TrainingPass:
         return self.recipe.first_draws if self.number == FIRST else self.recipe.draws
 
     def brightness(self, target: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the brightness of targets (patch, output), to which errors are relative.
+        """Return the brightness of each target (patch, output). Training errors are relative to the brightness.
 
-        The brightness is the output Y. If no output is called Y, the brightness is the mean of the outputs. Negative values
-        are replaced by 0.
+        The brightness is the output Y, or the mean of the outputs if no output is called Y. Negative values are replaced
+        by 0.
         """
         return np.maximum(brightness_of(target, self.head.outputs), np.float32(0.0))
 

@@ -19,20 +19,20 @@ from l3cli.frames.measurement import PATCHES
 from l3cli.physics import charts
 from l3cli.spectra.table import BRIGHTEST, DIMMEST, CurveTable
 
-DARK = 0.01  # frames with a signal below this fraction of the range of all frames were captured without light
+DARK = 0.01  # fraction of `Scale.range`; frames with a lower signal are treated as dark frames
 ALIKE = 0.04  # largest relative difference between the signals of one capture, or under the same illuminant
-CLIPPED = 0.97  # fraction of the range of all frames from which a capture counts as saturated
+CLIPPED = 0.97  # fraction of `Scale.range`; captures with a higher 90th percentile are treated as saturated
 SAME_RATE = 0.1  # largest relative difference between signals per second under the same illuminant
-LEAST_WHITES = 3  # smallest number of exposures under the same illuminant that form a series of white frames
-# A frame with "dark" in its name is suspicious if its signal exceeds both this fraction of the range and this multiple of
-# the noise.
+LEAST_WHITES = 3  # smallest number of captures under the same illuminant that are treated as white
+# A frame with "dark" in its name is suspicious if its signal exceeds both the fraction BRIGHT_DARK of `Scale.range` and
+# BRIGHTER times the noise.
 BRIGHT_DARK, BRIGHTER = 0.05, 5.0
 Array = NDArray[np.floating]
 SAME_CHANNEL = 0.05  # largest difference between sites of the same channel, as a fraction of the largest response
 LEAST_STEPS = 5  # smallest number of monochromatic captures from which the colour filter array is guessed
 GRID_NM = np.arange(400.0, 701.0, 10.0)
 SEARCHED = 6  # number of captures of a series, brightest first, in which l3 searches for the chart
-DIM = 0.05  # captures with a signal below this fraction of the range are not searched for a chart
+DIM = 0.05  # captures with a signal below this fraction of `Scale.range` are not searched for a chart
 Corners = list[tuple[float, float]]
 NARROW_NM = 40.0  # nm; largest FWHM of a narrow-band spectrum
 NEAR_NM = 5.0  # nm; largest difference between the wavelength in a name and the peak of the spectrum
@@ -163,8 +163,10 @@ def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
 def with_plain_kinds(groups: Sequence[Group], scale: Scale, notes: list[str]) -> list[Group]:
     """Decide for each capture of the type "plain" whether it is white or monochromatic.
 
-    White captures are the captures under the illuminant with the most frames, provided that there are several exposures.
-    A clipped capture has no usable colour. It gets the type of the capture before it.
+    If no capture is already known to be white, the largest set of unclipped captures under one illuminant is white, provided
+    that the set contains at least LEAST_WHITES captures. The size of a set is the total number of frames. All other
+    unclipped captures are monochromatic. A clipped capture has no usable colour, and gets the type of the preceding plain
+    capture.
     """
     plain = [group for group in groups if group.kind == "plain"]
     if not plain:
@@ -326,7 +328,7 @@ def columns_of(tables: Sequence[Spectra]) -> list[Column]:
 def match_steps(steps: Sequence[Group], columns: Sequence[Column], scale: Scale, notes: list[str]) -> list[Column | None]:
     """Assign a spectrum to each monochromatic capture.
 
-    The wavelength in the name of the capture decides. If the name contains no wavelength, the order decides.
+    Spectra are matched by the wavelength in the name of the capture or, if the name contains no wavelength, by order.
     """
     if not columns or not steps:
         return [None] * len(steps)
@@ -345,7 +347,7 @@ def _in_order(
 ) -> Sequence[Column] | list[None]:
     """Assign spectra to captures without a wavelength in their names, in order.
 
-    If the numbers differ, no spectra are assigned.
+    No spectra are assigned unless there are as many spectra as captures, or as many spectra as monochromator steps.
     """
     numbers = list(range(len(steps))) if len(steps) == len(columns) else _steps_in_order(steps, scale)
     if numbers[-1] + 1 != len(columns):

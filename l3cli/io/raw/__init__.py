@@ -35,7 +35,10 @@ class RawContent(TypedDict):
 
 
 def refuse_faults(name: str, content: RawContent, answered: Container[str]) -> None:
-    """Raise InputFileError for the first fault of a file that the user has not resolved with an `answered` parameter."""
+    """Raise InputFileError for the first fault in a file.
+
+    Faults that the user has resolved by setting a parameter listed in `answered` are ignored.
+    """
     for parameter, text in content.get("faults", {}).items():
         if parameter not in answered:
             raise InputFileError(f"{name} {text}")

@@ -50,7 +50,7 @@ class RawFormat:
     has_plain: bool = False  # whether the module defines `is_plain`, which says that this process may read a file
     wants_geometry: bool = False  # whether `read` and `stack` need a layout
     wants_dataset: bool = False  # whether `stack` needs the name of an array
-    has_rate: bool = False  # whether a file with one frame may state the frame rate of a sequence
+    has_rate: bool = False  # whether a single-frame file can contain the frame rate of the sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
         """Read the frame of a file. Raises InputFileError if the file has no or several frames, or an unsupported format."""
@@ -259,7 +259,7 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the content of a file to a frame. Facts in `known` precede facts in the file, which precede the table."""
+    """Convert the content of a file to a frame. `known` takes precedence over the file, and the file over the table."""
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
         raise InputFileError(f"{name} contains no pixels; use a raw file")

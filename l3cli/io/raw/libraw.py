@@ -1,7 +1,7 @@
-"""Read camera raws with LibRaw: pixels, levels and colours as the file states them.
+"""Read camera raws with LibRaw: pixels, black and white levels, and colours.
 
-The module also reads the facts that a raw file states about its camera: names, colour matrices, noise and lens (DNG 1.7,
-Exif, LibRaw).
+The module also reads metadata about the camera: names, colour matrices, noise and lens. Sources are the tags of DNG 1.7 and
+Exif, and LibRaw.
 """
 
 import contextlib
@@ -91,7 +91,7 @@ def _visible(path: Path, raw: Any) -> RawContent:
 
 
 def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
-    """Return the code of each colour and the camera's signal of a grey object, the inverse of its white-balance multiplier.
+    """Return the code of each colour and the signal of a grey object, which is the inverse of the white-balance multiplier.
 
     Returns None if the file states no multipliers, which LibRaw returns as 0, or if there is a single colour.
     """
@@ -103,7 +103,7 @@ def _neutral(raw: Any, letters: str) -> NDArray[np.float64] | None:
 
 
 def _stated_by_tags(path: Path) -> tuple[list[str], dict[str, str | float]]:
-    """Return the names of the camera and the settings of the shot from TIFF tags, or nothing if the file is not a TIFF."""
+    """Return the camera names and the shot settings in TIFF tags, or empty values if the file is not a TIFF."""
     import tifffile
 
     try:
@@ -138,7 +138,7 @@ LONGEST = 60  # maximum length of a camera name
 
 
 def stated(path: Path) -> Stated:
-    """Return the facts that a raw file states about its camera. Invalid tags are treated as missing.
+    """Return the metadata of a raw file about the camera. Invalid tags are treated as missing.
 
     Raises InputFileError if the file cannot be opened as a raw file.
     """
@@ -164,7 +164,10 @@ def stated(path: Path) -> Stated:
 
 
 def _rows(codes: NDArray, values: NDArray) -> dict[int, NDArray[np.float64]]:
-    """Return the rows of a matrix by colour code, or {} if it is invalid. If a code is repeated, the first row counts."""
+    """Return the rows of a matrix by colour code, or {} if the matrix is invalid.
+
+    For a repeated code, the first row is used.
+    """
     values = np.asarray(values, np.float64)
     if values.size != 3 * len(codes) or not np.isfinite(values).all() or not values.any(axis=-1).all():
         return {}
@@ -189,7 +192,17 @@ def _positive(value: float | None) -> float | None:
 
 @isolated("rawpy", "tifffile")
 def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return make and model, numbers by name, and each matrix with its illuminant's code and the codes of its rows."""
+    """Return the metadata of a raw file.
+
+    Returns
+    -------
+    list of str
+        Make and model.
+    dict of str to float
+        Numbers such as "iso" and "f_number".
+    list of tuple
+        For each colour matrix, the code of the illuminant, the colour code of each row, and the values.
+    """
     names, figures, matrices = _facts_of_tags(path)
     with opened(path) as raw:
         if not matrices:
@@ -205,7 +218,7 @@ def _stated(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, ND
 
 
 def _facts_of_tags(path: Path) -> tuple[list[str], dict[str, float], list[tuple[int, NDArray, NDArray]]]:
-    """Return the facts in the tags of a TIFF or DNG file, or empty values for any other file."""
+    """Return the metadata in the tags of a TIFF or DNG file, as in `_stated`, or empty values for any other file."""
     import tifffile
 
     try:

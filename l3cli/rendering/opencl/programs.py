@@ -19,7 +19,7 @@ BUILD_OPTIONS = ("-w", "-cl-mad-enable", "-cl-std=CL1.2")
 # Macros that select the kernels of a program, so that unused kernels are not compiled.
 TRANSFORM_ONLY: layout.Macros = {"TRANSFORM_ONLY": 1}  # only the kernel for the transforms
 CLASSES_ONLY: layout.Macros = {"CLASSES_ONLY": 1}  # only the kernel for the classes of the first layer
-JOINED: layout.Macros = {"JOINED": 1}  # only the kernel for both the classes and the transforms of the first layer
+JOINED: layout.Macros = {"JOINED": 1}  # only the combined kernel for the classes and transforms of the first layer
 Key = tuple[Any, ...]
 
 
@@ -71,7 +71,8 @@ def make_ready(device: str | None = None, variant: str | None = None) -> None:
 def usual_encoder(compiler: Compiler, variant: str) -> int:
     """Compile the encoder for 8-bit sRGB pictures, and return the length of the device's vectors.
 
-    The length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one pixel.
+    The vector length is part of the kernel's name. PoCL compiles a kernel when it first runs, so the kernel is run on one
+    pixel.
     """
     cl, context = pyopencl(), compiler.context
     cut = layout.VARIANTS[variant].encoder_cut
@@ -105,7 +106,7 @@ class Programs:
 
     def __init__(self, compiler: Compiler, table: TransformTable, variant: str, lanes: int | None, sets: int = 1) -> None:
         self._compiler, self._table, self._variant, self._sets = compiler, table, variant, sets
-        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder) and macros of the ending → program
+        self._programs: dict[Key, Any] = {}  # layer (−1 for the encoder), and macros for the form of the results → program
         self._kernels: dict[Key, Any] = {}  # key of the program and name of the kernel → kernel
         self._last = len(table.later)
         made_for = layout.VARIANTS[variant]
@@ -137,7 +138,7 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that determines the classes of a layer. It may be part of several programs."""
+        """Return the kernel that determines the classes of a layer. Several programs may contain this kernel."""
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")

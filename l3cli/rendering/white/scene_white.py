@@ -1,6 +1,6 @@
 """The white of a scene, and the white balance of frames (docs/method.md#scene-white).
 
-The white balance has two steps. Before a frame is rendered, the channels are multiplied by gains. After it is rendered, a
+The white balance has two steps. Before a frame is rendered, the channels are multiplied by gains. After rendering, a
 matrix adapts the outputs from the white of the scene to D65.
 """
 
@@ -111,7 +111,7 @@ class GreyRenderer:
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Return the mean outputs over a range of rows and columns, which are given in sensor orientation."""
+        """Return the mean outputs over a range of rows and columns in sensor orientation."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -213,7 +213,7 @@ class SteadyWhite:
     """Computes the white balance of the frames of a sequence, one after another.
 
     The first frame has its measured white balance. After the first frame, the balance approaches the measured balance
-    exponentially, in the same way as the exposure. It does not depend on later frames.
+    exponentially, in the same way as the exposure. The balance does not depend on later frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -248,9 +248,9 @@ SURFACES = 64  # number of measured reflectances to which the colour correction 
 UNSURE = 1e-3  # error of rendered surfaces, used as a ridge so that the correction does not amplify errors
 MIN_WEIGHT_LUMINANCE = 0.05  # surfaces with a lower luminance relative to white have the weight of this luminance
 MAX_DUV = 0.03  # largest plausible distance of a lamp from the black-body locus in CIE 1960 uv
-SAME_WHITE = 5e-4  # whites at a smaller distance in CIE 1960 uv are treated as equal, because coordinates are rounded
+SAME_WHITE = 5e-4  # whites closer together than this in CIE 1960 uv are treated as equal, because coordinates are rounded
 MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the channels; real lamps have at most half of it
-NEAR_WHITE = 0.02  # whites at a larger distance in CIE 1976 u′v′ belong to different illuminants
+NEAR_WHITE = 0.02  # whites farther apart than this in CIE 1976 u′v′ belong to different illuminants
 COOLEST, WARMEST = 24_000.0, 1_700.0  # range of plausible colour temperatures, in K
 
 

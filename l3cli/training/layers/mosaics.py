@@ -255,7 +255,7 @@ def within(planes: NDArray, count: int, margin: int) -> NDArray:
 def margin_of(side: int) -> int:
     """Return the distance, in pixels, up to which a layer with windows of `side` pixels reads around a pixel.
 
-    This includes the pixels that determine the class.
+    The distance includes the pixels that determine the class.
     """
     return max(BORDER_PIXELS, side // 2)
 
@@ -378,7 +378,7 @@ class _Transforms:
             chosen = np.add(place[part, None], offset, out=taps[: flat.size - first])
             runs = [(self._weights[index], slice(start, stop)) for index, start, stop in runs_of(flat[part])]
             for source, made in zip(sources, sums[:, part], strict=True):
-                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # other modes would allocate a copy
+                source.take(chosen, out=windows[: len(chosen)], mode="clip")  # the default "raise" would buffer `out`
                 for weights, run in runs:
                     np.dot(windows[run], weights, out=made[run])
         sums += self._intercept[flat]
