@@ -13,38 +13,39 @@ METHOD = "method.md"  # in the folder of the page
 HEAD = """# Other methods
 
 This page is for readers who want to know how l3 compares with other demosaicing methods. All methods process the same
-mosaics. The other methods are from packages on PyPI, LibRaw and RawTherapee, and include a neural network and the
-denoiser CBM3D. The command `make peers` measures all methods in one run and writes this page. The page lists programs
-that are not installed. No picture on this page was used to train the l3 tables.
+mosaics. The other methods come from PyPI packages, LibRaw and RawTherapee. They include a neural network and the
+denoiser CBM3D. The command `make peers` measures the methods and writes this page, including a list of programs that
+are not installed. No picture on this page was used to train the l3 tables.
 
-* **Settings.** If a method has several settings, each value is for the setting with the best result on these pictures.
-  l3 has only one setting.
+* **Settings.** If a method has several settings, each column contains the result of the setting that is best for this
+  column. l3 has only one setting.
 * **Raw files.** LibRaw and RawTherapee read DNG files with the exact white balance and colour matrix.
 * **Values** are means over all pictures, without the outermost 10 pixels of each picture. The best value in each column
   is bold.
-* **Time** (core-s/MP) is the CPU time in seconds per megapixel, summed over all cores and measured in the same run. To
-  exclude the start-up time, the time for a picture of 504² pixels is subtracted from the time for a picture of 1512²
-  pixels. CBM3D is measured only on the small picture. The times of LibRaw and RawTherapee include writing and reading
-  the DNG file.
+* **Time** (core-s/MP) is the CPU time in seconds per megapixel, summed over all cores. All times in a table were
+  measured in the same run. To exclude the start-up time, the time for a picture of 504² pixels is subtracted from the
+  time for a picture of 1512² pixels. CBM3D is measured only on the small picture. The times of LibRaw and RawTherapee
+  include writing and reading the DNG file.
 """
 TEXTS = {
     "bayer": f"""## Bayer, as published
 
-The usual benchmark samples a mosaic from the 8-bit values of RGB pictures without any conversion, and compares the
-demosaiced picture with the original (CPSNR over all three channels). The l3 table was trained on a hundred other pictures
-(`l3 init benchmark-bayer`). **We did not measure the last two columns.** They are published values for all pictures of
-the data sets ({published.SOURCE}). The other PSNR columns are for the twelve Kodak pictures with odd numbers.
+The usual benchmark samples a mosaic from the 8-bit values of RGB pictures without any conversion. It then compares the
+demosaiced picture with the original (CPSNR over all three channels). The l3 table was trained on a hundred other
+pictures (`l3 init benchmark-bayer`). **We did not measure the last two columns.** They are published values for all
+pictures of the data sets ({published.SOURCE}). The other PSNR columns are for the twelve Kodak pictures with odd
+numbers.
 
 If the data folder contains the eighteen McMaster pictures in `demosaicking/mcmaster`, `make peers` also measures these
 pictures. All methods on this page, including LibRaw and RawTherapee, interpret the 8-bit values as linear. The network
-is from Gharbi et al. (2016). We found no other demosaicing network on PyPI that includes trained weights.
+is from Gharbi et al. (2016). We found no other demosaicing network with trained weights on PyPI.
 """,
     "xtrans": """## X-Trans
 
-These results are for the same Kodak pictures and class recipe as in the previous section, but the pictures are sampled
-with the 6×6 X-Trans array. *1 pass*, *3 passes* and *4 passes* are variants of Markesteijn's method in LibRaw and
-RawTherapee. *bilinear* is a Gaussian-weighted mean of the samples of each channel. The network is from Gharbi et al.
-(2016), with the X-Trans weights from the package.
+The Kodak pictures and the class recipe are the same as in the previous section, but the pictures are sampled with the
+6×6 X-Trans array. *1 pass*, *3 passes* and *4 passes* are variants of Markesteijn's method in LibRaw and RawTherapee.
+*bilinear* is a Gaussian-weighted mean of the samples of each channel. The network is from Gharbi et al. (2016), with
+the X-Trans weights from the package.
 """,
     "bands": f"""## Sixteen bands
 
@@ -60,13 +61,13 @@ fine patterns, five faces and four photographs, at mean signals of 0.2, 0.02 and
 was used in training. PSNR compares the displayed sRGB pictures with the ideal pictures. ΔE00 is the mean CIEDE2000.
 
 * **All other methods** use the true white balance, black level and dark current, and a colour matrix fitted for the
-  camera and the illuminant. Methods with noise reduction are measured without noise reduction and at several strengths.
-  LibRaw's wavelet denoising is excluded, because it crashes rawpy 0.28. The RawTherapee settings are the strengths of
-  luminance and colour noise reduction, and the median filter.
+  camera and the illuminant. If a method includes noise reduction, it is measured without noise reduction and at several
+  strengths. LibRaw's wavelet denoising is excluded, because it crashes rawpy 0.28. The RawTherapee settings are the
+  strengths of luminance and colour noise reduction, and the median filter.
 * **The network** was trained without noise. It is measured on linear values and on sRGB values.
 * **CBM3D** uses the camera's noise model. A variance-stabilising transform is applied before Menon's demosaicing, and
-  the unbiased inverse transform after CBM3D. CBM3D also uses the power spectrum of the noise after demosaicing. It
-  takes four minutes per megapixel, and the licence of the package does not allow commercial use.
+  the unbiased inverse transform after CBM3D. CBM3D also uses the power spectrum of the noise after demosaicing. CBM3D
+  takes four minutes per megapixel. The package licence does not allow commercial use.
 * **l3.** The l3 class recipes were developed with these frames, among others.
 """,
 }
