@@ -1,6 +1,7 @@
 """The layers of a transform table (docs/method.md#layers).
 
-The first layer transforms the mosaic. Refinement layers transform the planes that the previous layer has computed.
+The first layer computes planes from the mosaic. Each refinement layer computes new planes from the planes of the previous
+layer.
 """
 
 from dataclasses import dataclass, replace
@@ -14,19 +15,21 @@ from l3cli.artifacts.plane_rules import GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.schema import check, data, group
 
 PlaneRule = StructureRule | TreeRule
-PLANES = 3  # number of planes that a refinement layer reads: X − aY, Y and Z − bY
+PLANES = 3  # number of input planes of a refinement layer: X − aY, Y and Z − bY
 PLANE_STEP = 2.0**-18  # quantisation step of planes in output units, far below the noise of any sensor
-PLANE_TOP = 2**22 - 1  # 16 times full scale, so that a difference of planes times a 7-bit factor fits into 32 bits
-RATIO_TAPS = (0, 2, 4)  # additional taps of the last layer: none, colour ratios, or colour ratios and bilateral chroma
-COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: steps, planes, powers of luminance
+# Largest plane value, 16 times full scale. The difference of two values times a 7-bit factor fits into 32 bits.
+PLANE_TOP = 2**22 - 1
+# Possible numbers of additional taps of the last layer: none, two for colour ratios, or two more for bilateral chroma.
+RATIO_TAPS = (0, 2, 4)
+COMPARED = (4, 3, 3)  # shape of `CoarseChroma.variance`: smoothing steps, planes, powers of luminance
 
 
 @dataclass(frozen=True)
 class MosaicLayer:
-    """The first layer, which transforms patches of the mosaic.
+    """The first layer of a table, which computes the outputs of each pixel from the surrounding patch of the mosaic.
 
-    The output of a pixel is weights · (patch − black level) / full scale + intercept. The weights and the intercept
-    depend on the class of the pixel.
+    The outputs of a pixel are weights · (patch − black level) / full scale + intercept. The class of the pixel selects the
+    weights and the intercept.
     """
 
     rule: ClassRule = group()
@@ -47,13 +50,17 @@ class MosaicLayer:
             raise ValueError(f"weights has {self.weights.shape[2]} taps, but the patch of the rule has {self.rule.patch**2}")
 
     def pictured(self, taken: list[int]) -> "MosaicLayer":
-        """Return the layer with only the outputs that have the given indices."""
+        """Return a copy of the layer with only the outputs at the indices `taken`."""
         return replace(self, weights=self.weights[:, taken], intercept=self.intercept[:, taken])
 
 
 @dataclass(frozen=True)
 class CoarseChroma:
-    """Noise in the steps of coarse chroma, with which the last layer judges similarity (docs/method.md#coarse-chroma)."""
+    """Noise model for the smoothing of coarse chroma (docs/method.md#coarse-chroma).
+
+    Coarse chroma is smoothed over blocks of pixels in several steps. In each step, the last layer uses the noise model to
+    decide whether two blocks differ by more than noise.
+    """
 
     variance: NDArray[np.float64] = data(
         "float64",
@@ -71,13 +78,13 @@ class CoarseChroma:
             raise ValueError("variance must not be negative, and must be positive at luminance 0")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return a copy for frames in which the noise variance is multiplied by `share`."""
+        """Return the noise model for frames whose noise variance is smaller or larger by the factor `share`."""
         return CoarseChroma(self.variance * share)
 
 
 @dataclass(frozen=True)
 class Clipping:
-    """Linear response with which uniform areas are rendered where channels clip (docs/method.md#uniform-clipped-areas)."""
+    """Linear response that renders uniform areas with clipped channels (docs/method.md#uniform-clipped-areas)."""
 
     response: NDArray[np.float64] = data(
         "float64",
@@ -103,9 +110,9 @@ class Clipping:
 
 @dataclass(frozen=True)
 class PlaneLayer:
-    """A refinement layer, which transforms square windows of three planes that the previous layer has computed.
+    """A refinement layer, which computes each pixel from square windows of the three planes of the previous layer.
 
-    The planes are X − aY, Y and Z − bY. The factors a and b are chosen so that the planes of a white are (0, Y, 0).
+    The planes are X − aY, Y and Z − bY. The factors a and b are chosen so that the planes of a white object are (0, Y, 0).
     """
 
     side: int = data("int64", unit="pixel", doc="side of the windows")
@@ -120,9 +127,9 @@ class PlaneLayer:
     samples: NDArray[np.float64] = data(
         "float64", "plane_class", doc="number of training patches; 0 if filled from a neighbouring class"
     )
-    structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
-    tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
-    coarse_chroma: CoarseChroma | None = group(default=None)  # None: chroma is computed from the windows only
+    structure: StructureRule | None = group(default=None)  # class rule by structure; None if the layer has a tree
+    tree: TreeRule | None = group(default=None)  # class rule by the leaves of a tree; None if the layer has a structure rule
+    coarse_chroma: CoarseChroma | None = group(default=None)  # None if chroma is computed from the windows only
     clipping: Clipping | None = group(default=None)  # requires coarse chroma; None: clipped areas are not smoothed
 
     def __post_init__(self) -> None:
@@ -133,7 +140,7 @@ class PlaneLayer:
 
     @property
     def rule(self) -> PlaneRule:
-        """Class rule of the layer."""
+        """The class rule of the layer, by structure or by a tree."""
         return one_rule(self.structure, self.tree)
 
     @property
@@ -142,30 +149,36 @@ class PlaneLayer:
 
     @property
     def window_taps(self) -> int:
-        """Number of taps in the windows. The taps for colour ratios and bilateral chroma come after these taps."""
+        """Number of window taps. In `weights`, the taps for colour ratios and bilateral chroma follow the window taps."""
         return PLANES * self.side**2
 
     @property
     def ratio_taps(self) -> int:
-        """Number of taps for colour ratios and bilateral chroma, one of RATIO_TAPS."""
+        """Number of taps for colour ratios and bilateral chroma. The number is one of RATIO_TAPS."""
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames in which the noise variance is multiplied by `share`. Only coarse chroma changes."""
+        """Return the layer for frames whose noise variance differs by the factor `share`. Only coarse chroma changes."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":
-        """Return a copy of the layer with another scale of the gradients."""
+        """Return a copy of the layer with the gradient scale `scale`."""
         return replace(self, **rule_fields(self.rule.scaled_as(scale)))
 
 
 def rule_fields(rule: PlaneRule) -> dict[str, Any]:
-    """Return the class rule of a refinement layer as a keyword argument of PlaneLayer."""
+    """Return the keyword argument with which PlaneLayer receives the class rule `rule`."""
     return {"structure" if isinstance(rule, StructureRule) else "tree": rule}
 
 
 def one_rule(structure: StructureRule | None, tree: TreeRule | None) -> PlaneRule:
-    """Return the rule that is not None. Raises ValueError unless exactly one rule is given."""
+    """Return the rule that is not None.
+
+    Raises
+    ------
+    ValueError
+        If both rules or no rules are set.
+    """
     if structure is None and tree is not None:
         return tree
     if structure is not None and tree is None:

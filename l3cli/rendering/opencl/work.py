@@ -1,7 +1,8 @@
-"""Queues and buffers on an OpenCL device, the commands for a frame, and the division of a frame into bands.
+"""Command queues and buffers of an OpenCL device, the commands for a frame, and the division of a frame into bands.
 
-A band is a range of rows that is rendered as a whole. `Band` contains the rows that every layer reads for a band, and the
-source of each padded row and column.
+A band is a range of rows that is rendered as a whole. `Band` contains the rows that each layer needs for a band. `Band` also
+contains index buffers for padding: for each row or column beyond the edge of the frame, the index of the row or column
+inside the frame that is read instead.
 """
 
 import os
@@ -22,17 +23,17 @@ from l3cli.rendering.reference import CHROMA_REACH
 
 STAGES = ("upload", "classes", "transforms", "encode", "download")
 REFINEMENT_STAGES = ("upload", "classes", "planes", "structures", "transforms", "encode", "download")
-COARSE_CHROMA = "coarse chroma"  # stage between structures and transforms, for tables with coarse chroma
-CHROMA = "chroma"  # stage after the transforms, for tables that smooth chroma; it also encodes
-SPECTRA = "spectra"  # stage between transforms and encoding, for tables that smooth spectra
+COARSE_CHROMA = "coarse chroma"  # additional stage before the transforms, for tables with coarse chroma
+CHROMA = "chroma"  # additional stage after the transforms, for tables that smooth chroma; also encodes the picture
+SPECTRA = "spectra"  # additional stage after the transforms, for tables that smooth spectra
 BAND_PIXELS = 1 << 22  # approximate number of pixels of a band, without margins
 
 
-Source = Any  # a device buffer with the source index of each padded row or column
+Source = Any  # device buffer with the index of the row or column to read for each row or column of a padded range
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
-    """Return the names of the stages for which rendering times are measured."""
+    """Return the names of the rendering stages whose times are measured, in the order of execution."""
     stages = REFINEMENT_STAGES if table.later else STAGES
     if table.later and table.later[-1].coarse_chroma:
         stages = (*stages[:-3], COARSE_CHROMA, *stages[-3:])
@@ -48,40 +49,40 @@ def constant(context: Any, array: NDArray, dtype: Any = None) -> Any:
 
 
 def scratch(context: Any, buffer: Any, size: int) -> Any:
-    """Return `buffer` if it has at least `size` bytes, otherwise a new buffer of this size."""
+    """Return `buffer` if the buffer has at least `size` bytes, otherwise a new buffer of `size` bytes."""
     if buffer is None or buffer.size < size:
         buffer = pyopencl().Buffer(context, pyopencl().mem_flags.READ_WRITE, size)
     return buffer
 
 
 class Track:
-    """A queue and the device buffers for one band. Buffers are replaced by larger buffers when necessary."""
+    """A command queue, and the device buffers for rendering one band at a time. Buffers grow when a band needs more."""
 
     def __init__(self, context: Any, layers: int) -> None:
-        """Create a track without buffers, for a table with the given number of refinement layers."""
+        """Create a queue without buffers, for a table with `layers` refinement layers."""
         cl = pyopencl()
         self.queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-        self.raw: Any = None  # raw values that the kernels read: `uploaded`, or the memory of the host
-        self.uploaded: Any = None  # copy of the raw values, if the device has its own memory
-        self.labels: Any = None  # classes in the first layer
-        self.sets: Any = None  # copy of the number of the set of transforms for each pixel
-        self.chosen: tuple[Any, ...] = ()  # `sets` or the memory of the host; empty if the table has one set of transforms
-        self.planes: list[Any] = [None] * layers  # planes that each refinement layer reads
-        self.refined_labels: list[Any] = [None] * layers  # classes in each refinement layer
+        self.raw: Any = None  # raw values for the kernels: `uploaded`, or a buffer in host memory
+        self.uploaded: Any = None  # copy of the raw values; only used if the device has its own memory
+        self.labels: Any = None  # class of each pixel in the first layer
+        self.sets: Any = None  # copy of the number of each pixel's transform set; only used if the device has its own memory
+        self.chosen: tuple[Any, ...] = ()  # `sets`, or a buffer in host memory; empty if the table has one transform set
+        self.planes: list[Any] = [None] * layers  # input planes of each refinement layer
+        self.refined_labels: list[Any] = [None] * layers  # class of each pixel in each refinement layer
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
-        self.means: Any = None  # block means of the mosaic, if uniform clipped areas are replaced
-        self.maps: Any = None  # values for the replacement of clipped areas, per block
-        self.quads: Any = None  # the same values, interpolated to quads of pixels
-        self.first: Any = None  # outputs of the first layer, if the last layer corrects them
-        self.made: Any = None  # outputs before the smoothing of spectra
-        self.result: Any = None  # outputs, or codes of the picture
+        self.means: Any = None  # block means of the mosaic, for the replacement of uniform clipped areas
+        self.maps: Any = None  # values of each block for the replacement of clipped areas
+        self.quads: Any = None  # `maps`, interpolated to quads of pixels
+        self.first: Any = None  # outputs of the first layer; only used if the last layer corrects these outputs
+        self.made: Any = None  # outputs before chroma or spectra are smoothed
+        self.result: Any = None  # outputs, or encoded pixels of the picture
         self._typed: set[Any] = set()  # kernels whose argument types have been declared
 
     def run(self, kernel: Any, grid: tuple[int, ...], group: tuple[int, ...], *arguments: Any) -> Any:
         """Enqueue a kernel.
 
-        The argument types of a kernel are declared at its first call. Otherwise pyopencl would determine the types in every
-        call, which would take longer than all other steps before the first kernel of a frame.
+        The argument types of a kernel are declared before its first call. Otherwise pyopencl would determine the types at
+        every call, which takes longer than everything else that precedes the first kernel of a frame.
         """
         if kernel not in self._typed:
             kernel.set_scalar_arg_dtypes([type(each) if isinstance(each, np.generic) else None for each in arguments])
@@ -90,14 +91,15 @@ class Track:
 
 
 def shares_memory(device: Any) -> bool:
-    """Return whether a device shares the memory of the host, so that nothing needs to be copied."""
+    """Return whether a device uses host memory, so that no data need to be copied."""
     return bool(device.type & pyopencl().device_type.CPU)
 
 
 class Work:
-    """The commands that were enqueued for one frame: their events by stage, and the arrays that the device uses.
+    """The commands that were enqueued for one frame: the events of each stage, and the arrays that the device uses.
 
-    The arrays are kept until all commands have finished, even if the program is interrupted.
+    Arrays must not be freed while the device uses them. The object therefore keeps references to the arrays until all
+    commands have finished, even if the program is interrupted.
     """
 
     def __init__(self, device: Any, stages: tuple[str, ...]) -> None:
@@ -105,17 +107,17 @@ class Work:
         self.events: dict[str, list[Any]] = {stage: [] for stage in stages}
         self.arrays: list[NDArray] = []
         self._queues: list[Any] = []
-        self._in_place: list[Any] = []  # buffers that use the memory of host arrays
+        self._in_place: list[Any] = []  # buffers that share the memory of arrays
         self._mapped: list[tuple[Any, Any]] = []  # queue and mapping of each mapped buffer
         self._owner = os.getpid()
 
     def __del__(self) -> None:
-        if self._owner == os.getpid():  # in a forked process, `finish` would wait forever
+        if self._owner == os.getpid():  # in a forked process, `finish` would never return
             for queue in self._queues:
                 queue.finish()
 
     def in_place(self, queue: Any, array: NDArray, written: bool = False) -> Any:
-        """Return a buffer that uses the memory of a contiguous array. The device must share the memory of the host."""
+        """Return a buffer that shares the memory of a contiguous array. The device must use host memory."""
         flags = pyopencl().mem_flags
         self.arrays.append(array)
         self._queues.append(queue)
@@ -124,15 +126,16 @@ class Work:
         return self._in_place[-1]
 
     def upload(self, queue: Any, array: NDArray, buffer: Any) -> Any:
-        """Enqueue a copy of a contiguous array to a buffer, and return the buffer."""
+        """Enqueue the upload of a contiguous array to a buffer, and return the buffer."""
         self.arrays.append(array)
         self.add("upload", pyopencl().enqueue_copy(queue, buffer, array, is_blocking=False))
         return buffer
 
     def fetch(self, queue: Any, buffer: Any, arrays: Iterable[NDArray], offset: int = 0) -> None:
-        """Enqueue a copy of a buffer to contiguous arrays, one after another, beginning with byte `offset` of the buffer.
+        """Enqueue the download of a buffer into one or several contiguous arrays.
 
-        Buffers that use the memory of the host are mapped instead of copied.
+        The arrays are filled one after another, beginning at byte `offset` of the buffer. A buffer from `in_place` is
+        mapped instead of copied.
         """
         cl = pyopencl()
         for array in arrays:
@@ -147,16 +150,19 @@ class Work:
             self.add("download", event)
 
     def end(self) -> "Work":
-        """Wait until all commands have finished. Other threads can run meanwhile.
+        """Wait until all commands have finished. Other threads can run in the meantime.
 
-        Raises a DeviceError if the device fails.
+        Raises
+        ------
+        DeviceError
+            If the device fails.
         """
         with refusals(self._device):
             for event in self.events["download"]:
                 event.wait()
             while self._mapped:
                 queue, mapping = self._mapped.pop()
-                mapping.release(queue).wait()  # from now on, the caller may change the array
+                mapping.release(queue).wait()  # the caller may now change the array
         self._queues.clear()
         return self
 
@@ -164,7 +170,7 @@ class Work:
         self.events[stage].append(event)
 
     def milliseconds(self) -> dict[str, float]:
-        """Return the time that the device spent in each stage, in ms. All commands must have finished."""
+        """Return the device time of each stage in ms. All commands must have finished."""
         return {
             stage: sum((event.profile.end - event.profile.start) * 1e-6 for event in events)
             for stage, events in self.events.items()
@@ -173,54 +179,59 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """Sources of the padded rows and columns of the planes that a refinement layer reads."""
+    """Index buffers for padding the input of a refinement layer, one buffer per axis.
 
-    classes: tuple[Source, Source, Source]  # for the classes: rows of the planes, rows of the first layer's classes, columns
-    transforms: tuple[Source, Source]  # for the transforms: rows and columns of the planes
+    Rows and columns outside the frame are replaced by mirrored rows and columns inside the frame.
+    """
+
+    # To compute the classes: rows of the planes, rows of the first layer's classes, and columns.
+    classes: tuple[Source, Source, Source]
+    # To apply the transforms: rows and columns of the planes.
+    transforms: tuple[Source, Source]
 
 
 @dataclass(frozen=True)
 class Band:
-    """A range of rows of a frame that is rendered as a whole, and the rows that every layer reads for the band."""
+    """A range of rows that is rendered as a whole, and the rows that each layer needs as input for this range."""
 
-    # Rows of the planes that each refinement layer reads, then the rows of outputs before the smoothing of spectra (if the
-    # table smooths spectra), then the rows of the band itself.
+    # For each refinement layer, the rows of its input planes. Then, if the table smooths chroma or spectra, the rows of the
+    # outputs to be smoothed. The last element is the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # raw rows that the windows of the first layer need
+    raw_rows: slice  # rows of the raw frame that the patches of the first layer need
     columns: int  # number of columns of the frame
-    mosaic_source: tuple[Source, Source]  # sources of the padded rows, as indices in `raw_rows`, and of the padded columns
+    mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the first of `raw_rows`, and for columns
     later: tuple[PlaneSource, ...]  # one per refinement layer
 
     @property
     def rows(self) -> slice:
-        """Rows of the band itself."""
+        """Rows of the picture that belong to the band."""
         return self.reads[-1]
 
     @property
     def made(self) -> slice:
-        """Rows of the outputs of the last layer."""
+        """Rows for which the last layer computes outputs."""
         return self.reads[len(self.later)]
 
     def shape(self, number: int) -> tuple[int, int]:
-        """Return the number of rows in `reads[number]`, and the number of columns."""
+        """Return the shape (rows, columns) of the range `reads[number]`."""
         return self.reads[number].stop - self.reads[number].start, self.columns
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands of frames with a shape (rows, columns). `constant` is a function that copies indices to the device."""
+    """Yield the bands of a frame with this shape (rows, columns). `constant` copies an index array to the device."""
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))
     coarse = bool(table.later and table.later[-1].coarse_chroma)
-    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # margins of coarse chroma are wide, so bands are taller
+    height = max(1, BAND_PIXELS * (2 if coarse else 1) // columns)  # coarse chroma needs wide margins
 
     sides = {BORDER_PIXELS, *(layer.radius for layer in table.later)}
     across = {margin: constant(_int32(mirrored_indices(columns, margin, 1))) for margin in sides}
 
     def outside(seen: slice, margin: int, there: slice) -> Source:
-        """Return the positions, in the slice `there`, of the rows `seen` with a margin of `margin` rows on both sides.
+        """Return the index buffer of the rows `seen` with `margin` additional rows on both sides.
 
-        Rows outside the frame are mirrored.
+        Indices are counted from the first row of `there`. Rows outside the frame are mirrored.
         """
         return constant(_int32(mirrored_indices(rows, margin, 1)[seen.start : seen.stop + 2 * margin] - there.start))
 
@@ -234,7 +245,7 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
         for margin in reversed(margins):
             above = reads[0].start - margin
             if margin == COARSE_REACH:
-                above -= above % BLOCK  # blocks must have the same positions in the frame for every band
+                above -= above % BLOCK  # align bands with the blocks of the whole frame
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)

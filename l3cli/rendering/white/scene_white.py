@@ -1,7 +1,7 @@
-"""The white of a scene, and the white balance of frames (docs/method.md#scene-white).
+"""White points of scenes, and the white balance of frames (docs/method.md#scene-white).
 
-The white balance has two steps. Before a frame is rendered, the channels are multiplied by gains. After rendering, a
-matrix adapts the outputs from the white of the scene to D65.
+White balance has two steps. Before a frame is rendered, each channel is multiplied by a gain. After rendering, a matrix
+adapts the outputs from the white point of the scene to D65.
 """
 
 import functools
@@ -24,30 +24,36 @@ from l3cli.physics.mosaic import shifted_cfa, tiled
 from l3cli.rendering.reference import ReferenceRenderer
 
 Array = NDArray[np.floating]
-MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a usable square
-FLAT = 0.5  # a channel counts as clipped if at least this fraction of its pixels has the largest value of the frame
-DARK_FRACTION = 0.01  # fraction of full scale; an uncertain mean is due to noise below this value, or to a pattern above
-MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a square to the standard error of the mean
+MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a grey area that can be measured
+FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels has the largest value of the frame
+DARK_FRACTION = 0.01  # fraction of full scale; an uncertain mean is blamed on noise below this value, and on texture above
+MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a grey area to the standard error of the mean
 
 
 @dataclass(frozen=True)
 class Grey:
-    """A rectangle of a frame that shows a grey object."""
+    """A rectangular area of a frame that shows a grey object."""
 
-    name: str  # name of the rectangle in messages
+    name: str  # description of the area for messages
     where: tuple[slice, slice]  # rows and columns in sensor orientation
 
 
 @dataclass(frozen=True)
 class Square:
-    """A square, in coordinates of the upright picture."""
+    """A square in the coordinates of the upright picture."""
 
     row: int  # row of the centre
     col: int  # column of the centre
     size: int  # side in pixels
 
     def within(self, frame: RawFrame) -> Grey:
-        """Return the part of a frame inside the square. Raises an InputFileError if the square exceeds the frame."""
+        """Return the area of the frame that the square covers.
+
+        Raises
+        ------
+        InputFileError
+            If the square extends beyond the frame.
+        """
         rows, cols = frame.values.shape
         turned = bool(frame.orientation & 4)
         height, width = (cols, rows) if turned else (rows, cols)
@@ -65,7 +71,7 @@ class Square:
 
 
 class GreyRenderer:
-    """Renders greys on the CPU in float64, so that the white does not depend on the OpenCL device."""
+    """Renders grey areas on the CPU in float64, so that the white point does not depend on the OpenCL device."""
 
     def __init__(self, table: TransformTable) -> None:
         self.table = table
@@ -73,19 +79,19 @@ class GreyRenderer:
         self._reach = table.first.rule.radius + sum(max(BORDER_PIXELS, layer.radius) for layer in table.later)
 
     def outputs_of(self, shares: Array) -> NDArray[np.float64]:
-        """Render uniform areas.
+        """Return the outputs of the table for uniform areas.
 
         Parameters
         ----------
         shares : ndarray, (area, channel)
-            Signals of the areas, as fractions of full scale.
+            Signals of each area, as fractions of full scale.
 
         Returns
         -------
         ndarray, (area, output)
         """
         table, (rows, cols) = self.table, self.table.cfa.shape
-        down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # size of an area in CFA periods
+        down, across = (1 + 2 * -(-self._reach // period) for period in (rows, cols))  # CFA periods per area
         tile = np.tile(table.cfa, (down, across))
         values = table.black_level + np.hstack([share[tile] for share in shares]) * (table.white_level - table.black_level)
         plain = RawFrame("plain areas", np.rint(values).astype(np.uint16), table.black_level, table.white_level)
@@ -94,12 +100,12 @@ class GreyRenderer:
         return np.asarray(areas.mean(axis=(1, 3)).T, np.float64)
 
     def signals(self, frame: RawFrame, grey: Grey) -> NDArray[np.float64]:
-        """Return the mean signal of each channel in a grey part of a frame, in DN above black level and dark current.
+        """Return the mean signal of each channel in a grey area of a frame, in DN above black level and dark signal.
 
         Raises
         ------
         InputFileError
-            If the part is clipped, too dark or not uniform, or contains too few pixels of a channel.
+            If the area is clipped, too dark or not uniform, or contains too few pixels of a channel.
         """
         means, why = _measured(frame, self.table, grey.where)
         if why:
@@ -107,11 +113,11 @@ class GreyRenderer:
         return means
 
     def usable(self, frame: RawFrame, grey: Grey) -> bool:
-        """Return whether the signals of a grey part of a frame can be measured."""
+        """Return whether the grey area is neither clipped, too dark, too small nor textured."""
         return not _measured(frame, self.table, grey.where)[1]
 
     def of_part(self, frame: RawFrame, where: tuple[slice, slice]) -> NDArray[np.float64]:
-        """Return the mean outputs over a range of rows and columns in sensor orientation."""
+        """Return the mean rendered outputs of an area, given by rows and columns in sensor orientation."""
         rows, cols = where
         margin = self._reach + max(self.table.cfa.shape)
         top, left = max(rows.start - margin, 0), max(cols.start - margin, 0)
@@ -123,10 +129,10 @@ class GreyRenderer:
 
 
 def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
-    """Cut a part out of a frame, and correct its colour shading.
+    """Crop a frame to a small area, and correct the colour shading in the area.
 
-    Shading that is equal in all channels is not corrected, because it is nearly constant over a small part. The `phase` of
-    the result is unchanged.
+    Shading that is equal in all channels is not corrected, because this shading is nearly constant over a small area. The
+    `phase` remains that of the uncropped frame.
     """
     shading = frame.shading
     cut = None if shading is None else replace(shading, colour=None if shading.colour is None else shading.colour[where])
@@ -134,14 +140,17 @@ def _shading_corrected(frame: RawFrame, where: tuple[slice, slice]) -> RawFrame:
 
 
 def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]) -> tuple[NDArray[np.float64], str]:
-    """Return the mean signal of each channel in a part of a frame, in DN, and why the part is not a usable grey, or ""."""
+    """Return the mean signal of each channel in an area, in DN, and the reason why the area cannot be used.
+
+    The reason continues a message that begins with the name of the area. For a usable grey area, the reason is empty.
+    """
     values, means = _shading_corrected(frame, where).values, np.zeros(len(table.channels))
     clipped = float((values >= frame.white_level).mean())
     if clipped > MAX_CLIPPED:
         return means, f"is clipped in {clipped:.0%} of its pixels; choose a darker grey"
     cfa = shifted_cfa(table.cfa, (frame.phase[0] + where[0].start, frame.phase[1] + where[1].start))
     channel = tiled(cfa, values.shape)
-    top, reached = int(frame.values.max()), 0  # largest value in the frame; number of channels that clip at it
+    top, reached = int(frame.values.max()), 0  # largest value in the frame; number of channels clipped at this value
     for index, letter in enumerate(table.channels):
         seen = values[channel == index] - (frame.black_level + frame.dark)
         if seen.size < 2:
@@ -158,30 +167,30 @@ def _measured(frame: RawFrame, table: TransformTable, where: tuple[slice, slice]
     return means, ""
 
 
-TIME_CONSTANT = 1.0  # time in which exposure and white balance follow 63 % of a change of the light, in s
+TIME_CONSTANT = 1.0  # time constant, in s, with which exposure and white balance follow changes of the light
 
 
 @dataclass(frozen=True)
 class WhiteBalance:
-    """White balance: gains of the channels, and a matrix for the outputs."""
+    """Channel gains that are applied before rendering, and an output matrix that is applied after rendering."""
 
-    gains: NDArray[np.float64]  # (channel) at least 1, so that clipped pixels stay at the white level
-    adaptation: NDArray[np.float64]  # (3, 3) converts the outputs X, Y, Z to XYZ under D65, and preserves the Y of white
-    luminance: float  # ratio of the Y of a grey without the gains to its Y with the gains
+    gains: NDArray[np.float64]  # (channel) gains of at least 1, so that clipped pixels stay at the white level
+    adaptation: NDArray[np.float64]  # (3, 3) adapts the outputs X, Y, Z to D65, and preserves the Y of white
+    luminance: float  # Y of a grey area rendered without the gains, divided by the Y of this area with the gains
 
 
 def adaptation(white: Array) -> NDArray[np.float64]:
-    """Return the Bradford adaptation matrix from a white, given as XYZ, to D65."""
+    """Return the Bradford matrix that adapts from the white point `white` (XYZ) to D65."""
     return np.asarray(adaptation_matrix(white, display_white()), np.float64)
 
 
 def plain_balance(white: Array, channels: int) -> WhiteBalance:
-    """Return a white balance without gains, which only adapts outputs from the white `white` (XYZ) to D65."""
+    """Return a white balance without gains. After rendering, the outputs are adapted from the white point `white` to D65."""
     return WhiteBalance(np.ones(channels), adaptation(white), 1.0)
 
 
 def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
-    """Multiply the channels of a frame by white balance gains. The results are limited to the white level."""
+    """Multiply the channels of a frame by white-balance gains, and clip the results at the white level."""
     if (gains == 1).all():
         return frame
     curves = _curves(frame.black_level + frame.dark, frame.white_level, tuple(gains.tolist()))
@@ -194,7 +203,7 @@ def balanced(frame: RawFrame, table: TransformTable, gains: Array) -> RawFrame:
 
 
 def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Array) -> RawFrame:
-    """Multiply patches (patch, tap) by white balance gains, as in `balanced`. `channel` is the channel of each tap."""
+    """Apply white-balance gains to patches (patch, tap), as in `balanced`. `channel` contains the channel of each tap."""
     if (gains == 1).all():
         return patches
     curves = _curves(patches.black_level + patches.dark, patches.white_level, tuple(gains.tolist()))
@@ -203,17 +212,21 @@ def balanced_patches(patches: RawFrame, channel: NDArray[np.integer], gains: Arr
 
 @functools.lru_cache(maxsize=8)
 def _curves(zero: float, white_level: float, gains: tuple[float, ...]) -> NDArray[np.uint16]:
-    """Return a look-up table (channel, value) of balanced values for all 16-bit values. Clipped values do not change."""
+    """Return a look-up table (channel, value) that applies the gains to 16-bit values.
+
+    `zero` is the value without light. Values at or above the white level do not change.
+    """
     every = np.arange(1 << 16)
     raised = np.rint((every - zero) * np.array(gains)[:, None] + zero)
     return np.where(every < white_level, np.clip(raised, 0, np.ceil(white_level)), every).astype(np.uint16)
 
 
 class SteadyWhite:
-    """Computes the white balance of the frames of a sequence, one after another.
+    """Smooths the white balance of a sequence over time.
 
-    The first frame has its measured white balance. After the first frame, the balance approaches the measured balance
-    exponentially, in the same way as the exposure. The balance does not depend on later frames.
+    The first frame gets the white balance measured in this frame. From then on, the white balance approaches the measured
+    white balance exponentially, with the time constant of the automatic exposure. Later frames have no influence on
+    earlier frames.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -221,10 +234,10 @@ class SteadyWhite:
         self._now: WhiteBalance | None = None
 
     def balance(self, wanted: WhiteBalance | None) -> WhiteBalance | None:
-        """Return the white balance of the next frame.
+        """Return the smoothed white balance of the next frame, or None if no frame has been measured so far.
 
-        `wanted` is the measured balance of the frame, or None if its white could not be measured. Such a frame has the
-        balance of the previous frame, or None at the beginning of a sequence.
+        `wanted` is the white balance measured in the next frame. If the white point could not be measured, `wanted` is
+        None, and the white balance of the previous frame is returned.
         """
         if wanted is not None:
             self._now = wanted if self._now is None else _between(self._now, wanted, self._share)
@@ -232,7 +245,7 @@ class SteadyWhite:
 
 
 def followed_share(rate: Fraction) -> float:
-    """Return the fraction by which exposure and white balance approach a new value per frame. `rate` is in frames/s."""
+    """Return the fraction of a change that exposure and white balance follow per frame, at `rate` frames per second."""
     return 1 - math.exp(-1 / (float(rate) * TIME_CONSTANT))
 
 
@@ -242,29 +255,29 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
     return WhiteBalance(gains, matrix, now.luminance * (wanted.luminance / now.luminance) ** share)
 
 
-GREY_LEVEL = 0.4  # signal of the brightest channel of rendered greys, as a fraction of full scale; well trained in any table
-MAX_GAIN = 8.0  # largest gain of a channel; with a higher gain, the channel would mostly be noise
-SURFACES = 64  # number of measured reflectances to which the colour correction for an illuminant is fitted
-UNSURE = 1e-3  # error of rendered surfaces, used as a ridge so that the correction does not amplify errors
-MIN_WEIGHT_LUMINANCE = 0.05  # surfaces with a lower luminance relative to white have the weight of this luminance
-MAX_DUV = 0.03  # largest plausible distance of a lamp from the black-body locus in CIE 1960 uv
-SAME_WHITE = 5e-4  # whites closer together than this in CIE 1960 uv are treated as equal, because coordinates are rounded
-MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the channels; real lamps have at most half of it
-NEAR_WHITE = 0.02  # whites farther apart than this in CIE 1976 u′v′ belong to different illuminants
+GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; well trained in every table
+MAX_GAIN = 8.0  # largest gain of a channel; a channel that needs a higher gain contains mostly noise
+SURFACES = 64  # number of measured reflectances used to fit the colour correction for an illuminant
+UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge of the fit, so that errors are not amplified
+MIN_WEIGHT_LUMINANCE = 0.05  # relative luminance; darker surfaces are weighted as if they had this luminance
+MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
+SAME_WHITE = 5e-4  # distance in CIE 1960 uv below which two white points count as equal; users enter rounded values
+MAX_MISFIT = 0.12  # largest plausible RMS misfit of the logarithms of the signals; real lamps reach at most half of it
+NEAR_WHITE = 0.02  # distance in CIE 1976 u′v′ above which two white points belong to different illuminants
 COOLEST, WARMEST = 24_000.0, 1_700.0  # range of plausible colour temperatures, in K
 
 
 @dataclass(frozen=True)
 class SceneWhite:
-    """The white of a scene, its white balance, and the illuminant that probably has this white."""
+    """The white point of a scene: the probable illuminant, and the white balance that makes grey objects neutral."""
 
     balance: WhiteBalance
-    light: CorrelatedLight  # the illuminant
-    modelled: bool  # whether the balance was computed from the responsivities of the table's camera
+    light: CorrelatedLight  # illuminant that probably has this white point
+    modelled: bool  # whether the white balance was computed from the responsivities of the table's camera
 
     @property
     def plausible(self) -> bool:
-        """Whether real lamps, daylight or shade have such a white."""
+        """Whether daylight, shade or a real lamp can have this white point."""
         return _is_plausible(self.light)
 
     def __str__(self) -> str:
@@ -275,11 +288,12 @@ class SceneWhite:
 
 
 class Whites:
-    """Computes the white balance of frames that a table renders.
+    """Computes the white balance of frames that are rendered with a table.
 
-    If the table contains its camera and its training illuminant, the channels are first multiplied by gains, so that greys
-    have the same ratios of channels as under the training illuminant. Without these gains, the edges of grey objects and
-    highlights would be coloured. A matrix then corrects the remaining colour errors of surfaces.
+    If the table records its camera and its training illuminant, gains give grey objects the channel ratios that they have
+    under the training illuminant. Without these gains, highlights and the edges of grey objects would be coloured. If the
+    table records its camera and the scene illuminant is plausible, the output matrix also corrects the colours of
+    surfaces.
     """
 
     def __init__(self, table: TransformTable) -> None:
@@ -291,24 +305,27 @@ class Whites:
 
     @functools.cached_property
     def trained(self) -> NDArray[np.float64] | None:
-        """Signals of a grey under the training illuminant, one per channel, or None if the table does not contain them."""
+        """Signal of a perfect white in each channel under the training illuminant.
+
+        None if the table does not record its camera and its training illuminant.
+        """
         camera, light = self.table.camera, self.table.light
         if camera is None or light is None:
             return None
         return camera.signal_weights @ spectra.resample(light.radiance, light.wavelength, camera.wavelength)
 
     def of_neutral(self, neutral: Array) -> SceneWhite:
-        """Return the white of a scene in which greys have the given signals.
+        """Return the white point of a scene from the signals of a grey object.
 
         Parameters
         ----------
         neutral : ndarray, (channel,)
-            Signals of a grey, in any unit.
+            Signals of the grey object above black, in any unit.
 
         Raises
         ------
         InputFileError
-            If the table cannot render these signals as a white.
+            If the signals are not finite or all zero, or if the table renders them with an X, Y or Z below or equal to 0.
         """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
@@ -322,7 +339,13 @@ class Whites:
         return SceneWhite(self._balance(neutral, light), light, True)
 
     def of_light(self, name: str) -> SceneWhite:
-        """Return the white of an illuminant, such as "D65". Raises a RecipeError if the name is unknown."""
+        """Return the white point of a named illuminant, such as "D65".
+
+        Raises
+        ------
+        RecipeError
+            If the name is unknown.
+        """
         white, camera = spectra.white_point(name), self.table.camera
         if camera is None:
             return self.of_xyz(white)
@@ -331,11 +354,11 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ radiance, light), light, True)
 
     def of_chromaticity(self, white: Array) -> SceneWhite:
-        """Return the white of a scene with a known XYZ of white.
+        """Return the white point of a scene from the XYZ of a white object.
 
-        If the XYZ differs from the training white, the illuminant is assumed to be the nearest black body or daylight, with
-        a green or magenta tint. If the XYZ equals the training white, or if no such illuminant is plausible, the balance has
-        no gains and the outputs are only adapted.
+        The illuminant is assumed to be the nearest black body or daylight, with a green or magenta tint. The white balance
+        has no gains and only adapts the outputs if this illuminant is not plausible, if the XYZ equals the white point of
+        the training, or if the table does not record its camera.
         """
         camera = self.table.camera
         if camera is None or np.linalg.norm(uv(white) - uv(self.table.white_point[:3])) < SAME_WHITE:
@@ -347,26 +370,34 @@ class Whites:
         return SceneWhite(self._balance(camera.signal_weights @ light.radiance, light), light, True)
 
     def of_xyz(self, white: Array) -> SceneWhite:
-        """Return the white of a scene with a known XYZ of white. The balance has no gains and only adapts the outputs."""
+        """Return the white point of a scene from the XYZ of a white object.
+
+        The white balance has no gains and only adapts the outputs.
+        """
         return SceneWhite(plain_balance(white, len(self.table.channels)), light_of(white), False)
 
     def of_greys(self, frame: RawFrame, greys: Sequence[Grey]) -> SceneWhite:
-        """Return the white with which several greys in a frame become as neutral as possible.
+        """Return the white point that makes several grey areas of a frame as neutral as possible.
 
-        The sum of C*ab² over the greys is minimised. Raises an InputFileError if a grey is clipped, too dark or not uniform.
+        The sum of the squared chroma C*ab over the grey areas is minimised.
+
+        Raises
+        ------
+        InputFileError
+            If a grey area is clipped, too dark or not uniform, or contains too few pixels of a channel.
         """
         signals = np.array([self.grey.signals(frame, grey) for grey in greys])
         share = signals.mean(axis=1) / signals.mean(axis=1).max()
-        weights = share ** (2 / 3) / share  # C*ab is proportional to the cube root of luminance
+        weights = share ** (2 / 3) / share  # for a given colour cast, C*ab is proportional to the cube root of luminance
         made = self.of_neutral(weights @ signals)
         even = balanced(frame, self.table, made.balance.gains)
         whole = [
             number for number, grey in enumerate(greys) if self.grey.usable(even, grey)
-        ]  # greys that the gains do not clip
+        ]  # grey areas that remain unclipped after the gains
         if not whole:
             return made
         shown = weights[whole] @ np.array([self.grey.of_part(even, greys[number].where) for number in whole])
-        left = made.balance.adaptation @ _white(shown)  # remaining colour cast of the rendered greys
+        left = made.balance.adaptation @ _white(shown)  # remaining colour cast of the rendered grey areas
         return replace(made, balance=replace(made.balance, adaptation=adaptation(left) @ made.balance.adaptation))
 
     def _balance(self, neutral: Array, light: CorrelatedLight) -> WhiteBalance:
@@ -379,7 +410,7 @@ class Whites:
         return WhiteBalance(gains, matrix, float(before / after / raised))
 
     def _gains(self, neutral: Array) -> NDArray[np.float64]:
-        """Return gains of at least 1 that give a grey the same ratios of channels as under the training illuminant."""
+        """Return gains of at least 1 that give a grey object the channel ratios it has under the training illuminant."""
         if self.trained is None:
             return np.ones(len(neutral))
         seen = (neutral > 0) & (self.trained > 0)  # an infrared channel may receive no light from some lamps
@@ -387,13 +418,14 @@ class Whites:
         return np.clip(ratio / ratio.min(where=seen, initial=np.inf), 1.0, MAX_GAIN)
 
     def _shown(self, neutral: Array) -> NDArray[np.float64]:
-        """Return the X, Y, Z that the table outputs for a grey with the given signals."""
+        """Return the X, Y, Z that the table renders from the signals of a grey object."""
         return _white(self.grey.outputs_of(GREY_LEVEL * neutral[None] / neutral.max())[0])
 
     def _correction(self, radiance: Array, gains: Array) -> NDArray[np.float64]:
-        """Fit a matrix (3, 3) that corrects the balanced and adapted outputs of measured surfaces, and preserves white.
+        """Return a matrix (3, 3) that corrects the colours of surfaces after white balance, and preserves white.
 
-        `radiance` is the radiance of the illuminant on the wavelength grid of the camera.
+        The matrix is fitted to measured reflectances. `radiance` is the radiance of the illuminant on the wavelength grid
+        of the camera.
         """
         camera = self.table.camera
         assert camera is not None
@@ -403,7 +435,7 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # visible errors are relative to luminance
+        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # visible errors are proportional to luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
@@ -414,13 +446,13 @@ def _is_plausible(light: CorrelatedLight) -> bool:
 
 @functools.lru_cache(1)
 def _surfaces(wavelength: tuple[float, ...]) -> Array:
-    """Return `SURFACES` reflectances (surface, wavelength) from the library of measured surfaces."""
+    """Return the reflectances (surface, wavelength) of `SURFACES` surfaces from the library of measured reflectances."""
     library = spectra.reflectance_library(np.array(wavelength))
     return np.asarray(library[np.linspace(0, len(library) - 1, SURFACES).round().astype(int)])
 
 
 def _white(outputs: Array) -> NDArray[np.float64]:
-    """Return the outputs of a white if all are positive, otherwise raise an InputFileError."""
+    """Return the outputs of a grey area as float64. Raise an InputFileError unless all outputs are finite and positive."""
     if not (np.isfinite(outputs).all() and outputs.min() > 0):
         shown = ", ".join(f"{each:.3g}" for each in outputs)
         raise InputFileError(
@@ -433,7 +465,7 @@ def _white(outputs: Array) -> NDArray[np.float64]:
 
 
 def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> str:
-    """Return a warning if the white that the user set is probably far from the training illuminants, otherwise ""."""
+    """Return a warning if the white point set by the user is probably far from the training illuminants, otherwise ""."""
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
@@ -447,7 +479,10 @@ def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> s
 
 
 def implausible(what: str, white: SceneWhite) -> str:
-    """Return a warning if no plausible illuminant has this white, otherwise "". `what` names the white."""
+    """Return a warning if no plausible illuminant has this white point, otherwise an empty string.
+
+    The warning begins with `what`, a description of the white point.
+    """
     if white.plausible:
         return ""
     return (
@@ -457,7 +492,7 @@ def implausible(what: str, white: SceneWhite) -> str:
 
 
 def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
-    """Return a warning if the white that a file states differs from the white of the chart in its frame, otherwise ""."""
+    """Return a warning if the white point stored in a file differs from that measured on the chart, otherwise ""."""
     if _alike(white.light.xyz, stated.light.xyz):
         return ""
     return (
@@ -467,6 +502,6 @@ def unlike_stated(name: str, white: SceneWhite, stated: SceneWhite) -> str:
 
 
 def _alike(one: Array, other: Array) -> bool:
-    """Return whether two whites, given as XYZ, may belong to the same illuminant."""
+    """Return whether two white points (XYZ) are close enough to belong to the same illuminant."""
     difference = (uv(one) - uv(other)) * (1.0, 1.5)  # CIE 1976 u′v′
     return float(np.linalg.norm(difference)) <= NEAR_WHITE

@@ -1,8 +1,8 @@
-"""Sources of the white of a scene (docs/method.md#scene-white).
+"""Methods for finding the white point of a scene (docs/method.md#scene-white).
 
-The white can be read from the file, measured on a grey object or a ColorChecker in the frame, or estimated from the whole
-frame. The estimate is the mean of the grey-edge and the white-patch method, limited to illuminants near daylight and black
-bodies.
+The white point can be read from the file, measured on a grey object or on a ColorChecker in the frame, or estimated from
+the whole frame. The estimate averages the results of the grey-edge and white-patch methods. l3 then selects the most
+probable illuminant near daylight or a black body.
 """
 
 import re
@@ -27,26 +27,26 @@ from l3cli.system.text import NoSuchNumber, Quantity
 
 Array = NDArray[np.floating]
 EDGE_NORM = 6  # order of the Minkowski norm over the edges; a high order emphasises strong edges
-PATCH_PERCENTILE = 99  # percentile of each cone response that is attributed to a white patch
-MIN_SAMPLES = 24  # smallest number of samples for an estimate, without clipped and dark samples
+PATCH_PERCENTILE = 99  # percentile of each cone response; this value is taken as the response to white
+MIN_SAMPLES = 24  # smallest number of usable samples (neither clipped nor dark) for an estimate
 MIREDS = np.arange(80.0, 521.0, 20.0)  # reciprocal colour temperatures in 10^6/K, from 12 500 K to 1920 K
-GREENS = np.linspace(-0.2, 0.4, 7)  # green or magenta tints, in the units of correlated_lights.GREENS
-SEARCH_POINTS = (111, 31)  # numbers of points along MIREDS and GREENS in the search for a white
-LIKELY_ERROR = 0.1  # standard deviation of the estimated logarithms of cone ratios
-LIKELY_GREEN = 0.1  # standard deviation of the tint of illuminants
+GREENS = np.linspace(-0.2, 0.4, 7)  # green (positive) or magenta (negative) tints, in the unit of correlated_lights.GREENS
+SEARCH_POINTS = (111, 31)  # numbers of points along MIREDS and GREENS in the search for the white point
+LIKELY_ERROR = 0.1  # assumed standard deviation of the estimated logarithms of cone ratios
+LIKELY_GREEN = 0.1  # assumed standard deviation of the tints of illuminants
 
 
 class AutoWhite:
-    """Estimates the white of a frame from about 1500 pixels, which are rendered on the CPU.
+    """Estimates the white point of a frame from about 1500 pixels.
 
-    The result depends only on the frame and not on the device.
+    These pixels are rendered on the CPU, so the estimate does not depend on the OpenCL device.
 
     Parameters
     ----------
     whites : Whites
-        Renders the pixels with its table.
+        The table of `whites` renders the pixels.
     balanced_by : Whites, optional
-        Computes the white balance. [default: `whites`]
+        Object that computes the white balance for the estimated white point. [default: `whites`]
     """
 
     about, held = "estimated from the frame", False
@@ -59,7 +59,7 @@ class AutoWhite:
         self._made: dict[tuple[int, int], SceneWhite] = {}
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, or None if too few pixels are neither clipped nor dark."""
+        """Return the white point of a frame, or None if too many of the pixels are clipped or dark."""
         estimate = estimated(*self._samples(frame))
         if estimate is None:
             return None
@@ -70,14 +70,17 @@ class AutoWhite:
         return self._made[place]
 
     def _nearest(self, estimate: Array) -> tuple[int, int]:
-        """Return the indices of the illuminant that most probably has the estimated white."""
+        """Return the indices of the most probable illuminant on the fine grid.
+
+        `estimate` contains the estimated logarithms of the cone ratios.
+        """
         green = np.linspace(GREENS[0], GREENS[-1], SEARCH_POINTS[1])
         error = ((self._places - estimate) ** 2).sum(axis=-1) / LIKELY_ERROR**2 + (green / LIKELY_GREEN) ** 2
         row, col = np.unravel_index(int(error.argmin()), error.shape)
         return int(row), int(col)
 
     def _neutral(self, row: int, col: int) -> Array:
-        """Return the signals of a grey under the illuminant with the indices `row` and `col`, one per channel."""
+        """Return the signal of a grey object in each channel, under the illuminant at these indices of the fine grid."""
         places = (
             np.array([place * (count - 1) / (fine - 1)])
             for place, count, fine in zip((row, col), self._neutrals.shape[:2], SEARCH_POINTS, strict=True)
@@ -85,9 +88,9 @@ class AutoWhite:
         return np.asarray(_between(self._neutrals, *places)[0, 0])
 
     def _samples(self, frame: RawFrame) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask of the pixels that can be used.
+        """Return the cone responses (row, col, 3) of a grid of pixels, and a mask (row, col).
 
-        Pixels can be used if they are neither clipped nor dark.
+        The mask is true for pixels that are neither clipped nor dark.
         """
         table, rule = self._table, self._table.first.rule
         patches, site, labels = self._spread.of(frame)
@@ -99,7 +102,7 @@ class AutoWhite:
         return cones.reshape(*shape, 3), usable.reshape(shape)
 
     def _log_ratios(self) -> Array:
-        """Return the logarithms of the cone ratios of rendered whites, on a fine grid of illuminants."""
+        """Return the logarithms of the cone ratios (mired, green, 2) of grey objects, on a fine grid of illuminants."""
         shown = self._neutrals.reshape(-1, self._neutrals.shape[-1])
         if self._table.camera:
             shown = self._whites.grey.outputs_of(GREY_LEVEL * shown)
@@ -109,11 +112,11 @@ class AutoWhite:
 
 
 def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
-    """Estimate the white of a scene from a grid of pixels.
+    """Estimate the white point of a scene from a grid of pixels.
 
     The result is the mean of two estimates. The grey-edge method assumes that large differences between neighbouring pixels
-    are grey (van de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response of each
-    cone belongs to white (Land, 1977).
+    are grey on average (van de Weijer, Gevers and Gijsenij, 2007). The white-patch method assumes that the largest response
+    of each cone is the response to white (Land, 1977).
 
     Parameters
     ----------
@@ -125,8 +128,8 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
     Returns
     -------
     ndarray, (2,), or None
-        Logarithms of the ratios of the first and of the third cone response of white to the second, or None if there are
-        too few pixels.
+        Logarithms of the cone ratios of white: first to second response, and third to second response. None if too few
+        pixels are usable.
     """
     if int(usable.sum()) < MIN_SAMPLES:
         return None
@@ -141,10 +144,10 @@ def estimated(cones: Array, usable: NDArray[np.bool_]) -> Array | None:
 
 
 def _neutrals(table: TransformTable) -> Array:
-    """Return the signals (mired, green, channel) of a grey under illuminants near daylight and black bodies.
+    """Return the signals (mired, green, channel) of a grey object under illuminants near daylight and black bodies.
 
-    If the table does not contain its camera, the result is the XYZ of the illuminants, as if the table rendered all whites
-    correctly.
+    If the table does not record its camera, the XYZ (mired, green, 3) of the illuminants are returned instead. The table is
+    then assumed to render all white points correctly.
     """
     camera = table.camera
     grid = camera.wavelength if camera else correlated_lights.WAVELENGTH
@@ -155,7 +158,7 @@ def _neutrals(table: TransformTable) -> Array:
 
 
 def _ratios(cones: Array) -> Array:
-    """Return the logarithms (…, 2) of the ratios of the first and of the third cone response to the second."""
+    """Return the logarithms (…, 2) of two cone ratios: first to second response, and third to second response."""
     return np.log(cones[..., [0, 2]] / cones[..., 1:2])
 
 
@@ -171,25 +174,26 @@ def _between(values: Array, rows: Array, cols: Array) -> Array:
 
 
 NEUTRALS = range(18, 24)  # indices of the neutral patches, from white to black
-CORE = 0.25  # half the side of the measured square, relative to the side of a patch; the border of the patch is left out
+CORE = 0.25  # half the side of the measured square, relative to the side of a patch, to avoid the borders of the patch
 WAVELENGTH = np.arange(400.0, 701.0, 10.0)  # in nm
-# Smallest R² of a chart. 48 pictures without a chart have at most 0.83, and two pictures with a chart have 0.998.
+# Smallest R² with which a chart counts as found. R² is at most 0.83 for 48 pictures without a chart, and 0.998 for two
+# pictures with a chart.
 MIN_R_SQUARED = 0.95
 
 
 @dataclass(frozen=True)
 class ChartSceneWhite(SceneWhite):
-    """The white of a scene, measured on a chart."""
+    """The white point of a scene, measured on a ColorChecker."""
 
-    place: str  # position of the chart in the upright picture, in words
-    stated: SceneWhite | None  # white that the file states, if any
+    place: str  # rows and columns of the chart in the upright picture, as text
+    stated: SceneWhite | None  # white point stored in the file; None if the file contains no white balance
 
     def __str__(self) -> str:
         return f"{super().__str__()}; {self.place}"
 
 
 class ChartWhite:
-    """Measures the white on the grey patches of a ColorChecker in the frame."""
+    """Measures the white point on the grey patches of a ColorChecker in the frame."""
 
     about, held = "measured on a ColorChecker", True
 
@@ -198,7 +202,13 @@ class ChartWhite:
         self._reflectance = charts.chart("classic", WAVELENGTH)[1]
 
     def white(self, frame: RawFrame) -> ChartSceneWhite:
-        """Return the white of a frame. Raises an InputFileError if there is no chart with measurable grey patches."""
+        """Return the white point of a frame.
+
+        Raises
+        ------
+        InputFileError
+            If no chart is found, or if none of the grey patches can be measured.
+        """
         table, (rows, cols) = self._table, charts.CLASSIC
         mosaic = frame.shading_corrected().values - (frame.black_level + frame.dark)
         located = locate(mosaic, shifted_cfa(table.cfa, frame.phase), self._reflectance, charts.CLASSIC)
@@ -215,7 +225,7 @@ class ChartWhite:
 
 
 def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
-    """Yield a square in the middle of each neutral patch."""
+    """Yield a square area in the middle of each neutral patch."""
     for patch in NEUTRALS:
         row, col = divmod(patch, charts.CLASSIC[1])
         middle = np.array([col + 0.5, row + 0.5])
@@ -227,7 +237,7 @@ def _greys(frame: RawFrame, located: Located) -> Iterator[Grey]:
 
 
 def _place(frame: RawFrame, located: Located) -> str:
-    """Describe the rows and columns of a chart in the upright picture, in words."""
+    """Describe the position of a chart in the upright picture, such as "rows 10–90, columns 20–140"."""
     corners = through(located.to_pixels, corner_cells(*charts.CLASSIC))
     cols, rows = (_turned(corners[:, axis], frame, axis) for axis in (0, 1))
     if frame.orientation & 4:
@@ -236,7 +246,7 @@ def _place(frame: RawFrame, located: Located) -> str:
 
 
 def _turned(places: NDArray[np.floating], frame: RawFrame, axis: int) -> NDArray[np.floating]:
-    """Convert columns (axis 0) or rows (axis 1) of the sensor to the mirrored picture, if the picture is mirrored."""
+    """Mirror column numbers (axis 0) or row numbers (axis 1) if the upright picture is mirrored along this axis."""
     return frame.values.shape[1 - axis] - 1 - places if frame.orientation & (1, 2)[axis] else places
 
 
@@ -247,22 +257,25 @@ MULTIPLIER = Quantity(0.05, 20)  # range of the multiplier of a channel
 
 
 class WhiteSource(Protocol):
-    """A source of the white of each frame."""
+    """A method for finding the white point of each frame."""
 
     @property
     def about(self) -> str:
-        """Where the white comes from, in words for messages."""
+        """Description of the method for messages, such as "measured on a ColorChecker"."""
         ...
 
     @property
     def held(self) -> bool:
-        """Whether a sequence keeps the white of its first frame."""
+        """Whether the white point of the first frame is used for the whole sequence."""
         ...
 
     def white(self, frame: RawFrame) -> SceneWhite | None:
-        """Return the white of a frame, or None if the white is unknown.
+        """Return the white point of a frame, or None if the white point is unknown.
 
-        Raises an InputFileError if the white cannot be measured.
+        Raises
+        ------
+        InputFileError
+            If the white point cannot be measured.
         """
         ...
 
@@ -270,8 +283,8 @@ class WhiteSource(Protocol):
 class CameraWhite:
     """Reads the white balance that the camera recorded in the file.
 
-    `asked` says what to do with a file that states no white balance. If it is true, an InputFileError is raised. Otherwise
-    the white of the table is used.
+    If a file contains no white balance, `white` raises an InputFileError if `asked` is true. Otherwise `white` returns None,
+    and the caller uses the white point of the table.
     """
 
     about, held = "stated in the file", False
@@ -294,7 +307,7 @@ class CameraWhite:
 
 
 class SquareWhite:
-    """Measures the white in a square of the frame that shows a grey object."""
+    """Measures the white point in a square of the frame that shows a grey object."""
 
     held = True
 
@@ -309,16 +322,16 @@ class SquareWhite:
 def white_source(
     text: str | None, table: TransformTable, photos: bool = False, estimated_by: TransformTable | None = None
 ) -> WhiteSource | None:
-    """Return the source of the white of each frame, or None if all frames have the same white.
+    """Return the method that finds the white point of each frame, or None if all frames have one white point.
 
     Parameters
     ----------
     text : str or None
-        Value of the option ‹white›. The texts "camera", "auto", "chart" and "ROW,COL[,SIZE]" name a source. Any other text
-        is a fixed white, which `given_white` parses.
+        Value of the option ‹white›. The values "camera", "auto", "chart" and "ROW,COL[,SIZE]" select a method. Every other
+        value is a fixed white point, which `given_white` parses.
     table : TransformTable
     photos : bool
-        Whether to use the white that the files state if `text` is None.
+        Whether to use the white balance recorded in the files if `text` is None.
     estimated_by : TransformTable, optional
         Table that renders the pixels for "auto" (docs/method.md#several-illuminants). [default: `table`]
 
@@ -329,7 +342,7 @@ def white_source(
     Raises
     ------
     RecipeError
-        If `text` names a source, but the table makes grey pictures, which need no white.
+        If `text` selects a method, but the table renders monochrome pictures, which need no white point.
     """
     if table.shows_grey:
         if text in (CAMERA, AUTO, CHART) or _square(text) is not None:
@@ -348,9 +361,12 @@ def white_source(
 
 
 def _square(text: str | None) -> Square | None:
-    """Parse "ROW,COL[,SIZE]" as a square, or return None if `text` has another form.
+    """Parse "ROW,COL[,SIZE]" as a square. Return None if `text` does not have this form.
 
-    Raises a RecipeError if a number is out of range.
+    Raises
+    ------
+    RecipeError
+        If a number is out of range.
     """
     text = text or ""
     parts = text.split(",")
@@ -369,31 +385,31 @@ def _square(text: str | None) -> Square | None:
 def _is_place(parts: list[str]) -> bool:
     """Return whether `parts` are ROW,COL or ROW,COL,SIZE in whole numbers.
 
-    A square of one pixel is not allowed, so "1,1,1" is read as three multipliers.
+    The size 1 is not allowed, so "1,1,1" is parsed as three multipliers.
     """
     return 2 <= len(parts) <= 3 and all(re.fullmatch(r"[+-]?\d+", part) for part in parts) and parts[2:] != ["1"]
 
 
 def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
-    """Parse a fixed white, which does not depend on the frame.
+    """Parse a fixed white point, which is the same for all frames.
 
     Parameters
     ----------
     text : str or None
-        The name of an illuminant, the chromaticity "x,y", or one multiplier per channel such as "2.1,1,1.4". "table" and
-        None mean the white of the table.
+        The name of an illuminant, a chromaticity "x,y", or one multiplier per channel, such as "2.1,1,1.4". "table" and
+        None select the white point of the table.
     table : TransformTable
         The table that renders the frames.
 
     Returns
     -------
     SceneWhite or None
-        None for the white of the table.
+        None for the white point of the table.
 
     Raises
     ------
     RecipeError
-        If the text has none of these forms.
+        If `text` has none of these forms.
     """
     if text is None or text == TABLE:
         return None
@@ -403,7 +419,13 @@ def given_white(text: str | None, table: TransformTable) -> SceneWhite | None:
 
 
 def _multipliers(text: str, channels: Sequence[str]) -> Array:
-    """Parse one multiplier per channel. Raises a RecipeError if their number is wrong or a value is out of range."""
+    """Parse one multiplier per channel.
+
+    Raises
+    ------
+    RecipeError
+        If the number of multipliers is not the number of channels, or if a multiplier is out of range.
+    """
     parts, names = text.split(","), ", ".join(channels)
     if len(parts) != len(channels):
         raise RecipeError(
