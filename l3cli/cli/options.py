@@ -1,4 +1,4 @@
-"""Makes click options from the declarations in l3cli/options, and defines the options that every command has."""
+"""Click options: created from the declarations in l3cli/options, and the options that are common to all commands."""
 
 import functools
 import os
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # not checked by click, because opening the file gives a better message
+FILE = click.Path(path_type=Path, readable=False)  # click need not check the file; l3's message is better
 
 
 class RecipeFile(click.Path):
-    """A recipe file, or the name of a recipe in the folder `kind` of configs/."""
+    """Parameter type for a recipe: a path, or the name of a recipe in the folder `kind` of configs/."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(path_type=Path, readable=False)
@@ -33,7 +33,7 @@ class RecipeFile(click.Path):
         return Recipe(self.kind).read(value)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list["CompletionItem"]:
-        """Return recipe names and files. bash does not complete files itself if a program offers other completions."""
+        """Return recipe names and file names. bash offers no file names of its own if a program returns completions."""
         from click.shell_completion import CompletionItem
 
         from l3cli.recipes.builtin import known_recipes
@@ -50,7 +50,7 @@ CAMERA = RecipeFile("cameras")
 
 
 class Value(click.ParamType):
-    """A value that is parsed by the reader of an option."""
+    """Parameter type for a value that the reader of the option parses."""
 
     name = "value"
 
@@ -65,7 +65,7 @@ class Value(click.ParamType):
 
 
 class Word(click.Choice):
-    """One of several words."""
+    """Parameter type for one of the values of a Choice."""
 
     def __init__(self, reader: Choice) -> None:
         super().__init__(list(map(str, reader.values)))
@@ -86,7 +86,7 @@ def _type(reader: Reader) -> click.ParamType | None:
 
 
 def _option(name: str, declared: Declaration) -> Callable[[F], F]:
-    """Return the click option for a declaration."""
+    """Return the decorator that adds a declared option to a command."""
     default = declared.default
     return click.option(
         f"--{declared.flag or name.replace('_', '-')}",
@@ -102,9 +102,10 @@ def _option(name: str, declared: Declaration) -> Callable[[F], F]:
 
 
 def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]:
-    """Return a decorator that adds all options of a command and passes them as its parameter `options`.
+    """Return a decorator that adds the options declared in `options`, and --quiet, --log FILE and --json, to a command.
 
-    The options are the declared options, `modes`, and --quiet, --log FILE and --json.
+    The command receives the values of the declared options, and the console, as one object in the parameter `options`.
+    `modes` are further click decorators. Their values are passed to the command as separate keyword arguments.
     """
     declared = declarations(options)
 
@@ -121,11 +122,11 @@ def of(options: type[Options], *modes: Callable[[Any], Any]) -> Callable[[F], F]
 
 
 def output(what: str, required: bool = True, metavar: str = "FILE") -> Callable[[F], F]:
-    """Add the option -o/--output FILE. `what` is its help text."""
+    """Return a decorator that adds the option -o/--output with the help text `what`."""
     return click.option("-o", "--output", type=FILE, required=required, metavar=metavar, help=f"{what}.")
 
 
-LOG = "l3cli.log"  # key of the path of --log in the `meta` of a context
+LOG = "l3cli.log"  # key in `click.Context.meta` under which the path of --log is stored
 
 
 def _log(context: click.Context, parameter: click.Parameter, path: Path | None) -> None:
@@ -147,7 +148,7 @@ _LOG = click.option(
     "--log", type=FILE, metavar="FILE", is_eager=True, expose_value=False, callback=_log,
     help="Also append all messages, with time, level and command, to FILE.",
 )  # fmt: skip
-_JSON = click.option(  # its value is not used, because results.begin has already searched the arguments for it
+_JSON = click.option(  # the value is not used, because results.begin has already searched the arguments for --json
     JSON, "as_json", is_flag=True, expose_value=False,
     help="Print results, warnings, times and file digests as one JSON object on stdout.",
 )  # fmt: skip

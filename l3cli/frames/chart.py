@@ -1,8 +1,8 @@
 """Find a colour chart in a mosaic and measure its patches (docs/method.md#charts-in-photographs).
 
 A chart is recognised as a grid of uniform regions whose values are consistent with the reflectances of the patches. The
-responsivities need not be known, because the values of each channel are compared with all values that the reflectances
-permit. This comparison also determines the orientation of the chart.
+responsivities of the camera need not be known: l3 tests whether the values of each channel are a linear combination of a
+constant and the principal components of the reflectances. This test also determines the orientation of the chart.
 """
 
 import itertools
@@ -15,30 +15,31 @@ from numpy.typing import NDArray
 
 from l3cli.physics.mosaic import tiled
 
-CORE = 0.25  # half the side of the measured core of a patch, in cells; the core excludes borders and blurred edges
-OUTLIER = 5.0  # robust standard deviations; a pixel farther from the median is treated as dust, a scratch or a hot pixel
+CORE = 0.25  # half the side, in cells, of the measured core of a patch; the core excludes borders and blurred edges
+OUTLIER = 5.0  # distance from the median, in robust standard deviations, beyond which a pixel is an outlier, such as dust
 DUSTY = 0.2  # maximum fraction of outliers in a usable patch
 CLIPPED = 1e-3  # maximum fraction of saturated pixels in a usable patch
 MIN_PIXELS = 12  # minimum number of pixels of one channel in a patch
-PRECISION = 0.002  # relative error due to texture and gloss, which does not decrease with more pixels
-MIN_POINTS = 6  # minimum number of points (patches × channels) for a photon transfer line
-MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a Gaussian
+PRECISION = 0.002  # relative error of patch means due to texture and gloss; averaging more pixels does not reduce this error
+MIN_POINTS = 6  # minimum number of points (patches × channels) for fitting a photon transfer line
+MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median absolute deviation
 Array = NDArray[np.floating]
-SEARCHED = 480  # longer side, in pixels, of the reduced picture in which l3 searches for charts
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # maximum relative change between adjacent pixels of a uniform area; tried in this order
-DARK_FRACTION = 0.02  # fraction of the brightest value; gradients of darker pixels are noise
-MIN_AREA, MAX_SHARE = 9, 0.03  # area of a patch: minimum in pixels, and maximum as a fraction of the picture
-LONG, FILLED = 2.2, (0.75, 1.25)  # shape of a patch: maximum aspect ratio, and range of its area relative to a parallelogram
-# number of nearest regions that may define the grid steps, and number of regions at which grids may start
+SEARCHED = 480  # maximum side, in pixels, of the reduced picture in which l3 searches for a chart
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # limits for the relative gradient per pixel of a uniform region; l3 tries all
+# Fraction of the 99th percentile. This value is added to the divisor of relative gradients against noise in dark areas.
+DARK_FRACTION = 0.02
+MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum as a fraction of the picture
+LONG, FILLED = 2.2, (0.75, 1.25)  # patches: maximum aspect ratio; range of area relative to a parallelogram
+# Number of nearest regions that may define the steps of a grid, and number of regions at which l3 starts grids.
 NEIGHBOURS, SEEDS = 8, 160
 PAIRS = np.array(list(itertools.permutations(range(NEIGHBOURS), 2)))
-ASKEW, UNEQUAL = 0.5, 1.8  # two grid steps: maximum cosine of the angle between them, and maximum ratio of their lengths
-OFF = 0.22  # maximum distance of a region from its grid point, in grid steps
-REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance of a region from its patch in each refinement, in cells
+ASKEW, UNEQUAL = 0.5, 1.8  # maximum cosine of the angle between the two steps of a grid, and maximum ratio of their lengths
+OFF = 0.22  # maximum distance between a region and a grid point, in grid steps
+REFINED = (0.25, 0.15, 0.1, 0.1)  # maximum distance between a region and the centre of a patch in each refinement, in cells
 MIN_SHARE, MIN_REGIONS = 0.4, 5  # minimum fraction and minimum number of patches that must be found as regions
-GROWN, TRIED = 200, 20  # number of grids that are extended, and number of grids that are compared with the reflectances
-COMPONENTS = 6  # number of principal components of the reflectances; they explain every channel within a few percent
-MIN_FIT = 0.9  # minimum R² with which the components explain the values
+GROWN, TRIED = 200, 20  # number of grids that are extended, and number of extended grids that are fitted to the reflectances
+COMPONENTS = 6  # number of principal components of the reflectances; enough to describe any channel to a few percent
+MIN_FIT = 0.9  # minimum R² of the fit of the components to the values of a chart
 
 
 def homography(cells: Array, pixels: Array) -> Array:
@@ -47,19 +48,19 @@ def homography(cells: Array, pixels: Array) -> Array:
     Parameters
     ----------
     cells : ndarray, (point, 2)
-        x and y of at least four points.
+        x and y of at least four points, in cells.
     pixels : ndarray, (point, 2)
-        Column and row of the same points.
+        Column and row of each point, in pixels.
 
     Returns
     -------
     ndarray, (3, 3)
-        The homography. Its product with (x, y, 1) is (column, row, 1) up to a common factor.
+        Homography. The product with (x, y, 1) is proportional to (column, row, 1).
 
     Raises
     ------
     LinAlgError
-        If four points lie on a line, so that there is no unique homography.
+        If there are exactly four points and three points lie on a line, so that there is no unique homography.
     """
     scale, shift = float(np.ptp(pixels, axis=0).max()) or 1.0, pixels.mean(axis=0)
     right = (pixels - shift) / scale
@@ -71,9 +72,9 @@ def homography(cells: Array, pixels: Array) -> Array:
 
 
 def _equations(cells: Array, pixels: Array) -> Array:
-    """Return the matrix (…, 2 · point, 8) of the linear equations for a homography.
+    """Return the matrix (…, 2 · point, 8) of the linear equations for a homography whose last element is 1.
 
-    The product with the first eight elements of the homography is the coordinates of the pixels. The ninth element is 1.
+    The unknowns are the first eight elements of the homography. The right-hand sides are the columns and rows of the pixels.
     """
     place = np.concatenate([cells, np.ones_like(cells[..., :1])], axis=-1)
     along = [np.concatenate(parts, axis=-1) for parts in ((place, 0 * place), (0 * place, place))]
@@ -82,14 +83,15 @@ def _equations(cells: Array, pixels: Array) -> Array:
 
 
 def corner_cells(rows: int, cols: int) -> Array:
-    """Return the coordinates x, y (4, 2) of the outer corners of a grid of patches, clockwise from the first patch."""
+    """Return x and y (4, 2) of the outer corners of a grid of patches, in cells and clockwise from the first patch."""
     return np.array([[0, 0], [cols, 0], [cols, rows], [0, rows]], dtype=np.float64)
 
 
 def through(matrix: Array, points: Array) -> Array:
-    """Transform points (…, 2) by a homography, or by several homographies. Several return an array (grid, point, 2).
+    """Transform points (…, 2) by one homography (3, 3) or by several homographies (grid, 3, 3).
 
-    Points without an image become infinite.
+    Several homographies transform all points, and the result is an array (grid, point, 2). Points at infinity become
+    infinite or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
@@ -97,9 +99,9 @@ def through(matrix: Array, points: Array) -> Array:
 
 
 def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], core: float) -> NDArray[np.int64]:
-    """Return a map (row, col) with the index of the patch whose core contains each pixel.
+    """Return a map (row, col) that contains, for each pixel, the index of the patch in whose core the pixel is.
 
-    Pixels outside all cores have the index rows · cols of the grid.
+    Pixels outside all cores have an index equal to the number of patches.
 
     Parameters
     ----------
@@ -125,19 +127,19 @@ def patch_map(to_pixels: Array, grid: tuple[int, int], shape: tuple[int, int], c
 
 @dataclass(frozen=True)
 class PatchValues:
-    """The values of the patches of a chart in a mosaic."""
+    """Measured values of the patches of a chart."""
 
-    mean: Array  # (patch, channel) DN above black
-    deviation: Array  # (patch, channel) DN; standard deviation of the mean
-    variance: Array  # (patch, channel) DN²; noise variance of a pixel, without texture and gradients
-    used: NDArray[np.bool_]  # (patch, channel) whether the value is usable
-    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason for each value that is not usable
+    mean: Array  # (patch, channel) mean in DN above black
+    deviation: Array  # (patch, channel) standard deviation of the mean, in DN
+    variance: Array  # (patch, channel) noise variance of a pixel in DN², without texture and gradients
+    used: NDArray[np.bool_]  # (patch, channel) whether the mean can be used
+    left_out: tuple[tuple[int, int, str], ...]  # patch, channel and reason, for each mean that cannot be used
 
 
 def patch_values(
     frames: Sequence[Array], cfa: NDArray[np.uint8], to_pixels: Array, grid: tuple[int, int], saturation: float
 ) -> PatchValues:
-    """Measure the patches of a chart.
+    """Measure the mean and the noise of each patch of a chart.
 
     Parameters
     ----------
@@ -150,7 +152,7 @@ def patch_values(
     grid : tuple of int
         Rows and columns of patches.
     saturation : float
-        DN above black from which a pixel counts as clipped.
+        Value in DN above black at or above which a pixel counts as clipped.
 
     Raises
     ------
@@ -183,7 +185,7 @@ def patch_values(
 
 
 def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> Iterator[tuple[tuple[int, int], NDArray]]:
-    """Yield each pair (patch, channel) with the flat indices of its pixels. `patch` is the result of `patch_map`."""
+    """Yield (patch, channel) and the flat indices of the pixels of this channel in the patch, from a `patch_map`."""
     channels = int(cfa.max()) + 1
     label = np.where(patch < patches, patch * channels + tiled(cfa, patch.shape), patches * channels).ravel()
     order = np.argsort(label, kind="stable")
@@ -196,18 +198,18 @@ def _pixels(patch: NDArray[np.int64], patches: int, cfa: NDArray[np.uint8]) -> I
 def _typical(values: Array, least: float) -> NDArray[np.bool_]:
     """Return a mask that is false for outliers, such as dust or hot pixels.
 
-    The standard deviation of the values is assumed to be at least `least`.
+    `least` is the smallest standard deviation that is assumed for the values without outliers.
     """
     off = np.abs(values - np.median(values))
     return np.asarray(off <= OUTLIER * max(MAD * float(np.median(off)), least))
 
 
 def _differences(frames: Sequence[Array], cfa: NDArray[np.uint8]) -> Array:
-    """Return differences (row, col) whose variance is equal to the noise variance of a pixel. They are NaN at the edges.
+    """Return differences (row, col) whose variance equals the noise variance of a pixel.
 
-    If there are several frames, the result is the difference between two frames, divided by √2. If there is a single frame,
-    it is a mixed second difference between neighbouring pixels of the same CFA site, in which gradients and differences
-    between patches cancel.
+    For several frames, the differences between the first two frames are divided by √2. For a single frame, mixed second
+    differences between neighbouring pixels of the same CFA site are divided by 2. Linear gradients cancel in mixed second
+    differences. At the lower and right edges of a single frame, the result is NaN.
     """
     if len(frames) > 1:
         return np.asarray((frames[0].astype(np.float64) - frames[1]) / np.sqrt(2.0))
@@ -227,10 +229,10 @@ def _robust_variance(values: Array) -> float:
 
 
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
-    """Return the conversion gain (DN/e-) and the dark noise (DN) from a photon transfer line.
+    """Estimate the conversion gain (DN/e-) and the dark noise (DN) with a photon transfer line.
 
-    The line is fitted to the patches and channels of all shots. The result is None if the line has too few points or no
-    positive slope, for example because the files were processed or contain almost no noise.
+    The line is fitted to all patches and channels in `values`. Return None if the line has too few points, or if the slope
+    is not positive, for example because the files were processed or contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])
@@ -239,7 +241,7 @@ def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None
         return None
     mean, variance = mean[real], variance[real]
     weight = 1.0 / variance
-    for _ in range(3):  # reweight the fit, because the error of a variance is proportional to the variance
+    for _ in range(3):  # reweight the points, because the error of a variance is proportional to the variance
         slope, constant = np.polyfit(mean, variance, 1, w=weight)
         weight = 1.0 / np.maximum(slope * mean + constant, 0.1 * np.median(variance))
     if slope <= 0:
@@ -252,11 +254,11 @@ class Located:
     """The position of a chart in a picture."""
 
     to_pixels: Array  # (3, 3) homography from cells (x, y) to pixels (column, row) of the mosaic
-    fit: float  # R² with which the reflectances explain the values, averaged over the channels
+    fit: float  # R² of the fit of the reflectances to the values, averaged over the channels
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Return the channel means (row, col, channel) of the complete super-pixels. The mosaic begins at CFA site (0, 0)."""
+    """Average each channel over each complete CFA period, and return (row, col, channel). The CFA begins at site (0, 0)."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)
@@ -301,12 +303,12 @@ def locate(mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array, grid: tupl
         return None
     best = _refined(best, np.concatenate([centres for centres, _ in regions]), grid)
     scale = np.array([cfa.shape[1] * step, cfa.shape[0] * step], dtype=np.float64)
-    shift = (scale - 1) / 2  # position of the centre of the first reduced pixel, in pixels
+    shift = (scale - 1) / 2  # centre of the first pixel of the reduced picture, in pixels of the mosaic
     return Located(np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1]]) @ best.to_pixels, best.fit)
 
 
 def components(reflectance: Array) -> Array:
-    """Return an orthonormal basis (patch, component) for the values of any channel. It includes a constant for glare."""
+    """Return an orthonormal basis (patch, component) for the patch values of any channel, with a constant for glare."""
     left, _, _ = np.linalg.svd(reflectance, full_matrices=False)
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(reflectance)), left[:, :COMPONENTS]]))
     return np.asarray(basis)
@@ -316,20 +318,20 @@ def components(reflectance: Array) -> Array:
 
 
 def _steepest(picture: Array) -> Array:
-    """Return the relative gradient (row, col) of a picture, which is the maximum over the channels."""
+    """Return the relative gradient (row, col) of a picture, from the channel with the steepest gradient."""
     from scipy import ndimage
 
     steepest = np.zeros(picture.shape[:2])
     for channel in range(picture.shape[2]):
         plane = picture[..., channel]
-        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # positive even for a black frame
+        floor = max(DARK_FRACTION * float(np.percentile(plane, 99)), 1e-9)  # must be positive, even for a black frame
         change = ndimage.gaussian_gradient_magnitude(plane, 1.0)
         steepest = np.maximum(steepest, change / (np.maximum(ndimage.gaussian_filter(plane, 1.0), 0.0) + floor))
     return steepest
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2), as (column, row), and the areas of the uniform regions that may be patches."""
+    """Return the centres (region, 2) and the areas of uniform regions that may be patches. A centre is (column, row)."""
     from scipy import ndimage
 
     label, count = ndimage.label(steepest < slope)
@@ -355,9 +357,9 @@ def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
 
 
 def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
-    """Return homographies from grid points to pixels, for the grids that contain the most regions.
+    """Return the homographies, from grid points to pixels, of the grids that contain the most regions.
 
-    Grid point (0, 0) is the region at which a grid starts.
+    Each grid starts at a region, which is grid point (0, 0).
     """
     least = max(MIN_REGIONS, round(MIN_SHARE * grid[0] * grid[1]))
     if len(centres) < least:
@@ -382,21 +384,23 @@ def _grids(centres: Array, areas: Array, grid: tuple[int, int]) -> list[Array]:
 
 
 def _may_be_steps(steps: Array) -> NDArray[np.bool_]:
-    """Return a mask of the pairs (pair, 2, 2) of offsets that may be grid steps along the rows and columns of a chart.
+    """Return a mask of the pairs of offsets (pair, 2, 2) that may be the two steps of a chart's grid.
 
-    This requires that the camera faces the front of the chart.
+    The two offsets must have similar lengths, be roughly perpendicular, and not be mirrored, because the camera sees the
+    front of the chart.
     """
     one, other = np.hypot(*steps.T)
-    turn = np.linalg.det(steps)  # positive unless the chart is mirrored
+    turn = np.linalg.det(steps)  # positive if the grid is not mirrored
     aslant = np.abs((steps[:, 0] * steps[:, 1]).sum(axis=1))
     equal = np.maximum(one, other) <= UNEQUAL * np.minimum(one, other)
     return np.asarray(equal & (turn > 0) & (aslant < ASKEW * one * other))
 
 
 def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
-    """Return the region nearest to each grid point (grid, y, x) from -reach to reach, or -1 if no region is near.
+    """Return the index of the region at each grid point (grid, y, x), or -1 if no region is close to the grid point.
 
-    `coordinates` (grid, region, 2) are the positions (x, y) of the regions in each grid.
+    The grid points extend from −`reach` to `reach` in x and y. `coordinates` (grid, region, 2) contains x and y of every
+    region in each grid. If several regions are close to a grid point, the nearest region is used.
     """
     places = np.rint(coordinates)
     off = np.abs(coordinates - places).max(axis=-1)
@@ -405,12 +409,12 @@ def _on_grid(coordinates: Array, reach: int) -> NDArray[np.int64]:
     grids, regions = (index[order] for index in np.nonzero(close))
     x, y = places[close][order].astype(np.int64).T + reach
     on = np.full((len(coordinates), 2 * reach + 1, 2 * reach + 1), -1)
-    on[grids, y, x] = regions  # sorted by descending distance, so that the nearest region is assigned last
+    on[grids, y, x] = regions  # in order of decreasing distance, so the nearest region is assigned last and remains
     return on
 
 
 def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int64], Array]:
-    """Extend grids step by step. Returns the number of regions in each grid, and its homography."""
+    """Extend grids outwards step by step. Return the number of regions in each grid, and the fitted homographies."""
     counts, growing = np.zeros(len(matrices), dtype=np.int64), np.arange(len(matrices))
     for radius in (2, 3, 5, reach, reach):
         growing = growing[np.linalg.det(matrices[growing]) != 0]
@@ -425,7 +429,10 @@ def _grown(centres: Array, matrices: Array, reach: int) -> tuple[NDArray[np.int6
 
 
 def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
-    """Return the homographies (grid, 3, 3) from grid points to the centres of the regions at these points (grid, y, x)."""
+    """Fit the homography from grid points to pixels for each grid, and return an array (grid, 3, 3).
+
+    `on` (grid, y, x) contains the index of the region at each grid point, or -1 (see `_on_grid`).
+    """
     used = (on >= 0).reshape(len(on), -1, 1)
     pixels = centres[on.reshape(len(on), -1)]
     shift = (used * pixels).sum(axis=1, keepdims=True) / used.sum(axis=1, keepdims=True)
@@ -444,7 +451,7 @@ def _fitted(centres: Array, on: NDArray[np.int64]) -> Array:
 
 
 def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located:
-    """Fit the position again to the regions that lie on patches. Regions found with any of the SLOPES are used."""
+    """Fit the position of a chart again, to all regions that are close to the centre of a patch."""
     matrix = located.to_pixels
     for tolerance in REFINED:
         cells = through(np.linalg.inv(matrix), centres)
@@ -462,7 +469,7 @@ def _refined(located: Located, centres: Array, grid: tuple[int, int]) -> Located
 
 
 def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -> Located | None:
-    """Return the position on a grid at which the values fit the reflectances best, among all shifts and rotations."""
+    """Try all shifts and rotations of the chart on a grid, and return the position that fits the reflectances best."""
     rows, cols = grid
     places = np.arange(-max(grid), max(grid) + 1.0)
     index = np.stack(np.meshgrid(places, places), axis=-1)  # (y, x, 2)
@@ -481,7 +488,10 @@ def _placed(matrix: Array, smooth: Array, basis: Array, grid: tuple[int, int]) -
 
 
 def _sampled(picture: Array, points: Array) -> Array:
-    """Return the values (…, channel) of a picture at points (…, 2), which are (column, row). Outside, they are NaN."""
+    """Return the values (…, channel) of the pixels nearest to points (…, 2).
+
+    Each point is (column, row). Values at points outside the picture are NaN.
+    """
     inside: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
     index = np.rint(np.where(inside[..., None], points, -1)).astype(np.int64)
     height, width = picture.shape[:2]
@@ -491,10 +501,7 @@ def _sampled(picture: Array, points: Array) -> Array:
 
 
 def fit(patches: Array, basis: Array) -> Array:
-    """Return the R² with which the `components` of the reflectances explain values (…, patch, channel).
-
-    The R² is averaged over the channels.
-    """
+    """Fit the basis from `components` to patch values (…, patch, channel), and return R² averaged over the channels."""
     centred = patches - patches.mean(axis=-2, keepdims=True)
     left = patches - basis @ (basis.T @ patches)
     return np.asarray(np.mean(1.0 - (left**2).sum(axis=-2) / np.maximum((centred**2).sum(axis=-2), 1e-12), axis=-1))

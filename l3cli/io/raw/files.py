@@ -1,10 +1,11 @@
-"""Read raw files of all formats as RawFrame.
+"""Read raw files of all supported formats as RawFrame.
 
-To add a format, write a module in this folder and add a line to FORMATS. The module defines `read` and, as its line states,
-`stack`, `rate` and `is_plain`. l3 imports the module when it reads the first file in this format.
+To add a format, write a module in this folder, and add the format to FORMATS. The module must define the function `read`. It
+must also define `stack`, `rate` and `is_plain` if the entry in FORMATS sets `stackable`, `has_rate` and `has_plain`. l3
+imports the module when the first file in this format is read.
 
-The colour filter array comes from the table. Pixels, levels, crop and orientation come from the file. If the file states its
-array, the phase also comes from the file, and l3 rejects the file if its array is not the array of the table.
+The colour filter array is that of the table. Pixels, levels, crop and orientation are read from the file. If the file
+specifies an array, the phase is also read from the file, and l3 rejects the file unless the arrays agree.
 """
 
 import importlib
@@ -32,28 +33,34 @@ from l3cli.system.files import STDIN, naming, require_regular
 from l3cli.system.limits import require_picture
 
 RAW_FILE = "use a raw file, or - for headerless frames on stdin"
-TOP = 65535  # DN, largest 16-bit value
-LONGEST = 1e5  # s, longest plausible exposure time
+TOP = 65535  # largest 16-bit value, in DN
+LONGEST = 1e5  # longest plausible exposure time, in s
 
 
 @dataclass(frozen=True)
 class RawFormat:
     """A raw file format."""
 
-    suffixes: tuple[str, ...]  # in lower case
-    module: str  # module in this folder
-    what: str = ""  # type of file, for the table in docs/raw-files.md
-    read_as: str = ""  # contents that l3 reads, for the same table
-    holds_frame: bool = True  # False if files of this format are always sequences
+    suffixes: tuple[str, ...]  # file name suffixes in lower case, with the period
+    module: str  # name of the module in this folder
+    what: str = ""  # name of the format, for the table in docs/raw-files.md
+    read_as: str = ""  # what l3 reads from the file, for the table in docs/raw-files.md
+    holds_frame: bool = True  # False if l3 always reads files of this format as sequences
     stackable: bool = False  # whether a file may contain several frames
     isolated: bool = True  # whether files are decoded in the isolated process
-    has_plain: bool = False  # whether the module defines `is_plain`, which says that this process may read a file
-    wants_geometry: bool = False  # whether `read` and `stack` need a layout
-    wants_dataset: bool = False  # whether `stack` needs the name of an array
-    has_rate: bool = False  # whether a single-frame file can contain the frame rate of the sequence
+    has_plain: bool = False  # whether the module defines `is_plain`
+    wants_geometry: bool = False  # whether `read` and `stack` need the layout of a headerless file
+    wants_dataset: bool = False  # whether `stack` needs the name of an array in the file
+    has_rate: bool = False  # whether a file with one frame may contain the frame rate of the sequence
 
     def read(self, path: Path, layout: Layout | None = None) -> RawContent:
-        """Read the frame of a file. Raises InputFileError if the file has no or several frames, or an unsupported format."""
+        """Read a file with one frame.
+
+        Raises
+        ------
+        InputFileError
+            If the format is not supported, or if the file does not contain exactly one frame.
+        """
         if path.suffix.lower() not in self.suffixes:
             refuse_unread(path)
         with naming(path):
@@ -61,20 +68,20 @@ class RawFormat:
             return content
 
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
-        """Return the frames of a file, or None if the file contains only one frame, which may be damaged.
+        """Return the frames of a file with several frames. Return None if the file contains one frame, even if damaged.
 
-        `dataset` is the name of an array in the file, or None for the only array.
+        `dataset` is the name of an array in the file. It may be None if the file contains only one array.
         """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):
             return self._reader.stack(path, *wanted) if self.stackable else None
 
     def rate(self, path: Path) -> Fraction | None:
-        """Return the frame rate that a file with one frame states, or None."""
+        """Return the frame rate stored in a file with one frame, or None if the file contains no frame rate."""
         return self._reader.rate(path) if self.has_rate else None
 
     def is_plain(self, path: Path) -> bool:
-        """Whether a file has such a simple layout that this process reads it, without the isolated process."""
+        """Whether the layout of a file is so simple that the file can be read safely without the isolated process."""
         return self.has_plain and self._reader.is_plain(path)
 
     @property
@@ -133,56 +140,66 @@ BY_SUFFIX = {suffix: each for each in FORMATS for suffix in each.suffixes}
 
 
 def format_of(path: Path) -> RawFormat:
-    """Return the format for the suffix of a file. For unknown suffixes, LibRaw recognises camera raws by their content."""
+    """Return the format for the suffix of a file.
+
+    A file with an unknown suffix is treated as a camera raw, because LibRaw recognises camera raws by their content.
+    """
     return BY_SUFFIX.get(path.suffix.lower(), CAMERA_RAW)
 
 
 def is_frame(path: Path) -> bool:
-    """Whether a file with this name is a raw frame when it is found in a folder."""
+    """Whether l3 treats a file with this name as a raw frame when l3 lists a folder."""
     return path.suffix.lower() in BY_SUFFIX and format_of(path).holds_frame
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file name is the name of a DNG or a camera raw, which state the model of their camera."""
+    """Whether a file is, by its suffix, a DNG or a camera raw. Both formats contain the name of the camera model."""
     return path.suffix.lower() in PHOTOS
 
 
 def are_photos(path: Path) -> bool:
-    """Whether a file, a pattern, or a folder refers to files that state the model of their camera."""
+    """Whether a path or pattern refers to DNG files or camera raws, or is a folder that contains at least one."""
     return is_photo(path) or (path.is_dir() and any(map(is_photo, path.iterdir())))
 
 
 def needs_isolation(path: Path) -> bool:
-    """Whether a file is decoded in the isolated process. False for folders and stdin, whose content is not known yet."""
+    """Whether a file is decoded in the isolated process. False for folders and stdin, whose contents are not yet known."""
     kind = format_of(path)
     return bool(path.suffix) and kind.isolated and not kind.is_plain(path)
 
 
 @dataclass(frozen=True)
 class RawOverrides:
-    """Facts about a raw file that the user states. If a fact is None, it comes from the file or otherwise from the table."""
+    """Values set by the user that override the metadata of raw files, and corrections to apply to the frames.
 
-    black_level: float | None = None  # DN
-    white_level: float | None = None  # DN
+    If black level, white level, phase, exposure or gain is None, the value is read from the file. If the file does not
+    contain the value, l3 uses the value of the table or a default.
+    """
+
+    black_level: float | None = None  # black level in DN
+    white_level: float | None = None  # white level in DN
     phase: tuple[int, int] | None = None  # CFA row and column of the first pixel
-    size: tuple[int, int] | None = None  # rows, columns of a headerless file
-    packing: str | None = None  # key of frames.packings.PACKINGS, for a headerless file
-    stride: int | None = None  # bytes from the start of a row to the start of the next, for a headerless file
-    exposure: float | None = None  # s
-    gain: float | None = None  # analog gain relative to the gain of the camera model; None: from the ISO speed of the file
+    size: tuple[int, int] | None = None  # rows and columns of a headerless frame
+    packing: str | None = None  # packing of a headerless file, a key of frames.packings.PACKINGS
+    stride: int | None = None  # bytes from row to row of a headerless file
+    exposure: float | None = None  # exposure time in s
+    gain: float | None = None  # analog gain, relative to the camera model; None to use the ISO speed in the file
     gains: tuple[float, ...] = ()  # gain of each frame of a sequence, in order; empty if `gain` applies to all frames
-    unlabelled_gain: float = 1.0  # gain of frames whose ISO speed does not determine the gain
-    dark: DarkFrame | None = None  # dark frame to subtract
-    correction: Correction | None = None  # correction of defects and shading
+    unlabelled_gain: float = 1.0  # gain of frames whose gain cannot be determined from an ISO speed
+    dark: DarkFrame | None = None  # dark frame to subtract; None to subtract none
+    correction: Correction | None = None  # correction of defects and shading; None for no correction
     hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
     skip: int = 0  # bytes before the first frame of a headerless file
-    byte_order: str | None = None  # "little" or "big", for 16-bit values of a headerless file; None means "little"
+    byte_order: str | None = None  # byte order of 16-bit values in a headerless file: "little", "big", or None for "little"
     opcodes: str | None = None  # "leave" to ignore unsupported opcodes of a DNG; None to reject the file
 
     def of_frame(self, place: int) -> "RawOverrides":
-        """Return the facts about the frame at a position, counted from 0, of a sequence.
+        """Return the overrides for one frame of a sequence. `place` is the position of the frame, counted from 0.
 
-        Raises InputFileError if `gains` contains no gain for the frame.
+        Raises
+        ------
+        InputFileError
+            If `gains` is not empty but contains no gain for the frame.
         """
         if not self.gains:
             return self
@@ -201,19 +218,18 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
     path : Path
         The raw file. Its suffix selects the reader.
     table : TransformTable or CameraModel
-        States the array, and facts that the file does not state.
+        Contains the colour filter array, and values for metadata that the file does not contain.
     known : RawOverrides, optional
-        Facts that the user states.
+        Overrides set by the user.
 
     Returns
     -------
     RawFrame
-        The frame.
 
     Raises
     ------
     InputFileError
-        If the file cannot be read or does not fit the table.
+        If the file cannot be read, is not a single frame, or does not match the table.
     """
     known = known or RawOverrides()
     require_regular(path, RAW_FILE)
@@ -224,7 +240,7 @@ def read_raw(path: Path, table: Sensor, known: RawOverrides | None = None) -> Ra
 
 
 def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | None = None) -> MultiFrameFile | None:
-    """Return the frames of a file, or None if the file contains only one frame.
+    """Return the frames of a file with several frames, or None if the file contains only one frame.
 
     `dataset` is the name of the array in an HDF5 or MATLAB file.
     """
@@ -233,9 +249,19 @@ def read_stack(path: Path, table: Sensor, known: RawOverrides, dataset: str | No
 
 
 def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides) -> bool:
-    """Whether a file contains several frames. Raises InputFileError if the file cannot be read.
+    """Whether a file contains several frames.
 
-    `sensor` returns the table or camera. It is called only if the size of headerless frames is needed.
+    Parameters
+    ----------
+    path : Path
+    sensor : callable
+        Returns the table or camera. `sensor` is only called for headerless files, to determine the size of the frames.
+    known : RawOverrides
+
+    Raises
+    ------
+    InputFileError
+        If the file cannot be read.
     """
     kind = format_of(path)
     if not kind.stackable:
@@ -259,7 +285,10 @@ def _headerless_layout(path: Path, table: Sensor, known: RawOverrides) -> Layout
 
 
 def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Convert the content of a file to a frame. `known` takes precedence over the file, and the file over the table."""
+    """Convert the contents of a file to a frame.
+
+    Values in `known` take precedence over values in the file. Values in the file take precedence over values in the table.
+    """
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
         raise InputFileError(f"{name} contains no pixels; use a raw file")
@@ -301,12 +330,12 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option with which a frame's bytes give a far smoother frame, or "" if there is no such option."""
+    """Return the option that would decode the bytes to a far smoother frame, or "" if the current decoding is plausible."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note if a frame has the size of the sensor, but the array of its packing has another phase than the table."""
+    """Return a note if a frame has the size of the sensor, but its packing specifies a phase different from the table."""
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
     begins = f"according to its packing, it begins at row {phase[0]}, column {phase[1]} of the table's array"
@@ -314,7 +343,11 @@ def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tu
 
 
 def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
-    """Return the frame with the facts that the user states, with its dark signal, and after corrections."""
+    """Return a corrected frame that records phase, exposure time, gain and dark signal.
+
+    The overrides in `known` replace the values in the file. The dark signal is recorded, but not subtracted. The pixel
+    values change only by the dark frame, the correction and the hot-pixel test in `known`.
+    """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape
     span = frame.white_level - frame.black_level

@@ -1,8 +1,9 @@
-"""Train a refinement layer: compute its sums and solve its transforms (docs/method.md#learning-on-mosaics).
+"""Train a refinement layer: sum over the samples and solve the transforms (docs/method.md#learning-on-mosaics).
 
-As in the first layer, classes with few samples are supported by other classes. They get samples of neighbouring levels and
-strengths, and pseudo-samples of their *parent*. The parent of an unsaturated class is the mean over all structures of its
-level. The parent of a saturated class is the mean over the levels of its saturation case.
+As in the first layer, classes with few samples are supported by other classes. An unsaturated class also uses samples of
+classes with neighbouring levels and strengths. Every class uses pseudo-samples of a *parent*, which is a weighted mean of
+many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes of this level. The parent
+of a saturated class is the mean over levels, with a larger weight for nearby levels, for this saturation case.
 """
 
 import functools
@@ -32,23 +33,23 @@ from l3cli.training.systems import fits_between, solve_positive
 from l3cli.training.training_pass import LAYER_SAMPLES, frame_blocks
 
 Array = NDArray[np.float64]
-FADED_RESPONSE = 0.97  # a transform fades a chroma plane if its gain for this plane is below this value in uniform areas
-OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples that comes from the level of the class, not from all levels
+FADED_RESPONSE = 0.97  # a transform fades a chroma plane if the plane's gain in uniform areas is below this value
+OWN_LEVEL_FRACTION = 0.9  # fraction of the pseudo-samples from the level of the class; the rest is from all levels
 
 
 @dataclass(frozen=True)
 class LayerGoal:
     """Parameters for solving the transforms of a refinement layer."""
 
-    pool: tuple[float, ...]  # weights of samples from classes one level away, two levels away, and so on
-    parent: float  # number of pseudo-samples of the parent
-    ridge: float  # ridge of the least squares, relative to the mean power of a tap
-    noise_weights: tuple[float, ...]  # (output) weight of the noise covariance
-    white: Array  # (plane) planes of a white with Y = 1, which the layer must preserve
-    windows: int  # number of window taps; all further taps are zero in uniform areas
+    pool: tuple[float, ...]  # weights of the samples of classes whose level differs by 1, by 2, and so on
+    parent: float  # number of pseudo-samples from the parent
+    ridge: float  # ridge of the least-squares fit, relative to the mean power of a tap
+    noise_weights: tuple[float, ...]  # (output) weight of the noise covariance in the fit
+    white: Array  # (plane) planes of a white with Y = 1; the layer must preserve this white
+    windows: int  # number of window taps; the remaining taps are 0 in uniform areas
     keeps: bool = False  # whether unsaturated classes must preserve the chroma of uniform areas
-    strength_pool: float = 0.0  # weight of samples from classes with the same direction and the next strength
-    corrects: bool = False  # whether the outputs are corrections of the first layer, which are zero for white
+    strength_pool: float = 0.0  # weight of the samples of classes with equal direction and the next lower or higher strength
+    corrects: bool = False  # whether the layer corrects the outputs of the first layer; corrections are 0 for white
 
 
 def solve_layer(
@@ -56,21 +57,21 @@ def solve_layer(
 ) -> list[Array]:
     """Solve the transforms of a refinement layer, class by class.
 
-    Uniform areas must have the same outputs at every CFA site. Greys, including clipped greys, must stay as grey as the
-    previous layer rendered them. Therefore the solutions of all sites are constrained to a common response
+    Uniform areas must have equal outputs at all CFA sites, and grey areas, even if clipped, must not gain a colour cast.
+    The solutions of all sites are therefore constrained to a common response to uniform areas
     (docs/method.md#equal-response).
 
     Parameters
     ----------
     sums : list of LayerSums
-        Sums of each canonical site, over all frames.
+        Sums of each canonical site over all frames.
     copies : list of int
         Number of CFA sites that each canonical site represents.
     rule : PlaneRule
         Class rule of the layer.
     goal : LayerGoal
     equal : bool
-        Whether to constrain the sites to a common response.
+        Whether to constrain all sites to a common response.
 
     Returns
     -------
@@ -111,15 +112,16 @@ def solve_layer(
 
 
 def _solution(moments: Array, noise: Array, noise_weight: float, ridge: float, of: list[int], member: Array) -> Array:
-    """Return the Wiener solutions for the outputs with the indices `of`, followed by their compliance.
+    """Return the Wiener solutions for the outputs at the indices `of`, and the compliance of these solutions.
 
-    The compliance describes how the best taps change if the response to uniform areas is constrained to another value. The
-    columns of `moments` are the taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer
-    corrects outputs, the outputs. The solutions have no intercept, because black must stay black.
+    The compliance describes how the optimal taps change if the response to uniform areas is constrained. The columns of
+    `moments` are the taps, the intercept and the outputs. The columns of `noise` are the taps and, if the layer corrects
+    outputs, the outputs. The solutions have no intercept, because black must stay black.
 
     Returns
     -------
     ndarray, (tap, output + plane)
+        One column per output with the solution, then one column per plane with the compliance.
     """
     taps, outputs = len(member), np.array(of)
     system = moments[:taps, :taps] + noise_weight * noise[:taps, :taps]
@@ -135,8 +137,8 @@ def _constrained(
 ) -> list[Array]:
     """Return the taps (tap, output) of each site, constrained to a common response to uniform areas.
 
-    The common response preserves white and has the least squared error. If `keeps` is true and this response would fade a
-    chroma plane, the plane is preserved in uniform areas instead.
+    The common response minimises the squared error and preserves white. If `keeps` is true and the common response would
+    fade a chroma plane, this chroma plane is preserved in uniform areas instead.
     """
     white, count = goal.white, len(of)
     wanted = np.zeros(count) if goal.corrects else white[of]
@@ -156,7 +158,7 @@ def _constrained(
 
 
 class _Parents:
-    """The parents of all classes: mean sums per sample of each level, and of each level and saturation case."""
+    """The parents of all classes: sums per sample for each level, and for each pair of level and saturation case."""
 
     def __init__(self, sums: LayerSums, rule: PlaneRule) -> None:
         def means(values: Array) -> tuple[Array, Array]:
@@ -180,9 +182,10 @@ class _Parents:
 
 
 def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goal: LayerGoal) -> tuple[Array, Array] | None:
-    """Return the moments and noise of a class, including samples of neighbouring classes and pseudo-samples of the parent.
+    """Return the moments and noise of a class after the addition of pseudo-samples from the parent.
 
-    Neighbouring classes have the next levels or the next strength. The result is None if the parent has no samples.
+    For an unsaturated class with samples, the samples of classes with neighbouring levels or strengths are also added.
+    Return None if the parent has no samples.
     """
     _, level, kind = rule.split(index)
     case = int(rule.case(kind))
@@ -213,10 +216,11 @@ def _shrunk(sums: LayerSums, parents: _Parents, index: int, rule: PlaneRule, goa
 
 
 def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
-    """Return, for each class, the solved class whose transform it uses.
+    """Return, for each class, the index of the solved class from which the class gets the transform.
 
-    A solved class uses its own transform. Any other class uses the solved class with the same structure or saturation case
-    at the nearest level. If there is none, it uses the class of areas without structure at the nearest level.
+    A solved class keeps its own transform. An unsolved class gets the transform of the solved class with the same structure
+    or saturation case at the nearest level. If no level has a solved class with this structure or saturation case, the
+    class without structure at the nearest level is preferred.
     """
     _, level, kind = rule.split(np.arange(filled.size))
     known = np.flatnonzero(filled)
@@ -229,26 +233,26 @@ def _nearest(filled: NDArray[np.bool_], rule: PlaneRule) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class LayerPass:
-    """Settings and previous results that all steps in the training of one refinement layer need."""
+    """Settings and results of earlier layers that are needed throughout the training of one refinement layer."""
 
     camera: CameraModel
     rule: ClassRule  # class rule of the first layer
-    fixed: FixedPoint  # fixed-point transforms of the first layer to the planes
-    before: tuple[PlaneLayer, ...]  # refinement layers that are already trained
+    fixed: FixedPoint  # fixed-point transforms of the first layer, which compute the planes
+    before: tuple[PlaneLayer, ...]  # refinement layers that have already been trained
     basis: NDArray[np.float64]  # (output, plane) opponent basis, which converts outputs to planes
-    outputs: MosaicLayer | None  # the first layer, if the new layer corrects its outputs
+    outputs: MosaicLayer | None  # first layer, if the new layer corrects the outputs of the first layer; otherwise None
     white_point: NDArray[np.float64]  # (output) outputs of a perfect white under the training illuminant, with Y = 1
-    grey: NDArray[np.float64]  # (channel) signals of this white, as fractions of full scale
+    grey: NDArray[np.float64]  # (channel) signals of this perfect white, as fractions of full scale
     recipe: LayerRecipe
     learning: LearningRecipe
-    mosaics: tuple[int, ...]  # (frame) number of mosaics from each frame
+    mosaics: tuple[int, ...]  # (frame) number of mosaics to draw from each frame
     pictures: bool  # whether the outputs are X, Y, Z
     exposure: float  # mean exposure time of the training frames, in s
     seed: int
 
     @property
     def exposed(self) -> Exposed:
-        """Settings for making the mosaics."""
+        """Settings for the simulation of the mosaics."""
         dark = self.camera.dark_signal(self.exposure)
         inner = math.isqrt(math.ceil(self.recipe.rows / self.recipe.density) - 1) + 1
         margin = self.rule.radius + sum(margin_of(layer.side) for layer in self.before) + self.margin
@@ -258,25 +262,25 @@ class LayerPass:
 
     @property
     def margin(self) -> int:
-        """Distance, in pixels, up to which the layer reads around a pixel."""
+        """Largest distance, in pixels, between a pixel and the input pixels that the layer reads for this pixel."""
         return margin_of(self.recipe.side)
 
     @property
     def blocks(self) -> list[range]:
-        """Blocks of frames, each of which is processed as a whole."""
+        """Ranges of frames. Each range is processed as a whole."""
         return frame_blocks([count * self.recipe.rows for count in self.mosaics], LAYER_SAMPLES)
 
     @property
     def number(self) -> int:
-        """Number of the layer in the table, counted from 1 for the first layer."""
+        """Number of the layer in the table. The first layer has the number 1."""
         return 2 + len(self.before)
 
     def rng(self, frame: int, purpose: int) -> np.random.Generator:
-        """Return a random generator for a frame. Generators with different numbers `purpose` are independent."""
+        """Return a random generator for a frame. Generators with different values of `purpose` are independent."""
         return np.random.default_rng([self.seed, self.number + 1, frame, purpose])
 
     def seer(self) -> Callable[[Mosaics], Seen]:
-        """Return a function that renders mosaics with all previous layers."""
+        """Return a function that renders mosaics with all layers before the new layer."""
         first = FirstLayer(self.camera, self.rule, self.fixed, self.outputs)
         stages = [PlaneStage(layer, self.rule, self.basis) for layer in self.before]
 
@@ -286,7 +290,7 @@ class LayerPass:
         return see
 
     def reading(self, side: int) -> Reading:
-        """Return the description of how windows with `side` rows and columns are read."""
+        """Return how windows of `side` × `side` pixels are read, so that each has the orientation of its canonical site."""
         maps = self._site_maps()
         order = np.array([orientations(side)[one.orientation] for one in maps])
         ratios = self.recipe.ratio_taps
@@ -294,16 +298,16 @@ class LayerPass:
 
     @property
     def made(self) -> int:
-        """Number of outputs of the layer: the number of planes or, if the layer corrects outputs, of corrected outputs."""
+        """Number of outputs of the layer: one per plane or, if the layer corrects the first layer, one per table output."""
         return PLANES if self.outputs is None else len(self.basis)
 
     def grid_steps(self, rule: PlaneRule) -> NDArray[np.float64]:
-        """Return the grid steps to which the sums of the layer are rounded, for each level and pair of columns."""
+        """Return the grid steps to which the sums of the layer are rounded, one per level and pair of columns."""
         return grid_steps(rule, self.rule, self.camera, self.reading(self.recipe.side).taps, self.made)
 
     @property
     def turns(self) -> list[int]:
-        """Number of the orientation in which each site is trained."""
+        """For each CFA site, the number of the orientation in which the windows of the site are trained."""
         return [one.orientation for one in self._site_maps()]
 
     def _site_maps(self) -> list[SiteMap]:
@@ -312,7 +316,7 @@ class LayerPass:
 
 
 def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
-    """Return sums of zero for every canonical site."""
+    """Return sums that are 0 for every canonical site, to which samples can be added."""
     reading = layer.reading(layer.recipe.side)
     return {site: empty_sums(rule, reading) for site in np.unique(reading.canonical).tolist()}
 
@@ -320,7 +324,7 @@ def no_sums(layer: LayerPass, rule: PlaneRule) -> dict[int, LayerSums]:
 def sum_layer(
     layer: LayerPass, rule: PlaneRule, blocks: Iterable[tuple[int, Iterable[TrainingPair]]]
 ) -> dict[int, LayerSums]:
-    """Compute the sums over samples from training frames.
+    """Sum over the samples that are drawn from training frames.
 
     Parameters
     ----------
@@ -328,7 +332,7 @@ def sum_layer(
     rule : PlaneRule
         Class rule of the layer to be trained.
     blocks : iterable of (int, iterable of TrainingPair)
-        For each block, the index of its first frame, and its frames.
+        Pairs (index of the first frame of a block, frames of the block).
 
     Returns
     -------
@@ -352,19 +356,19 @@ def sum_layer(
 
 
 def drawn_mosaics(layer: LayerPass, frames: Iterable[TrainingPair], first: int, purpose: int) -> Iterator[Mosaics]:
-    """Yield mosaics from `frames`. The first frame has the index `first`. `purpose` is as in `LayerPass.rng`."""
+    """Yield mosaics drawn from `frames`, beginning with frame number `first`. `purpose` is as in `LayerPass.rng`."""
     for index, frame in enumerate(frames, first):
         yield from mosaics_of(frame, layer.mosaics[index], layer.exposed, layer.rng(index, purpose))
 
 
 def add_sums(sums: dict[int, LayerSums], more: dict[int, LayerSums]) -> None:
-    """Add the sums `more` to `sums` in place. The addition is exact, so the order of the calls does not matter."""
+    """Add `more` to `sums` in place. The additions are exact, so the result does not depend on the order of the calls."""
     for site, part in more.items():
         add(sums[site], part)
 
 
 def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -> PlaneLayer:
-    """Solve a refinement layer from the sums of all canonical sites.
+    """Solve the transforms of a refinement layer from the sums of all canonical sites.
 
     Parameters
     ----------
@@ -381,7 +385,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     Raises
     ------
     L3Error
-        If no class can be solved, or if a sum is so large that float64 may have rounded it.
+        If no class can be solved, or if a sum is so large that it may have been rounded to float64.
     """
     for one in sums.values():
         require_exact(one, rule, layer.grid_steps(rule))
@@ -422,8 +426,8 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
 def _symmetric(layer: LayerPass, rule: PlaneRule, site: int, sums: LayerSums) -> LayerSums:
     """Average the sums of a canonical site over the orientations that leave the CFA around the site unchanged.
 
-    Rotation or reflection of a window permutes the classes by structure. It does not permute the leaves of a tree, so the
-    sums for a tree are returned unchanged.
+    Rotating or reflecting a window permutes the structure classes. The leaves of a tree are not permuted in this way, so
+    the sums for a tree are returned unchanged.
     """
     if not isinstance(rule, StructureRule):
         return sums

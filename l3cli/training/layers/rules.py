@@ -1,9 +1,10 @@
-"""Class rules of a refinement layer: by structure (docs/method.md#structure) or by a tree (docs/method.md#trees).
+"""Training of the class rule of a refinement layer: by structure (docs/method.md#structure) or tree (docs/method.md#trees).
 
-A tree is grown from a random part of the samples. Each step chooses the split that lowers the squared error most. To
-evaluate a split, the filters on both sides are fitted to their samples. Two filters have twice as many taps as one filter
-and always fit better. This expected gain is subtracted, and the remaining gain must be too large to be a coincidence. All
-sites share one tree, but each site has its own filters.
+A tree is grown from a random subset of the samples. Each step splits the leaf for which a split reduces the squared error
+most. To evaluate a split, l3 fits one filter to the samples on each side of the threshold. Two filters always fit the
+samples better than one filter, because two filters have twice as many taps. l3 therefore subtracts the expected reduction
+for a random split, and only makes the split if the rest is too large to be a coincidence. All sites share one tree, but
+each site has its own filters.
 """
 
 import heapq
@@ -27,17 +28,17 @@ from l3cli.training.layers.mosaics import Floats, mosaics_of, sheets_of
 from l3cli.training.layers.samples import sample_weights
 from l3cli.training.symmetry import orientations
 
-THRESHOLDS_PER_TEST = 5  # number of thresholds to try for each test; the thresholds are quantiles of the test's quotient
-QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site from which the quantiles are computed
-TREE_SIDE_PIXELS = 64  # largest side of the mosaics for growing a tree, in pixels; a mosaic contributes only a few samples
-SPLIT_SIDE_PIXELS = 3  # side of the windows with which splits are evaluated for frames without noise, in pixels
-SAMPLES_PER_TAP = 4  # each leaf must have at least this number of samples per tap at each site
-COLUMN_STEPS = 2.0**16  # number of grid steps up to the largest value; sums over a million samples then stay below 2^53
-TAP_RIDGE = 1e-6  # ridge of the least squares, relative to the mean power of the taps
-OUTPUT_RIDGE = 1e-10  # term that keeps the matrix positive definite, relative to the mean power of the outputs
-OUTPUTS = 3  # number of outputs in a sample
-# The gain of a split must exceed this number of standard deviations of the gain of a random split. The number is larger than
-# usual because the best of many splits is chosen.
+THRESHOLDS_PER_TEST = 5  # number of thresholds that are tried per test; the thresholds are quantiles of the test's quotient
+QUOTIENT_SAMPLES = 1 << 13  # approximate number of samples per site for these quantiles
+TREE_SIDE_PIXELS = 64  # largest side of the mosaics, in pixels; small, because a tree needs only a few samples per mosaic
+SPLIT_SIDE_PIXELS = 3  # largest side, in pixels, of the windows that evaluate splits if the frames have no noise
+SAMPLES_PER_TAP = 4  # smallest number of samples per tap in a leaf, at every site
+COLUMN_STEPS = 2.0**16  # grid steps up to the largest value; sums of products over a million samples then stay below 2^53
+TAP_RIDGE = 1e-6  # ridge of the least-squares fit, relative to the mean power of the taps
+OUTPUT_RIDGE = 1e-10  # keeps the matrix positive definite; relative to the mean power of the outputs
+OUTPUTS = 3  # number of target values per sample
+# The gain of a split must exceed this many standard deviations of the gain of a random split. The limit is high, because the
+# best of many splits is chosen.
 CHANCE_DEVIATIONS = 3.0
 
 Array = NDArray[np.float64]
@@ -46,12 +47,12 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class TreeSamples:
-    """Samples for growing a tree, at one canonical site and in the orientation of this site."""
+    """Samples for growing a tree, from all sites that are equivalent to one canonical site."""
 
-    # (sample, column) weighted taps of the noisy planes, then weighted targets in the units of `_judged`
+    # (sample, column) weighted taps of the noisy planes, then weighted targets after conversion with `_judged`
     columns: Floats | Array
-    numerators: Floats  # (test, sample) a test compares the quotient of a numerator and a denominator with a threshold
-    denominators: Floats  # (denominator, sample) several tests share a denominator
+    numerators: Floats  # (test, sample) numerators of the quotients that the tests compare with thresholds
+    denominators: Floats  # (denominator, sample) denominators of the quotients, each of which belongs to several tests
 
     @classmethod
     def concatenated(cls, parts: Sequence["TreeSamples"]) -> "TreeSamples":
@@ -59,33 +60,33 @@ class TreeSamples:
         return cls(*(np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()))
 
     def on_grid(self) -> "TreeSamples":
-        """Round each column to multiples of a power of two.
+        """Round the values of each column to multiples of a power of two.
 
-        Sums of products are then exact and do not depend on the order of the additions.
+        Sums of products of columns are then exact, so the sums do not depend on the order of the additions.
         """
         _, power = np.frexp(np.abs(self.columns).max(axis=0, initial=SMALLEST))
         step = np.ldexp(1 / COLUMN_STEPS, power).astype(np.float32)
         return replace(self, columns=np.rint(self.columns / step) * step.astype(np.float64))
 
     def compared(self, test: int, chosen: Indices) -> tuple[Floats, Floats]:
-        """Return the numerator and the denominator of a test for each of the chosen samples."""
+        """Return the numerators and the denominators of the chosen samples in a test."""
         return self.numerators[test].take(chosen), self.denominators[EVERY[test].denominator].take(chosen)
 
     def passed(self, test: int, cuts: Floats, chosen: Indices) -> NDArray[np.int8]:
-        """Return, for each chosen sample, how many of the thresholds `cuts` are below its quotient in a test."""
+        """Return the number of thresholds in `cuts` that the quotient of each chosen sample exceeds in a test."""
         numerator, denominator = self.compared(test, chosen)
         return np.asarray(np.add.reduce([(numerator > cut * denominator).view(np.int8) for cut in cuts]))
 
 
 def turned_evidence(seen: Evidence, turn: int, pixels: Indices) -> tuple[Floats, Floats]:
-    """Return the numerators (test, pixel) and denominators of the tests for `pixels`, read in orientation number `turn`."""
+    """Return the numerators and denominators of the tests for `pixels` whose windows are read in orientation `turn`."""
     test, sign = turned_tests(turn)
     numerators = seen.numerators.reshape(TESTS, -1)[:, pixels][test] * np.array(sign)[:, None]
     return numerators, seen.denominators.reshape(len(seen.denominators), -1)[:, pixels]
 
 
 class Tree(NamedTuple):
-    """Nodes of a decision tree, with the same fields as in `TreeRule`."""
+    """Nodes of a decision tree, with the fields of `TreeRule`."""
 
     test: NDArray[np.uint8]
     threshold: NDArray[np.float32]
@@ -107,11 +108,11 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
     Parameters
     ----------
     sites : sequence of TreeSamples
-        Samples of each canonical site. Without any sites, the tree has one leaf.
+        Samples of each canonical site. If the sequence is empty, the tree has a single leaf.
     leaves : int
         Largest number of leaves.
     mapped : callable
-        `map`, or a function with the same interface that uses several threads.
+        `map`, or a function like `map` that uses several threads.
 
     Returns
     -------
@@ -145,9 +146,9 @@ def grow(sites: Sequence[TreeSamples], leaves: int, mapped: Mapped = map) -> Tre
 
 
 def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Mapped) -> _Split | None:
-    """Return the split of a leaf that lowers the squared error most, or None if the leaf should not be split.
+    """Return the split of a leaf with the largest gain, or None if the leaf should not be split.
 
-    A leaf is not split if the gain could be a coincidence, or if one side of the split would have too few samples.
+    A leaf should not be split if the gain could be a coincidence, or if the leaf has too few samples for two leaves.
     """
     taps = sites[0].columns.shape[1] - OUTPUTS
     if min(map(len, samples)) < 2 * SAMPLES_PER_TAP * taps:
@@ -178,12 +179,13 @@ def _best_split(sites: Sequence[TreeSamples], samples: list[Indices], mapped: Ma
 
 
 def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: Array, before: float) -> Array:
-    """Return the gain of each threshold in `cuts` at a site: how much a split at the threshold lowers the squared error.
+    """Return the gain, at one site, of splitting at each threshold in `cuts`.
 
-    The gain is −∞ if one side of the split would have too few samples.
+    The gain is the reduction of the squared error, minus the reduction that the additional taps are expected to cause by
+    chance. If one side of the split would have too few samples, the gain is −∞.
     """
     taps = site.columns.shape[1] - OUTPUTS
-    passed = site.passed(test, cuts, chosen)  # samples with the same number are between the same two thresholds
+    passed = site.passed(test, cuts, chosen)  # number of thresholds that each sample exceeds
     order, below = np.argsort(passed, kind="stable"), np.cumsum(np.bincount(passed, minlength=len(cuts)))[: len(cuts)]
     many = np.array([below, chosen.size - below])
     good = many.min(axis=0) >= SAMPLES_PER_TAP * taps
@@ -197,10 +199,10 @@ def _gains(site: TreeSamples, chosen: Indices, test: int, cuts: Floats, whole: A
 
 
 def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Array) -> Array:
-    """Return, for each position in `ends`, the sums (column, column) over the samples before the position.
+    """Return the sums (end, column, column) over the samples `chosen[:end]`, for each `end` in `ends`.
 
-    The positions divide the samples into parts. To save time, the largest part is not summed. Its sums are the total `whole`
-    minus the sums of the other parts.
+    `ends` divides the samples into segments. To save time, the largest segment is not summed directly. Instead, the sums
+    over all other segments are subtracted from the total `whole`.
     """
     parts = list(itertools.pairwise([0, *ends, chosen.size]))
     largest = max(range(len(parts)), key=lambda part: parts[part][1] - parts[part][0])
@@ -215,31 +217,31 @@ def _sums_below(site: TreeSamples, chosen: Indices, ends: list[int], whole: Arra
 
 
 def _sums(site: TreeSamples, chosen: Indices) -> Array:
-    """Return the exact sums (column, column) of the products of two columns over the chosen samples."""
+    """Return the exact sums (column, column) over the chosen samples of the products of each pair of columns."""
     columns = site.columns.take(chosen, axis=0)
     return np.asarray(columns.T @ columns)
 
 
 def _error(sums: Array) -> Array:
-    """Return the squared error (…) of the least-squares filters that follow from the sums (…, column, column)."""
+    """Return the squared error (…) that remains after a least-squares fit, from sums of products (…, column, column)."""
     taps = sums.shape[-1] - OUTPUTS
     systems = sums.copy()
-    diagonal = np.einsum("...ii->...i", systems)  # a view, so changes of the diagonal change `systems`
+    diagonal = np.einsum("...ii->...i", systems)  # a view; changes to the diagonal also change `systems`
     for columns, ridge in (diagonal[..., :taps], TAP_RIDGE), (diagonal[..., taps:], OUTPUT_RIDGE):
         columns += ridge * columns.mean(axis=-1, keepdims=True) + 1e-9
     left = np.linalg.cholesky(systems)[..., taps:, taps:]
     return np.asarray((left * left).sum(axis=(-2, -1)))
 
 
-PILOT_MOSAICS = 48  # number of mosaics, over all frames, for the measurement of the luminance noise
-PILOT_SIDE = 72  # side of these mosaics, in pixels
-MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; brighter pixels are left out of the measurement
-MIN_LEVEL_PIXELS = 1000  # smallest number of pixels from which the noise of a level is measured
-LAB_SLOPES = (500.0, 116.0, 200.0)  # factors that convert small errors of the planes to errors of a*, L* and b* near white
+PILOT_MOSAICS = 48  # total number of mosaics in which the luminance noise is measured
+PILOT_SIDE = 72  # side of the mosaics for the noise measurement, in pixels
+MAX_MEASURED_LEVEL = 0.8  # fraction of full scale; noise is not measured in brighter pixels
+MIN_LEVEL_PIXELS = 1000  # levels with fewer pixels get an interpolated noise
+LAB_SLOPES = (500.0, 116.0, 200.0)  # factors from small errors of the planes, relative to white, to errors of a*, L* and b*
 
 
 def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int, every: int) -> list[NDArray[np.float64]]:
-    """Measure the noise of the luminance plane that the previous layers output.
+    """Measure the noise in the luminance plane that the new layer reads.
 
     Parameters
     ----------
@@ -253,8 +255,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Returns
     -------
     list of ndarray, (2, level)
-        One array per measured frame. For each level, the array contains the sum of the squared differences of the noise
-        between pixels at a distance of two pixels, and the number of pixels.
+        One array per measured frame. The first row contains, for each level, the sum over pixels of the mean squared
+        difference of the noise between the left and right and between the upper and lower neighbours. The second row
+        contains the number of pixels.
     """
     see, noisy, measured = layer.seer(), replace(layer.exposed, noisy=True, inner=PILOT_SIDE), []
     brightest = MAX_MEASURED_LEVEL * layer.camera.sensitivity.mean() / layer.camera.sensitivity.min()
@@ -277,7 +280,7 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
 
 
 def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> GradientScale:
-    """Return factors that scale gradients so that pure noise has gradients with the standard deviation `structure.SIGMA`.
+    """Return the gradient scale with which gradients of pure noise have the standard deviation `structure.SIGMA`.
 
     Parameters
     ----------
@@ -299,7 +302,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
 
 
 def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
-    """Return the class rule for classes by level and structure (docs/method.md#structure)."""
+    """Return the class rule that classifies pixels by level and structure (docs/method.md#structure)."""
     return StructureRule(
         **vars(scale),
         level_step=layer.recipe.level_step,
@@ -313,7 +316,7 @@ def structure_rule(layer: LayerPass, scale: GradientScale) -> StructureRule:
 def sample_tree(
     layer: LayerPass, scale: GradientScale, frames: Iterable[TrainingPair], first: int
 ) -> list[dict[int, TreeSamples]]:
-    """Draw random samples for growing a tree.
+    """Draw random samples from frames, for growing a tree.
 
     Parameters
     ----------
@@ -365,7 +368,7 @@ def sample_tree(
 def tree_rule(
     layer: LayerPass, scale: GradientScale, samples: Sequence[dict[int, TreeSamples]], mapped: Mapped = map
 ) -> TreeRule:
-    """Grow a tree, and return the class rule for classes by the leaves of the tree.
+    """Grow a tree, and return the class rule that classifies pixels by the leaves of the tree.
 
     Parameters
     ----------
@@ -374,7 +377,7 @@ def tree_rule(
     samples : sequence of dict of int to TreeSamples
         Results of `sample_tree` for all frames, in the order of the frames.
     mapped : callable
-        `map`, or a function with the same interface that uses several threads.
+        `map`, or a function like `map` that uses several threads.
 
     Returns
     -------
@@ -390,9 +393,9 @@ def tree_rule(
 
 
 def _judged(layer: LayerPass) -> NDArray[np.float32]:
-    """Return a matrix (output, 3) that converts errors of X, Y, Z to errors of a*, L* and b* near white.
+    """Return a matrix (output, 3) that converts errors of X, Y, Z to approximate errors of a*, L* and b*.
 
-    For other outputs, the result is the identity.
+    The approximation holds for colours near white. If the outputs are not X, Y, Z, the identity matrix is returned.
     """
     if not layer.pictures:
         return np.eye(3, dtype=np.float32)
