@@ -141,12 +141,12 @@ class Noise:
 
     @property
     def temporal(self) -> float:
-        """Variance, in e-², of the dark noise that differs between frames, which is the read noise."""
+        """Variance of the temporal noise in the dark, in (e-)². This is the read noise."""
         return self.read_noise**2
 
     @property
     def fixed(self) -> float:
-        """Variance, in e-², of the dark pattern that is the same in all frames: DSNU and column offsets."""
+        """Variance of the dark fixed-pattern noise, in (e-)²: DSNU and column offsets."""
         return self.dsnu**2 + self.column_noise**2
 
 
@@ -414,7 +414,7 @@ class CameraModel(Artifact):
         return replace(self.at_gain(noise.gain), noise_left=noise.noise_left)
 
     def channel_map(self, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """Return the channel of each pixel in a frame of this shape, whose first pixel has the CFA site (0, 0)."""
+        """Return the channel of each pixel in a frame of this shape. The first pixel is at CFA site (0, 0)."""
         return tiled(self.cfa, shape)
 
     @property

@@ -104,7 +104,7 @@ def responsivity(declared: ResponsivityRecipe, channels: Sequence[str], folder: 
     Parameters
     ----------
     declared : ResponsivityRecipe
-        A section [responsivity] without `curve_faults`.
+        A section [responsivity] in which `curve_faults` has found no errors.
     channels : sequence of str
         Names of the channels.
     folder : Path

@@ -171,7 +171,7 @@ def noise_keys() -> dict[str, str]:
 class GainRecipe(Recipe):
     """Read noise at additional analog gains (docs/method.md#gains)."""
 
-    iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO speed of sensor.gain_dn_per_e; 0 if unknown
+    iso: Annotated[float, msgspec.Meta(ge=0, le=MAX_ISO)] = 0.0  # ISO setting for sensor.gain_dn_per_e; 0 if unknown
     # gains, relative to sensor.gain_dn_per_e, at which the read noise is known
     gains: tuple[Annotated[float, msgspec.Meta(ge=1 / MAX_GAIN, le=MAX_GAIN)], ...] = ()
     read_noise_e: tuple[ReadNoise, ...] = ()  # read noise at each of these gains
@@ -284,7 +284,10 @@ def camera_files(path: Path) -> list[Path]:
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
-    """Return the curves in the file that a camera recipe specifies, or None if there is no such file."""
+    """Return the curves from the file that a camera recipe names in [responsivity].
+
+    Return None if `path` is not a recipe (.toml), or if the recipe does not name a file.
+    """
     if path.suffix != ".toml":
         return None
     recipe, whole = read_recipe(path)

@@ -78,7 +78,7 @@ class StoredFeatures:
 
     @cached_property
     def unpacked(self) -> tuple[Feature, ...]:
-        """The features as objects."""
+        """The features, converted from the stored arrays to `Feature` objects."""
         rows = [Window(*row) for row in self.windows.tolist()]
         window_end, constant_end = np.cumsum(self.window_counts), np.cumsum(self.constant_counts)
         return tuple(
@@ -118,7 +118,7 @@ class ClassPlace(NamedTuple):
     level: Any
     contrast: Any
     combination: Any  # index of the combination of the values of additional features; 0 without additional features
-    kind: Any  # chroma if nothing is saturated, otherwise chromas − 1 + saturation case
+    kind: Any  # index of the chroma if no channel is saturated; otherwise (number of chromas) − 1 + saturation case
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,10 @@ class Tuned:
     )
 
     def words(self, levels: Sequence[str]) -> list[str]:
-        """Return a sentence about the tuned filters, and a sentence about the reduction of the error at each level."""
+        """Return one sentence that lists the tuned filters, then one sentence per light level.
+
+        The sentence for a level contains the predicted error before and after tuning, and that of the best Bayer array.
+        """
         rows = zip(self.tuned_filters, self.parameters, strict=True)
         filters = ", ".join(
             f"{name} {centre:.0f} nm σ {sigma:.0f} nm peak {peak:.2f}" for name, (centre, sigma, peak) in rows

@@ -234,7 +234,7 @@ class PhotoFit:
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="value that the model predicts"
     )
     likely: LightGuess | None = group(default=None)
-    window: PhotoWindow | None = group(default=None)  # None: every photo contains the whole sensor
+    window: PhotoWindow | None = group(default=None)  # None: every photo covers the whole sensor area
 
     @property
     def misfit(self) -> NDArray[np.float64]:

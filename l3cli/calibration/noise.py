@@ -69,7 +69,10 @@ class PhotonTransfer:
 
 
 def line_weights(exposures: Array) -> tuple[Array, Array]:
-    """Return the weights of values at these exposure times in the intercept and in the slope of a line fit."""
+    """Return the weights that give the intercept and the slope of a line fitted to values at these exposure times.
+
+    The intercept is the weighted sum of the values with the first weights, the slope with the second weights.
+    """
     centred = exposures - exposures.mean()
     slope = centred / (centred @ centred)
     return 1.0 / exposures.size - exposures.mean() * slope, slope

@@ -60,7 +60,7 @@ class RawFrame:
     noise_left: NoiseLeft | None = None  # the same fraction for each cell; None means 1 everywhere
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not do
     exchangeable: bool = False  # whether the numbers of rows and columns may be swapped, because the file states no size
-    misread: str = ""  # if the values look like noise, the option with which the bytes would look like a picture
+    misread: str = ""  # if the values look like noise: option that would decode the bytes to a plausible picture
 
     def __post_init__(self) -> None:
         if self.values.ndim != 2 or self.values.dtype != np.uint16 or self.values.size == 0:

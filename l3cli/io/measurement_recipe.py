@@ -1,9 +1,10 @@
 """The measurement file and its keys (docs/own-lab.md, docs/method.md#calibration).
 
-A measurement file contains exactly one source of responsivity ([[mono]], [sweep], [curves], [[band]] or [photo]). [[chart]]
-captures determine its scale. [[dark]] and [[white]] frames or a [datasheet] describe the sensor. A file that contains only
-[[dark]] and [[white]] frames uses all other facts from its `base`, which is a camera model or camera recipe. File names are
-relative to the folder of the measurement file.
+The spectral responsivity is determined from exactly one of [[mono]], [sweep], [curves], [[band]] and [photo]. [[chart]]
+captures determine the absolute scale of the responsivity. Noise and levels of the sensor are determined from [[dark]] and
+[[white]] frames, or copied from a [datasheet]. A measurement file may also contain only [[dark]] and [[white]] frames. All
+other properties are then copied from `base`, a camera model or camera recipe. File names are relative to the folder of the
+measurement file.
 """
 
 from collections.abc import Iterator
@@ -164,7 +165,7 @@ class DatasheetRecipe(NoiseRecipe, kw_only=True):
 class UncertaintyRecipe(Recipe):
     """Uncertainties (one standard deviation) of the light, which widen the confidence band."""
 
-    lamp_drift: Below1 = 0.0  # relative drift of an illuminant from its measured spectrum, after correction by the monitor
+    lamp_drift: Below1 = 0.0  # relative drift of the lamp spectrum that remains after correction with the monitor signal
     photodiode: Below1 = 0.0  # relative error of the response of the photodiode in [sweep], at each wavelength
     wavelength_nm: Annotated[float, msgspec.Meta(ge=0, lt=100)] = 0.0  # wavelength error of spectrometer or monochromator
 

@@ -148,10 +148,10 @@ class WriteBehind:
             raise self._error
 
     def _drop(self, interruption: BaseException) -> None:
-        """Discard waiting items, and wait for the current items.
+        """Discard waiting items, and wait until the items in progress are finished.
 
-        A thread inside a C library could crash the program at exit. The wait has a limit, because writing to a pipe that
-        nobody reads would never end.
+        Without this wait, a thread that is still inside a C library could crash the program at exit. The wait is limited to
+        WRITE_SECONDS, because a write to a pipe that nobody reads never returns.
         """
         self._error = self._error or interruption
         self._wake_one()

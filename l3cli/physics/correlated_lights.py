@@ -17,7 +17,7 @@ Array = NDArray[np.floating]
 WAVELENGTH = np.arange(380.0, 781.0, 5.0)  # visible wavelengths in nm
 # Reciprocal colour temperatures in mired (10^6/K), from 25 000 K to 1600 K.
 MIREDS = np.concatenate([np.arange(40.0, 250.0, 10.0), np.arange(250.0, 631.0, 10.0)])
-DAYLIGHT_MIRED = 250.0  # the model is daylight up to this value in mired (from 4000 K upwards), and a black body above it
+DAYLIGHT_MIRED = 250.0  # limit in mired (4000 K); hotter illuminants are modelled as daylight, cooler as black bodies
 GREENS = np.arange(-0.8, 1.01, 0.1)  # tints: natural logarithm of the factor by which green light is increased
 GREEN_NM, GREEN_WIDTH = 545.0, 45.0  # centre and width of the tint in nm, as in the spectra of fluorescent lamps
 SAME_MIRED = 1.0  # difference in mired (42 K at 6500 K) below which two colour temperatures look the same

@@ -103,7 +103,7 @@ def starters() -> dict[str, Path]:
 
 
 def slug_of(name: str) -> str:
-    """Convert the name of a camera to the form for the command line, in lower case with underscores."""
+    """Return the command-line form of a camera name: lower case, with underscores."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
 
 

@@ -91,18 +91,18 @@ def nearest_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | Non
 
 
 def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
-    """Interpolate between the transforms of two illuminants of a table.
+    """Return a table for a mixture of two illuminants, with transforms interpolated between the two illuminants.
 
     Parameters
     ----------
     table : TransformTable
     mix : Mix or None
-        The mixture, or None for the common transforms of all illuminants.
+        The mixture, or None to use the transforms trained on all illuminants together.
 
     Returns
     -------
     TransformTable
-        A table without transforms for single illuminants.
+        A table with one set of transforms for all illuminants.
     """
     common = table.of_light(None)
     if mix is None:

@@ -19,8 +19,8 @@ from l3cli.physics.mosaic import shifted_cfa
 from l3cli.rendering.conditions import NoiseSets
 from l3cli.rendering.display import Display, encode, require_known_layers, require_xyz
 
-# Offsets (row, column), in pixels, of the neighbours for the smoothing of chroma. The neighbours are few, so that the
-# smoothing is fast. Some are near and some are far, so that it averages over the patterns that noise and aliasing leave.
+# Neighbours that are averaged in chroma smoothing, as (row, column) offsets in pixels. Only eight are used, for speed. The
+# mixture of near and far neighbours averages out the patterns that remain of noise and aliasing.
 CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4), (0, 4))
 CHROMA_REACH = 4  # pixels; largest offset
 

@@ -221,7 +221,10 @@ class Plot:
             self.dots(x[..., channel][of_channel], y[..., channel][of_channel], key.colour, key.mark, series=key.label)
 
     def figure(self, title: str, finding: str, keys: tuple[Key, ...] = ()) -> Figure:
-        """Return the plot as a figure. The data of the figure contain the numbers of all named series."""
+        """Return the plot as a figure. The values of all named series are attached to the figure as data.
+
+        `finding` is the caption, which is also the text for screen readers. `keys` are the entries of the legend.
+        """
         data = Data(("series", self._x.label, self._y.label), tuple(self._rows))
         return Figure(title, self._svg(finding), finding, keys, data=data)
 

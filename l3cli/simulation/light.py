@@ -37,7 +37,7 @@ OUTPUTS = {
     "radiance 31": spectra.RADIANCES,
 }
 UNLIT = "reflectance 31"  # key of the outputs that do not depend on the illuminant
-NOTICEABLE = 0.01  # l3 warns if a larger fraction of a channel's electrons comes from wavelengths without data
+NOTICEABLE = 0.01  # l3 warns if wavelengths without data produce more than this fraction of a channel's electrons
 CAMERA = "camera"  # name in recipes of the outputs that are the bands of the camera at full resolution
 
 

@@ -544,7 +544,10 @@ def grey_ramp(size: tuple[int, int], wavelength: Array, octaves: float) -> Cube:
 
 
 def ramp_panel(shape: tuple[int, int], wavelength: Array) -> Cube:
-    """Return greys from 1 % to 100 %. The upper half is continuous, and the lower half has 16 steps."""
+    """Return a grey ramp whose reflectance increases from 1 % to 100 % on a logarithmic scale.
+
+    The upper half is continuous, and the lower half has 16 steps.
+    """
     position = (np.arange(shape[1]) + 0.5) / shape[1]
     smooth, steps = 0.01 ** (1 - position), 0.01 ** (1 - np.floor(position * 16) / 15)
     panel = np.where((np.arange(shape[0]) < shape[0] // 2)[:, None], smooth, steps)

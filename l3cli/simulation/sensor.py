@@ -256,7 +256,10 @@ class SensorDefects:
 
 
 def defects_of(camera: CameraModel, recipe: DefectRecipe) -> SensorDefects:
-    """Return the defects of a camera, which its `fixed_pattern_seed` determines."""
+    """Draw the sensor defects of a camera at random, in the numbers and strengths that `recipe` specifies.
+
+    The random seed is the `fixed_pattern_seed` of the camera, so each call returns the same defects.
+    """
     return _draw(camera.fixed_pattern_seed, camera.rows, camera.cols, msgspec.structs.astuple(recipe))
 
 

@@ -192,9 +192,10 @@ def wanted_scenes(source: Source, files: list[Path]) -> list[WantedScene]:
 
 
 def source_faults(source: Source, camera: CameraModel | None, name: str) -> Iterator[Fault]:
-    """Yield the faults of a source. `name` is the name of the source in messages.
+    """Yield the errors in the settings of a source. `name` is the name of the source in messages.
 
-    If `camera` is not None, the size of the scene is compared with the size of the sensor.
+    If `camera` is not None, the settings must also suit the camera. For example, a synthetic scene must not be larger than
+    the sensor, unless the scene is cropped, scaled or moved.
     """
     whole = source.scale is None and source.field_of_view_deg is None
     if not whole and source.scale is not None and source.field_of_view_deg is not None:
@@ -627,7 +628,7 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
             f"the cube contains {wavelength[order][twice.argmax()]:g} nm twice; set wavelengths_nm in the recipe"
         )
     steps = np.unique(np.diff(order)) if order.size > 1 else np.ones(1, int)
-    if steps.size == 1 and abs(steps[0]) == 1:  # the bands are adjacent, so that a view is sufficient and saves memory
+    if steps.size == 1 and abs(steps[0]) == 1:  # the bands are adjacent, so a view suffices and saves memory
         start, step = int(order[0]), int(steps[0])
         values = values[..., start : start + step * order.size if start + step * order.size >= 0 else None : step]
     else:

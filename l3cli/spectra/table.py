@@ -33,7 +33,7 @@ class CurveTable:
     path: Path
     wavelength: Array  # (wavelength) nm
     values: Array  # (column, wavelength)
-    names: tuple[str, ...] | None  # names of the columns without units; None if the file has no heading
+    names: tuple[str, ...] | None  # column names, with units removed; None if the file has no heading
     units: tuple[str | None, ...]  # units of the columns according to the heading
     left_out: tuple[str, ...] = ()  # names of the columns that were not selected
 

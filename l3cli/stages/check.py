@@ -77,7 +77,10 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
-    """Return what `l3 check` reports about a design recipe: peak quantum efficiencies, illuminants and exposures."""
+    """Return the report of `l3 check` on a design recipe.
+
+    The report contains peak quantum efficiencies of the filters, illuminants and exposures of the levels, and warnings.
+    """
     curves = _design_curves(recipe, source)
     camera = pixel_of(recipe.pixel, source.path.parent)
     filters = Filters.of(dict(zip(recipe.filters, curves, strict=True)), camera.wavelength)

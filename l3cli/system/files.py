@@ -79,8 +79,8 @@ def fingerprint(path: Path) -> tuple[int, ...]:
 
 TEMPORARY = re.compile(r"\.(.*)\.[0-9a-f]{8}\.l3tmp(\.[^.]*)?")
 LOCK = ".l3lock"
-UNFINISHED = ".l3-unfinished"  # file in a folder of pictures that identifies the run that is still writing them
-FINISHED = ".l3-finished"  # file in a folder of pictures that identifies the run that has written all of them
+UNFINISHED = ".l3-unfinished"  # marker file in a picture folder; identifies the run that is still writing to this folder
+FINISHED = ".l3-finished"  # marker file in a picture folder; identifies the run that wrote all pictures in this folder
 STDIN = Path("-")
 LONGEST = 255  # maximum length of a file name, in bytes
 LONGEST_SUFFIX = 16  # maximum length of a suffix from which writers derive their format, in bytes

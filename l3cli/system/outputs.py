@@ -22,7 +22,8 @@ class OutputGuard(contextlib.ExitStack):
     def __init__(self, console: Console) -> None:
         super().__init__()
         self._console = console
-        self._guarded: list[tuple[Path, tuple[str, ...]]] = []  # output, and globs of the files that are written in a folder
+        # (output path, glob patterns of the files that l3 writes to the output if the output is a folder)
+        self._guarded: list[tuple[Path, tuple[str, ...]]] = []
 
     def protect(self, *inputs: Path) -> None:
         """Protect input files until the end. No output may replace an input, by any of its names, even with `force`.

@@ -94,10 +94,10 @@ def stabilisers(window: Indices, patch: int, allowed: Allowed = EVERY_ORIENTATIO
 
 
 def turned_classes(rule: ClassRule, number: int) -> Indices:
-    """Map each class to the class that its patches have when they are read in orientation `number`.
+    """Map each class to the class of the same patches when read in orientation `number`.
 
-    Level, contrast, chroma and saturation case depend only on sums over all taps, so they do not change. Features such as
-    direction can change.
+    Level, contrast, chroma and saturation depend only on sums over all taps, so orientation does not change them. Features
+    such as direction can change.
 
     Parameters
     ----------

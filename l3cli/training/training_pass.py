@@ -143,9 +143,10 @@ def has_two_passes(head: TrainingSet, recipe: LearningRecipe) -> bool:
     return recipe.first_draws > 0 and (head.outputs == XYZ or is_spectrum(head.outputs, head.camera.channels))
 
 
-# Number of patches that are sorted by class together. More patches need more memory, and fewer make the products slower.
+# Number of patches per batch. Each batch is sorted by class before the matrix products. Larger batches need more memory, and
+# smaller batches make the matrix products slower.
 BATCH_PATCHES = 50_000
-LAYER_SAMPLES = 300_000  # number of samples of a refinement layer that are sorted by class together
+LAYER_SAMPLES = 300_000  # number of samples per batch for refinement layers; each batch is sorted by class
 SUM_BYTES = 200 << 20  # bytes for the sums in one process, except that at least two sites are processed together
 
 

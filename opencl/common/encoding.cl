@@ -30,8 +30,8 @@ INLINE ints coarse(ints plane) {
 INLINE floats least_of(floats a, floats b) { return a < b ? a : b; }
 INLINE floats most_of(floats a, floats b) { return a > b ? a : b; }
 
-// Computes x^(1/3) for x ≥ LEAST_CONE with Newton's iteration for y = x^(-1/3). The error of the first guess is below 4 %, because the
-// bits of a float are nearly its logarithm.
+// Computes x^(1/3) for x ≥ LEAST_CONE with Newton's method for y = x^(-1/3). The bit pattern of a float, read as an integer, is nearly
+// linear in the logarithm of the float. An initial guess computed from the bit pattern is therefore accurate to 4 %.
 INLINE floats cube_root(floats x) {
     floats y = SAME_BITS(CONVERT(CONVERT(SAME_BITS(x, ints), floats) * (-1.0f / 3.0f) + (float)0x54a2fa8c, ints), floats);
     #pragma unroll

@@ -35,7 +35,7 @@ INLINE uints set_values(__global const uchar *at) { return CONVERT(LOAD_GLOBAL(b
 #endif
 
 typedef struct {
-    uints level_sum, variance_sum;  // over the channels that have been added
+    uints level_sum, variance_sum;  // sums over the channels added so far
     Colour colour;
 #ifdef EACH_WINDOW
     ints window_sum[WINDOW_SUMS];   // for optional features of the class recipe

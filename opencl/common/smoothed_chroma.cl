@@ -1,7 +1,7 @@
 // Smoothing of chroma over eight neighbours that are alike. The luminance of each pixel is unchanged (l3cli/rendering/reference.py is the
 // reference). The neighbours are at (±1, ±1), (±CHROMA_REACH, 0) and (0, ±CHROMA_REACH).
 
-// Factors of the squared differences between a pixel and its neighbours.
+// Weights of the squared differences between a pixel and a neighbour: in luminance, X and Z.
 typedef struct {
     floats luminance, x, z;
 } Factors;

@@ -277,7 +277,10 @@ def _finished(tables: Sequence[Spectra]) -> list[Spectra]:
 
 
 def _has_lines(spectra: Spectra) -> bool:
-    """Return whether the columns are steps of a monochromator. The wavelengths in the heading or the shapes decide."""
+    """Return whether the columns are spectra of a monochromator, one column per wavelength setting.
+
+    If the table has a heading, every column name must contain a wavelength. Otherwise, most spectra must be narrow-band.
+    """
     names = spectra.table.names
     return spectra.narrow if names is None else all(read_name(f"{name}.csv").nm is not None for name in names)
 

@@ -129,7 +129,7 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Summary:
-    """A frame, reduced to a few numbers for each CFA site."""
+    """Summary statistics of a frame, most of them for each CFA site."""
 
     blocks: Array  # (block_row, block_col, site) mean DN
     high: Array  # (site) DN; 90th percentile
@@ -142,7 +142,7 @@ class Summary:
         return np.asarray(self.blocks.mean(axis=(0, 1)))
 
     def unevenness(self, black: float) -> float:
-        """Return the RMS deviation of the brightest site from a smooth surface, relative to its mean signal."""
+        """Fit a smooth surface to the brightest CFA site, and return the RMS residual relative to the mean signal."""
         rows, cols = self.blocks.shape[:2]
         y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, cols), indexing="ij")
         powers = [(i, j) for i in range(TERMS + 1) for j in range(TERMS + 1 - i)]

@@ -32,7 +32,10 @@ class Layout:
 
     @property
     def bits(self) -> int:
-        """Bits per value at full scale. 16-bit words count as 16 bits, because swapped bytes can produce any value."""
+        """Bit depth that determines full scale.
+
+        For unpacked 16-bit words, the bit depth is always 16, because data with swapped bytes can have any 16-bit value.
+        """
         return 16 if self.packing.is_words else self.packing.bits
 
     @property

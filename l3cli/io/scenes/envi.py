@@ -42,7 +42,7 @@ class HeaderField:
     """A field of an ENVI header."""
 
     name: str
-    fate: str  # READ, REFUSED (unless the value has no effect), or HARMLESS (the field does not affect the cube)
+    fate: str  # READ: used; REFUSED: an error, unless the value changes nothing; HARMLESS: ignored, no effect on the cube
     meaning: str
 
 

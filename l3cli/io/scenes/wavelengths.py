@@ -79,10 +79,11 @@ def in_name(name: str) -> float | None:
 
 
 def of_names(names: Sequence[str]) -> list[float | None]:
-    """Return the wavelength in nm that each name states, or None for a name that states no wavelength.
+    """Return the wavelength in nm that each name contains, or None for each name without a wavelength.
 
-    Numbers without a unit are wavelengths if every name ends with a number, all numbers are within 300…2600, and all differ
-    by at least 2. Otherwise the numbers are indices.
+    If no name contains a wavelength with a unit, the last number in each name may be a wavelength in nm. This is assumed if
+    every name contains a number, all numbers are between 300 and 2600, and no two numbers are closer than 2. Otherwise the
+    numbers are taken as band indices.
     """
     stated = [in_name(name) for name in names]
     if any(stated):

@@ -367,7 +367,7 @@ class PlaneStep:
 
     weights: Any  # weights of the previous layer, which computes the planes
     rule: tuple[Any, ...]  # constants of the kernel `structures` (gradient.cl, structure.cl, tree.cl)
-    nothing: Any  # buffer of zeros for an unused argument, which contains the display constants in other kernels
+    nothing: Any  # buffer of zeros, passed as display constants to kernels that do not use display constants
 
 
 def table_buffers(

@@ -138,7 +138,10 @@ class Programs:
         return self._kernel(self._built(layer, ending | (TRANSFORM_ONLY if self.joins and not layer else {})), "transform")
 
     def classes(self, layer: int) -> Any:
-        """Return the kernel that determines the classes of a layer. Several programs may contain this kernel."""
+        """Return the kernel that determines the classes of a layer.
+
+        If a program that is already compiled contains the kernel, no other program is compiled.
+        """
         usual = layout.TO_PLANES if layer < self._last else layout.OUTPUTS_AS_THEY_ARE
         if self.joins and not layer:
             return self._kernel(self._built(layer, {**usual, **CLASSES_ONLY}), "classes")

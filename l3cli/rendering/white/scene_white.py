@@ -258,7 +258,7 @@ def _between(now: WhiteBalance, wanted: WhiteBalance, share: float) -> WhiteBala
 GREY_LEVEL = 0.4  # brightest channel of rendered grey areas, as a fraction of full scale; well trained in every table
 MAX_GAIN = 8.0  # largest gain of a channel; a channel that needs a higher gain contains mostly noise
 SURFACES = 64  # number of measured reflectances used to fit the colour correction for an illuminant
-UNSURE = 1e-3  # expected error of rendered colours; its square is the ridge of the fit, so that errors are not amplified
+UNSURE = 1e-3  # expected error of rendered colours; the squared error is the ridge of the fit of the correction
 MIN_WEIGHT_LUMINANCE = 0.05  # relative luminance; darker surfaces are weighted as if they had this luminance
 MAX_DUV = 0.03  # largest plausible distance of an illuminant from the black-body locus in CIE 1960 uv
 SAME_WHITE = 5e-4  # distance in CIE 1960 uv below which two white points count as equal; users enter rounded values

@@ -21,7 +21,7 @@ from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
-UNITS_PER_PROCESS = 8  # more work units make the progress bar smoother, but each unit sends its own sums
+UNITS_PER_PROCESS = 8  # more work units make the progress bar smoother, but add time, because each unit sends a set of sums
 
 
 def learn_refinement_layers(

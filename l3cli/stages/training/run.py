@@ -161,16 +161,16 @@ def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
 
 
 def frames_of(training: tuple[TrainingSource, ...], wanted: range, remote: bool) -> Iterator[TrainingPair]:
-    """Yield a range of the frames of all training sets.
+    """Yield a range of frames from the concatenated training sets.
 
     Parameters
     ----------
     training : tuple of TrainingSource
         The training sets.
     wanted : range
-        Indices of the frames, counted through all training sets.
+        Indices of the frames in the concatenation of all training sets.
     remote : bool
-        Whether this is a worker on another machine. Such a worker compares the bytes of the files and does not cache frames.
+        Whether this process is a worker on another machine, which verifies the SHA-256 of each file and caches no frames.
 
     Raises
     ------

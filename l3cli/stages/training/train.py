@@ -101,7 +101,7 @@ def execution_of(
         guard.protect(*training, *itertools.chain(*options.inputs().values()))
         guard.guard_file(output, options.force)
         if scheduler:
-            training = tuple(path.absolute() for path in training)  # workers may have another working directory
+            training = tuple(path.absolute() for path in training)  # workers may run in a different working directory
         run = open_run(training, options)
         runs_by_light(run)  # raises an error, before any work, if learning.lights does not fit the training sets
         used = files_to_read({"training sets": training, **options.inputs(all=False)})

@@ -28,7 +28,7 @@ from l3cli.training.sums import runs_of
 
 Floats = NDArray[np.float32]
 LARGEST_SIDE = 156  # largest side of a mosaic in pixels, and of the surrounding area whose mean is set to the drawn level
-SHEET = 1 << 17  # number of pixels that are rendered together; more pixels per class take less time per pixel
+SHEET = 1 << 17  # number of pixels that are rendered as one batch; larger batches take less time per pixel
 
 
 @dataclass(frozen=True)
