@@ -1,7 +1,7 @@
 """The layers of a transform table (docs/method.md#layers).
 
-The first layer computes planes from the mosaic. Each refinement layer computes new planes from the planes of the previous
-layer.
+The first layer computes outputs from the mosaic. Each refinement layer computes outputs from three planes, which the previous
+layer has computed.
 """
 
 from dataclasses import dataclass, replace
@@ -78,7 +78,7 @@ class CoarseChroma:
             raise ValueError("variance must not be negative, and must be positive at luminance 0")
 
     def with_noise(self, share: float) -> "CoarseChroma":
-        """Return the noise model for frames whose noise variance is smaller or larger by the factor `share`."""
+        """Return the noise model for frames with `share` times the noise variance."""
         return CoarseChroma(self.variance * share)
 
 
@@ -158,7 +158,7 @@ class PlaneLayer:
         return self.weights.shape[2] - self.window_taps
 
     def with_noise(self, share: float) -> "PlaneLayer":
-        """Return the layer for frames whose noise variance differs by the factor `share`. Only coarse chroma changes."""
+        """Return the layer for frames with `share` times the noise variance. Only coarse chroma changes."""
         return replace(self, coarse_chroma=self.coarse_chroma.with_noise(share)) if self.coarse_chroma else self
 
     def scaled_as(self, scale: GradientScale) -> "PlaneLayer":

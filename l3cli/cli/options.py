@@ -1,4 +1,4 @@
-"""Click options: created from the declarations in l3cli/options, and the options that are common to all commands."""
+"""Creates click options from the declarations in l3cli/options, and defines the options that all commands have."""
 
 import functools
 import os
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FILE = click.Path(path_type=Path, readable=False)  # click need not check the file; l3's message is better
+FILE = click.Path(path_type=Path, readable=False)  # click does not check files, because l3 reports errors better
 
 
 class RecipeFile(click.Path):

@@ -1,8 +1,8 @@
 """Read raw files of all supported formats as RawFrame.
 
-To add a format, write a module in this folder, and add the format to FORMATS. The module must define the function `read`. It
-must also define `stack`, `rate` and `is_plain` if the entry in FORMATS sets `stackable`, `has_rate` and `has_plain`. l3
-imports the module when the first file in this format is read.
+To add a format, write a module in this folder, and add the format to FORMATS. Every module must define the function `read`.
+If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or `is_plain`,
+respectively. l3 imports the module when the first file in this format is read.
 
 The colour filter array is that of the table. Pixels, levels, crop and orientation are read from the file. If the file
 specifies an array, the phase is also read from the file, and l3 rejects the file unless the arrays agree.
@@ -70,7 +70,7 @@ class RawFormat:
     def stack(self, path: Path, layout: Layout | None = None, dataset: str | None = None) -> MultiFrameFile | None:
         """Return the frames of a file with several frames. Return None if the file contains one frame, even if damaged.
 
-        `dataset` is the name of an array in the file. It may be None if the file contains only one array.
+        `dataset` is the name of an array in the file, or None if the file contains only one array.
         """
         wanted = [layout] if self.wants_geometry else [dataset] if self.wants_dataset else []
         with naming(path):

@@ -1,8 +1,8 @@
 """Command queues and buffers of an OpenCL device, the commands for a frame, and the division of a frame into bands.
 
 A band is a range of rows that is rendered as a whole. `Band` contains the rows that each layer needs for a band. `Band` also
-contains index buffers for padding: for each row or column beyond the edge of the frame, the index of the row or column
-inside the frame that is read instead.
+contains index buffers for padding. The index buffers map rows and columns beyond the edges of the frame to mirrored rows
+and columns inside the frame.
 """
 
 import os
@@ -29,7 +29,7 @@ SPECTRA = "spectra"  # additional stage after the transforms, for tables that sm
 BAND_PIXELS = 1 << 22  # approximate number of pixels of a band, without margins
 
 
-Source = Any  # device buffer with the index of the row or column to read for each row or column of a padded range
+Source = Any  # device buffer that maps each row or column of a padded range to a row or column inside the frame
 
 
 def stages_of(table: TransformTable) -> tuple[str, ...]:
@@ -179,7 +179,7 @@ class Work:
 
 @dataclass(frozen=True)
 class PlaneSource:
-    """Index buffers for padding the input of a refinement layer, one buffer per axis.
+    """Index buffers for padding the input of a refinement layer.
 
     Rows and columns outside the frame are replaced by mirrored rows and columns inside the frame.
     """

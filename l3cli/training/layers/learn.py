@@ -2,8 +2,8 @@
 
 As in the first layer, classes with few samples are supported by other classes. An unsaturated class also uses samples of
 classes with neighbouring levels and strengths. Every class uses pseudo-samples of a *parent*, which is a weighted mean of
-many classes. The parent of an unsaturated class is mainly the mean over all unsaturated classes of this level. The parent
-of a saturated class is the mean over levels, with a larger weight for nearby levels, for this saturation case.
+many classes. The parent of an unsaturated class is mainly the mean over the unsaturated classes with an equal level. The
+parent of a saturated class is a mean over the classes with an equal saturation case, with larger weights for nearby levels.
 """
 
 import functools
