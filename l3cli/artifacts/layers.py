@@ -1,7 +1,7 @@
 """The layers of a transform table (docs/method.md#layers).
 
-The first layer computes outputs from the mosaic. Each refinement layer computes outputs from three planes, which the previous
-layer has computed.
+The first layer computes outputs from the mosaic. Each refinement layer computes outputs from three planes, which the
+previous layer has computed.
 """
 
 from dataclasses import dataclass, replace

@@ -25,7 +25,7 @@ MIN_POINTS = 6  # minimum number of points (patches × channels) for fitting a p
 MAD = 1.4826  # ratio of the standard deviation of a Gaussian to its median absolute deviation
 Array = NDArray[np.floating]
 SEARCHED = 480  # maximum side, in pixels, of the reduced picture in which l3 searches for a chart
-SLOPES = (0.02, 0.04, 0.08, 0.15)  # limits for the relative gradient per pixel of a uniform region; l3 tries all
+SLOPES = (0.02, 0.04, 0.08, 0.15)  # maximum relative gradients per pixel of a uniform region; l3 tries all limits
 # Fraction of the 99th percentile. This value is added to the divisor of relative gradients against noise in dark areas.
 DARK_FRACTION = 0.02
 MIN_AREA, MAX_SHARE = 9, 0.03  # minimum area of a patch in pixels, and maximum as a fraction of the picture
@@ -90,8 +90,8 @@ def corner_cells(rows: int, cols: int) -> Array:
 def through(matrix: Array, points: Array) -> Array:
     """Transform points (…, 2) by one homography (3, 3) or by several homographies (grid, 3, 3).
 
-    Several homographies transform all points, and the result is an array (grid, point, 2). Points at infinity become
-    infinite or NaN.
+    If there are several homographies, each transforms all points, and the result is an array (grid, point, 2). Points at
+    infinity become infinite or NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = points @ matrix[..., :2].swapaxes(-1, -2) + matrix[..., None, :, 2]
@@ -258,7 +258,7 @@ class Located:
 
 
 def superpixels(mosaic: Array, cfa: NDArray[np.uint8]) -> Array:
-    """Average each channel over each complete CFA period, and return (row, col, channel). The CFA begins at site (0, 0)."""
+    """Average each channel over each complete CFA period, as (row, col, channel). The mosaic begins at CFA site (0, 0)."""
     rows, cols = cfa.shape
     height, width = mosaic.shape[0] // rows, mosaic.shape[1] // cols
     blocks = mosaic[: height * rows, : width * cols].reshape(height, rows, width, cols).astype(np.float64)

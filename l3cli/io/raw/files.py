@@ -1,8 +1,8 @@
 """Read raw files of all supported formats as RawFrame.
 
 To add a format, write a module in this folder, and add the format to FORMATS. Every module must define the function `read`.
-If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or `is_plain`,
-respectively. l3 imports the module when the first file in this format is read.
+If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or
+`is_plain`, respectively. l3 imports the module when the first file in this format is read.
 
 The colour filter array is that of the table. Pixels, levels, crop and orientation are read from the file. If the file
 specifies an array, the phase is also read from the file, and l3 rejects the file unless the arrays agree.
