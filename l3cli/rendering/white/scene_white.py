@@ -26,7 +26,8 @@ from l3cli.rendering.reference import ReferenceRenderer
 Array = NDArray[np.floating]
 MAX_CLIPPED = 0.01  # largest fraction of clipped pixels in a grey area that can be measured
 FLAT = 0.5  # a channel counts as clipped if more than this fraction of its pixels has the largest value of the frame
-DARK_FRACTION = 0.01  # fraction of full scale; an area with an uncertain mean is too dark if the mean is lower, or not uniform
+# Fraction of full scale. A grey area with an uncertain mean is "too dark" below this mean, and "not uniform" otherwise.
+DARK_FRACTION = 0.01
 MIN_CERTAINTY = 50.0  # smallest ratio of the mean signal of a channel in a grey area to the standard error of the mean
 
 
