@@ -326,7 +326,7 @@ class Whites:
         Raises
         ------
         InputFileError
-            If the signals are not finite or all zero, or if the table renders them with an X, Y or Z below or equal to 0.
+            If the signals are not finite or none is positive, or if a rendered X, Y or Z is not positive.
         """
         if not (np.isfinite(neutral).all() and neutral.max() > 0):
             shown = ", ".join(f"{each:g}" for each in neutral)
@@ -436,7 +436,7 @@ class Whites:
         shown = self.grey.outputs_of(signals * (GREY_LEVEL / signals[-1].max()))
         true = with_white @ spectra.xyz_weights(camera.wavelength).T
         ours, ideal = (of[:-1] / of[-1, 1] @ adaptation(_white(of[-1])).T for of in (shown, true))
-        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # visible errors are proportional to luminance
+        weights = 1.0 / np.maximum(ideal[:, 1:2], MIN_WEIGHT_LUMINANCE)  # just visible errors are proportional to luminance
         through = display_white(), display_white()
         return np.asarray(fit_through(ours * weights, ideal * weights, *through, UNSURE**2), np.float64)
 
