@@ -53,7 +53,8 @@ class Studio:
     def __init__(self, folder: Path, data: Path) -> None:
         self.folder, self.data = folder, data
         self.camera = self._camera()
-        leaves, _ = (CONFIGS / "scenes/default.toml").read_text().split("[[scene]] # plain and vivid colours")
+        head, leaves, *_ = (CONFIGS / "scenes/default.toml").read_text().split("[[scene]]")  # the first source alone
+        leaves = f"{head}[[scene]]{leaves}"
         self.synthetic = [self._simulated(f"own{seed}", leaves, seed) for seed in range(DRAWS)]
         self.faces = {face: self._face(face, "seen", "exposure_mean = [0.2]") for face in FACES}
         cells = f"exposure_mean = {list(LEVELS)}"
