@@ -21,7 +21,7 @@ from l3cli.classes.windows import neighbourhoods
 from l3cli.export.wordlengths import ENOUGH_PSNR_DB, SEED, SHAPE, Cost, Words, chosen_words, make_vector, word_costs
 from l3cli.rendering.conditions import noise_limits
 from l3cli.rendering.display import require_known_layers
-from l3cli.rendering.reference import CHROMA_NEIGHBOURS, SPECTRA_DARKEST
+from l3cli.rendering.reference import CHROMA_NEIGHBOURS, SMOOTHING_DARKEST
 from l3cli.system.text import printable
 
 FORMAT, VERSION = "l3 table as arrays", 2
@@ -109,7 +109,7 @@ LAYERS = {
 SPECTRA_DOC = (
     "last step, which is also applied to test_outputs. Y is the mean of the outputs, p is a pixel, and q are the pixels "
     "of the window around p, mirrored at the borders. output_p <- mean of output_q * Y_p / mean of Y_q if Y_p > "
-    "spectra_darkest. The means are weighted by w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2"
+    "smoothing_darkest. The means are weighted by w = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2)^2"
 )
 
 CHROMA_DOC = (
@@ -117,7 +117,7 @@ CHROMA_DOC = (
     "(row, column), mirrored at the borders. With e_q = X_q Y_p - X_p Y_q, and f_q the same for Z, the weights are "
     "w_q = max(0, 1 - ((Y_q - Y_p) / (reach * Y_p))^2 - ((e_q / X_w)^2 + (f_q / Z_w)^2) / (likeness * Y_p^2)^2)^2, where "
     "X_w and Z_w are those of white_point with Y_w = 1. X_p <- X_p + sum(w_q e_q) / (Y_p + sum(w_q Y_q)) if "
-    "Y_p > spectra_darkest, and Z_p the same with f_q. Y does not change"
+    "Y_p > smoothing_darkest, and Z_p the same with f_q. Y does not change"
 )
 
 
@@ -137,11 +137,11 @@ def folder_files(table: TransformTable) -> dict[str, bytes]:
     }
     if table.spectra:
         content["spectra"] = {"doc": SPECTRA_DOC, **arrays.add_fields("spectra/", table.spectra)}
-        content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
+        content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
     if table.chroma_smoothing:
         keys = arrays.add_fields("chroma_smoothing/", table.chroma_smoothing)
         content["chroma_smoothing"] = {"doc": CHROMA_DOC, **keys, "neighbours": CHROMA_NEIGHBOURS}
-        content["constants"]["spectra_darkest"] = SPECTRA_DARKEST
+        content["constants"]["smoothing_darkest"] = SMOOTHING_DARKEST
     if table.components:
         doc = "conversion from outputs to the planes of the refinement layer. fixed_weights of the first layer include it"
         content["components"] = {"doc": doc, **arrays.add_fields("components/", table.components)}

@@ -45,7 +45,7 @@ from l3cli.physics.spaces import SRGB, Curve
 from l3cli.rendering.display import linear_matrix, require_known_layers, shown_adaptation
 from l3cli.rendering.exposure import NOISE_WHERE_CLIPPED
 from l3cli.rendering.opencl.layout import source_folder
-from l3cli.rendering.reference import SPECTRA_DARKEST
+from l3cli.rendering.reference import SMOOTHING_DARKEST
 from l3cli.rendering.white.scene_white import WhiteBalance, Whites
 from l3cli.rendering.white.source import usual_balance
 from l3cli.system.text import printable
@@ -218,13 +218,13 @@ def macros(table: TransformTable, words: Words) -> dict[str, int | str]:
     if rule.features:
         values |= {"WINDOWS": max(1, len(rule.windows)), "WINDOW_SUMS": max(1, rule.window_sums)}
     if table.spectra:
-        reach, darkest = _float(table.spectra.reach), _float(SPECTRA_DARKEST)
+        reach, darkest = _float(table.spectra.reach), _float(SMOOTHING_DARKEST)
         values |= {"SPECTRAL_WINDOW": table.spectra.window, "SPECTRAL_REACH": reach, "DARKEST": darkest}
     if table.chroma_smoothing:
         smoothing, (white_x, white_z) = table.chroma_smoothing, table.white_point[::2] / table.white_point[1]
         factors = {"LUMINANCE": smoothing.reach, "X": smoothing.likeness * white_x, "Z": smoothing.likeness * white_z}
         values |= {f"BY_{name}": _float(1 / limit**2) for name, limit in factors.items()}
-        values["DARKEST"] = _float(SPECTRA_DARKEST * (2**OUTPUT_FRACTION if words == "int16" else 1))
+        values["DARKEST"] = _float(SMOOTHING_DARKEST * (2**OUTPUT_FRACTION if words == "int16" else 1))
     if _coarse_chroma(table):
         values["PLANE_STEP"] = _float(PLANE_STEP)
     if table.later and table.later[-1].clipping:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.class_rule import ClassRule, Feature, StoredFeatures
-from l3cli.artifacts.layers import PLANE_STEP, MosaicLayer, PlaneLayer
+from l3cli.artifacts.layers import COMPARED, PLANE_STEP, RATIO_TAPS, Clipping, CoarseChroma, MosaicLayer, PlaneLayer
 from l3cli.artifacts.plane_rules import StructureRule
-from l3cli.artifacts.table import TransformTable
+from l3cli.artifacts.table import ChromaSmoothing, TransformTable
 from l3cli.classes import direction
 from l3cli.classes.chroma import CHROMA_FRACTION, chroma_weights
 from l3cli.classes.level import LEVEL_FRACTION
@@ -56,12 +56,15 @@ CLASSES = {"fast": (10, 1), "single": (20, 8), "default": (10, 9)}  # class reci
 
 
 def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
-    """Return a table with a realistic number of classes.
+    """Return a table with random transforms that takes as long to render as a trained table.
 
-    The table has the levels and chromas of the class recipe and ten saturation cases. It has two contrasts, or one if there
-    is a second layer. The chroma centres surround the grey of `synthetic_frame`, so that the pixels of the frame have
-    different chromas. The transform of each class is the mean of the window with small random deviations. The pictures are
-    therefore nearly grey, and most of their pixels are inside the sRGB gamut, as in real pictures.
+    The numbers of levels and chromas are those of the class recipe. There are ten saturation cases, and two contrast classes
+    if the table has one layer. A table with two layers also has the direction classes, colour ratios, coarse chroma,
+    replacement of clipped areas and smoothed chroma of the class recipe `default`.
+
+    The pixels of `synthetic_frame` fall into different chroma classes, because the chroma centres surround the grey of this
+    frame. Each transform is the mean of the window plus small random deviations. The pictures are therefore nearly grey, and
+    most of their pixels are inside the sRGB gamut, as in real pictures.
     """
     cfa = CFAS[case.cfa]
     channels = int(cfa.max()) + 1
@@ -110,6 +113,7 @@ def synthetic_table(case: Case, rng: np.random.Generator) -> TransformTable:
             condition=np.ones(classes, np.float32),
         ),
         later=(_second_layer(rule, cfa.size, white, levels, rng),) if two_layers else (),
+        chroma_smoothing=ChromaSmoothing(reach=0.6, likeness=0.4) if two_layers else None,
     )
 
 
@@ -149,8 +153,19 @@ def _second_layer(
     classes = sites * rule.classes_per_site
     weights = 0.02 * rng.standard_normal((classes, white.size, 3, WINDOW_SIDE_PIXELS**2)) / WINDOW_SIDE_PIXELS
     weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # plane 1 is luminance
-    single = weights.reshape(classes, white.size, -1).astype(np.float32)
-    return PlaneLayer(WINDOW_SIDE_PIXELS, single, np.zeros((classes, white.size), np.float32), np.ones(classes), rule)
+    ratios = 0.02 * rng.standard_normal((classes, white.size, RATIO_TAPS[-1])) / WINDOW_SIDE_PIXELS
+    channels = int(first.case_of_code.size).bit_length() - 1
+    response = np.zeros((channels + 1, channels + 1, white.size))
+    response[0, :-1] = white / channels  # the mean of all channels, as a grey
+    return PlaneLayer(
+        WINDOW_SIDE_PIXELS,
+        np.concatenate([weights.reshape(classes, white.size, -1), ratios], axis=2).astype(np.float32),
+        np.zeros((classes, white.size), np.float32),
+        np.ones(classes),
+        rule,
+        coarse_chroma=CoarseChroma(np.full(COMPARED, 1e-7)),
+        clipping=Clipping(response, np.full(channels, 0.8)),
+    )
 
 
 def _variance(level: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -176,9 +191,9 @@ def synthetic_frame(case: Case, rng: np.random.Generator) -> RawFrame:
 
 
 def _detail(case: Case, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return a factor for each pixel that adds edges as dense as in a busy scene.
+    """Return a factor for each pixel. The factors add as many edges as a busy scene has.
 
-    With these edges, most neighbouring pixels of the same CFA site differ in structure.
+    Because of these edges, most neighbouring pixels are in different structure classes, even at the same CFA site.
     """
     blocks = np.zeros((case.height, case.width))
     for side in (3, 7, 15):
@@ -213,14 +228,16 @@ def jobs(device: str | None, variant: str | None) -> list[Callable[[], dict[str,
 
 
 def measure(case: Case, device: str | None = None, variant: str | None = None) -> dict[str, Any]:
-    """Measure the time of a frame on an OpenCL device, as a median over `FRAMES` frames.
+    """Measure how long an OpenCL device takes to render a frame.
 
     Returns
     -------
     dict
-        The parameters of the measurement, and these results in ms: the time that the caller waits for a frame
-        ("frame_ms"), the time of each stage as measured by the device ("stages_ms", see `OpenCLRenderer.stage_times`), and
-        the sum of the stages ("stages_sum_ms").
+        Parameters of the measurement, and medians over `FRAMES` frames in ms:
+
+        * "frame_ms": time that the caller waits for a frame
+        * "stages_ms": time of each stage as measured by the device (see `OpenCLRenderer.stage_times`)
+        * "stages_sum_ms": sum of the stages
     """
     table, frame, display = _synthetic(case)
     renderer = OpenCLRenderer(table, device, variant)

@@ -25,7 +25,7 @@ CHROMA_NEIGHBOURS = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-4, 0), (4, 0), (0, -4
 CHROMA_REACH = 4  # pixels; largest offset
 
 # Darker pixels are not smoothed. The value is in output units, and far below the noise of any sensor.
-SPECTRA_DARKEST = 2.0**-20
+SMOOTHING_DARKEST = 2.0**-20
 
 
 class ReferenceRenderer:
@@ -287,7 +287,7 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
     _, rows, cols = planes.shape
     brightness = planes.mean(axis=0)
     padded, around = mirrored(planes, smoothing.radius), mirrored(brightness, smoothing.radius)
-    scale = smoothing.reach * np.maximum(brightness, SPECTRA_DARKEST)
+    scale = smoothing.reach * np.maximum(brightness, SMOOTHING_DARKEST)
     total, brighter, change = np.ones_like(brightness), np.zeros_like(brightness), np.zeros_like(planes)
     for down, right in np.ndindex(smoothing.window, smoothing.window):
         if down == right == smoothing.radius:
@@ -298,9 +298,9 @@ def smoothed_spectra(planes: NDArray[np.float64], smoothing: SpectralSmoothing) 
         total += weight
         brighter += weight * difference
         change += weight * (padded[:, *there] - planes)
-    safe = np.where(brightness > SPECTRA_DARKEST, brightness, 1.0)
-    share = safe / np.where(brightness > SPECTRA_DARKEST, brightness + brighter / total, 1.0)
-    return np.where(brightness > SPECTRA_DARKEST, (planes + change / total) * share, planes)
+    safe = np.where(brightness > SMOOTHING_DARKEST, brightness, 1.0)
+    share = safe / np.where(brightness > SMOOTHING_DARKEST, brightness + brighter / total, 1.0)
+    return np.where(brightness > SMOOTHING_DARKEST, (planes + change / total) * share, planes)
 
 
 def smoothed_chroma(
@@ -330,7 +330,7 @@ def smoothed_chroma(
     ndarray, (3, row, col)
     """
     luminance, chroma = planes[1], planes[::2]
-    bright = luminance > SPECTRA_DARKEST
+    bright = luminance > SMOOTHING_DARKEST
     safe = np.where(bright, luminance, 1.0)
     scale = (white[::2] / white[1])[:, None, None] * smoothing.likeness * np.square(safe)
     padded, (rows, cols) = mirrored(planes, CHROMA_REACH), luminance.shape

@@ -16,7 +16,7 @@ from l3cli.recipes.faults import refuse_first
 from l3cli.rendering.display import make_display
 from l3cli.rendering.opencl import work
 from l3cli.rendering.opencl.renderer import OpenCLRenderer
-from l3cli.rendering.reference import SPECTRA_DARKEST, ReferenceRenderer, smoothed_chroma, smoothed_spectra
+from l3cli.rendering.reference import SMOOTHING_DARKEST, ReferenceRenderer, smoothed_chroma, smoothed_spectra
 from l3cli.training.recipe import LearningRecipe, learning_faults
 from l3cli.training.summary import insight, learned
 from tests.helpers.cameras import BAYER, FIVE_BAND
@@ -87,11 +87,11 @@ def test_noise_of_spectra_falls_and_the_dark_stays_finite() -> None:
     smoothed = smoothed_spectra(noisy, SpectralSmoothing(3, 0.3))
     share = np.std(smoothed - spectrum) / np.std(noisy - spectrum)
     assert share == pytest.approx((1 / 9 + 8 / 9 / 16) ** 0.5, abs=0.03)  # a mean of nine, but brightness's own sixteenth
-    for level in (0.0, SPECTRA_DARKEST, 1e-30, -1.0):
+    for level in (0.0, SMOOTHING_DARKEST, 1e-30, -1.0):
         dark = level * (1 + rng.normal(size=(4, 6, 6)))
         made = smoothed_spectra(dark, SpectralSmoothing(3, 0.9))
         assert np.isfinite(made).all()
-        below = dark.mean(axis=0) <= SPECTRA_DARKEST
+        below = dark.mean(axis=0) <= SMOOTHING_DARKEST
         assert np.array_equal(made[:, below], dark[:, below])
 
 
@@ -176,11 +176,11 @@ def test_vivid_lines_of_one_pixel_keep_their_colour() -> None:
 
 def test_the_dark_stays_finite() -> None:
     rng = np.random.default_rng(2)
-    for level in (0.0, SPECTRA_DARKEST, 1e-30, -1.0):
+    for level in (0.0, SMOOTHING_DARKEST, 1e-30, -1.0):
         dark = level * (1 + rng.normal(size=(3, 6, 6)))
         made = smoothed_chroma(dark, CHROMA, WHITE)
         assert np.isfinite(made).all()
-        below = dark[1] <= SPECTRA_DARKEST
+        below = dark[1] <= SMOOTHING_DARKEST
         assert np.array_equal(made[:, below], dark[:, below])
 
 

@@ -11,9 +11,9 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import Macros, paired_source
 from l3cli.rendering.opencl.programs import Compiler
 from l3cli.rendering.opencl.work import Band, Track, scratch
-from l3cli.rendering.reference import CHROMA_REACH, SPECTRA_DARKEST
+from l3cli.rendering.reference import CHROMA_REACH, SMOOTHING_DARKEST
 
-DARKEST: Macros = {"DARKEST": f"{SPECTRA_DARKEST!r}f"}
+DARKEST: Macros = {"DARKEST": f"{SMOOTHING_DARKEST!r}f"}
 
 
 def room_for(track: Track, band: Band, outputs: int) -> Any:
