@@ -151,10 +151,7 @@ class Evaluation:
         drawn: Drawn | None = None,
     ) -> None:
         camera = head.camera
-        if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
-            raise InputFileError(
-                "the training set and the table have different CFAs; use a training set of the table's camera"
-            )
+        require_cfa(table, camera)
         if head.outputs != table.outputs:
             names = f"table: {', '.join(table.outputs)}; training set: {', '.join(head.outputs)}"
             raise InputFileError(
@@ -430,6 +427,12 @@ def _octave(level: float) -> tuple[float, float]:
     """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
+
+
+def require_cfa(table: TransformTable, camera: CameraModel) -> None:
+    """Raise InputFileError unless the camera of a training set has the CFA for which the table was trained."""
+    if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
+        raise InputFileError("the training set and the table have different CFAs; use a training set of the table's camera")
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:

@@ -39,13 +39,16 @@ def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
         Reference camera, or a table that was trained for it. If a table contains no camera model, only the sensitivity is
         compared.
     camera : CameraModel
-        Camera that took the frames. It must have the same channels as the reference camera.
+        Camera that took the frames.
 
     Returns
     -------
     str
-        Differences that exceed the limits, separated by commas. Empty if there are none.
+        Differences that exceed the limits, separated by commas. Empty if there are none. If the names of the channels
+        differ, they are the only difference.
     """
+    if known.channels != camera.channels:
+        return f"channels ({', '.join(known.channels)}; {', '.join(camera.channels)})"
     learned = known.camera if isinstance(known, TransformTable) else known
     # If the table contains no camera model, all channels are assumed to have the same exposure and gain.
     exposure = known.output_unit if learned is None else learned.saturation_exposure

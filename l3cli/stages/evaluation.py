@@ -23,7 +23,7 @@ from l3cli.artifacts.training_set import (
 )
 from l3cli.errors import InputFileError, RecipeError, listed, raised_as
 from l3cli.evaluation import standards
-from l3cli.evaluation.evaluation import OURS, Evaluation, raw_of, white_of
+from l3cli.evaluation.evaluation import OURS, Evaluation, raw_of, require_cfa, white_of
 from l3cli.evaluation.likeness import unlike
 from l3cli.evaluation.pictures import frame_pictures, planes_of
 from l3cli.evaluation.quality import VIEWING
@@ -323,8 +323,14 @@ def for_frames(
         The table with the noise at the gain of the frames.
     str
         The warning, or "" if the table was trained for the camera of the frames.
+
+    Raises
+    ------
+    InputFileError
+        If the camera of the frames has another CFA than the table.
     """
     (name, transforms), (other, camera) = table, frames
+    require_cfa(transforms, camera)
     made = at_gain(transforms, gain_of_frames(transforms, camera))
     if not (differences := unlike(made, camera)):
         return made, ""

@@ -23,6 +23,7 @@ from l3cli.evaluation.likeness import MAX_DELTA_E, colour_difference, noise_rati
 from tests.helpers.calls import L3, Refused
 from tests.helpers.cameras import bayer_camera
 from tests.helpers.tables import colorimetric_table
+from tests.helpers.training_sets import a_set
 
 MISTAKES = """
     2 paint
@@ -302,6 +303,14 @@ def test_frames_of_another_camera_are_warned_of(pipeline: Path, frames: dict[str
     assert OTHERS["colour"][2] in err
     assert json.loads(out)["frames"]
     assert l3(*call, "--quiet")[2] == ""
+
+
+def test_frames_with_other_channels_are_refused(
+    pipeline: Path, bayer: CameraModel, fiveband: CameraModel, tmp_path: Path, refused: Refused
+) -> None:
+    frames = a_set(tmp_path / "five.h5", fiveband, 1)
+    assert "different CFAs" in refused(3, "evaluate", pipeline / "table.h5", frames)
+    assert unlike(bayer, fiveband) == "channels (r, g, b; r, g, b, o, c)"
 
 
 def test_the_camera_measured_or_described_is_the_same(pipeline: Path, l3: L3) -> None:
