@@ -153,7 +153,7 @@ def _second_layer(
     classes = sites * rule.classes_per_site
     weights = 0.02 * rng.standard_normal((classes, white.size, 3, WINDOW_SIDE_PIXELS**2)) / WINDOW_SIDE_PIXELS
     weights[:, :, 1] += white[:, None] / WINDOW_SIDE_PIXELS**2  # plane 1 is luminance
-    ratios = 0.02 * rng.standard_normal((classes, white.size, RATIO_TAPS[-1])) / WINDOW_SIDE_PIXELS
+    ratios = 0.02 * rng.standard_normal((classes, white.size, RATIO_TAPS[1])) / WINDOW_SIDE_PIXELS
     channels = int(first.case_of_code.size).bit_length() - 1
     response = np.zeros((channels + 1, channels + 1, white.size))
     response[0, :-1] = white / channels  # the mean of all channels, as a grey
