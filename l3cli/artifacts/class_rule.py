@@ -101,7 +101,7 @@ class StoredFeatures:
         if any((count < 0).any() or count.sum() != length for count, length in counts):
             raise ValueError("the counts of windows or constants do not agree with the stored windows or constants")
         if self.windows.shape[1] != len(Window._fields):
-            raise ValueError(f"windows has {self.windows.shape[1]} fields, not {len(Window._fields)}")
+            raise ValueError(f"windows has {self.windows.shape[1]} fields, but must have {len(Window._fields)}")
         number, top, left, rows, columns, sign = self.windows.T
         inside = (top >= 0) & (left >= 0) & (rows >= 1) & (columns >= 1) & (np.abs(sign) == 1)
         inside &= (top <= patch - rows) & (left <= patch - columns) & (number >= 0) & (number < len(number))

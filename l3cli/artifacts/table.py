@@ -55,9 +55,9 @@ class ChromaSmoothing:
     def __post_init__(self) -> None:
         check(self)
         if not 0 < self.reach < 1:
-            raise ValueError(f"reach is {self.reach:g}, not between 0 and 1")
+            raise ValueError(f"reach is {self.reach:g}, but must be between 0 and 1")
         if not self.likeness > 0:
-            raise ValueError(f"likeness is {self.likeness:g}, not above 0")
+            raise ValueError(f"likeness is {self.likeness:g}, but must be positive")
 
 
 @dataclass(frozen=True)

@@ -285,13 +285,13 @@ def from_sweep(table: SweepTable, body: Body) -> Array:
     if dark.size:
         raise InputFileError(
             f"the photodiode receives no light at {table.wavelength[dark[0]]:g} nm; remove this row from the table of "
-            "the sweep"
+            "the monochromator sweep"
         )
     per_energy = np.maximum(table.light - table.dark, 0.0) / energy
     blind = np.flatnonzero(per_energy.max(axis=1) <= 0)
     if blind.size:
         raise InputFileError(
-            f"channel {body.channels[blind[0]]} has no signal in the table of the sweep; check the columns of the table"
+            f"channel {body.channels[blind[0]]} has no signal in the table of the monochromator sweep; check its columns"
         )
     return np.asarray(per_energy / table.wavelength, dtype=np.float64)
 

@@ -107,7 +107,7 @@ def print_tables(document: dict[str, Any]) -> None:
     _print_standards(document["standards"]["figures"])
     for baseline, counts in document["better"].items():
         shares = ", ".join(f"{FIGURES[figure].short} {counts[figure]}" for figure in main)
-        show(f"number of frames, of {len(document['frames'])}, that are better than with {baseline}: {shares}")
+        show(f"frames (of {len(document['frames'])}) in which the table is better than {baseline}: {shares}")
 
 
 def _print_standards(figures: dict[str, dict[str, float | None]]) -> None:

@@ -220,7 +220,7 @@ class Evaluation:
         if min(frame.raw.shape) <= 2 * border:
             size = "×".join(map(str, frame.raw.shape))
             raise InputFileError(
-                f"frame {frame.scene} has {size} pixels, too few for a border of {border} pixels; use larger frames"
+                f"frame {frame.scene} has {size} pixels and is too small for a border of {border} pixels; use larger frames"
             )
         estimated = self._estimates.planes(frame) if self._estimates else {}
         shown = {name: self._as_shown(of, frame) for name, of in (rivals or {}).items()}

@@ -454,7 +454,7 @@ def scielab(one: Array, other: Array, white: Array, viewing: float = VIEWING) ->
 
 def _blurred_lab(xyz: Array, white: Array, viewing: float) -> Array:
     if not VIEWED[0] <= viewing <= VIEWED[1]:
-        raise RecipeError(f"‹viewing› {viewing:g} is not within {VIEWED[0]}…{VIEWED[1]} samples per degree")
+        raise RecipeError(f"‹viewing› is {viewing:g}; set a value from {VIEWED[0]} to {VIEWED[1]} samples per degree")
     return lab(np.maximum(blurred(xyz, viewing), 0.0), white)
 
 

@@ -75,7 +75,7 @@ def edge_sharpness(plane: Array) -> Sharpness:
     slope = np.abs(np.diff(plane, axis=1))
     rows, place = np.arange(len(plane)), np.arange(slope.shape[1]) + 0.5
     if not slope.sum(axis=1).min() > 0:
-        raise EdgeError("no edge crosses every row of the picture")
+        raise EdgeError("the picture has no edge that crosses every row")
     line, reach = np.array([0.0, slope.sum(axis=0) @ place / slope.sum()]), np.inf
     for _ in range(4):
         weight = np.where(np.abs(place - np.polyval(line, rows)[:, None]) < reach, slope, 0.0)
@@ -86,7 +86,9 @@ def edge_sharpness(plane: Array) -> Sharpness:
         line, reach = np.polyfit(rows[crossed], at, 1), SEARCHED
     angle = np.arctan(line[0])
     if not 2.0 <= abs(np.degrees(angle)) <= 15.0:
-        raise EdgeError(f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical instead of 2° to 15°")
+        raise EdgeError(
+            f"the edge is {abs(np.degrees(angle)):.2g}° from the vertical, but must be 2° to 15° from the vertical"
+        )
     turns = int(len(rows) * abs(line[0]))  # number of whole columns that the edge crosses
     rows = rows[: round(turns / abs(line[0]))]  # with whole columns, all subpixel positions of the edge are equally frequent
     distance = (np.arange(plane.shape[1]) - np.polyval(line, rows)[:, None]) * np.cos(angle)

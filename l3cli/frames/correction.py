@@ -144,8 +144,9 @@ class Correction:
         """
         if frame.values.shape != self.shape or frame.phase != (0, 0):
             raise InputFileError(
-                f"{frame.name} has {_size(frame.values.shape)} pixels from site {frame.phase[0]},{frame.phase[1]}, but a "
-                f"full frame of camera {self.camera} has {_size(self.shape)} from site 0,0; set ‹camera› to its camera"
+                f"{frame.name} has {_size(frame.values.shape)} pixels and begins at site "
+                f"{frame.phase[0]},{frame.phase[1]}, but a full frame of camera {self.camera} has {_size(self.shape)} "
+                "and begins at site 0,0; set ‹camera› to the camera of the frame"
             )
         values = frame.values if self.bad_pixels is None else self.bad_pixels.corrected(frame.values)
         return replace(frame, values=values, shading=self.shading or frame.shading)
@@ -377,7 +378,8 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
     if camera.channels != table.channels or not np.array_equal(camera.cfa, table.cfa):
         theirs, ours = ("/".join(array_rows(each.channels, each.cfa)) for each in (camera, table))
         raise InputFileError(
-            f"{file.path.name} is a camera with the array {theirs}, but the table is for {ours}; use the camera of the table"
+            f"{file.path.name} has the colour filter array {theirs}, but the table is for {ours}; use the camera of the "
+            "table"
         )
     return correction_of(camera)
 

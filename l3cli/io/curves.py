@@ -82,8 +82,8 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
     diode = np.interp(wavelength, grid, response[0])
     if wavelength.size < 3 or diode.min() <= 0:
         raise InputFileError(
-            f"{path}: the sweep has fewer than three wavelengths, or the photodiode does not respond at one of them; "
-            "use a sweep and a photodiode with a common range"
+            f"{path}: the sweep has fewer than three wavelengths, or contains a wavelength to which the photodiode does not "
+            "respond; use a photodiode that responds to the whole sweep"
         )
     return SweepTable(wavelength, table[:count], table[count : 2 * count], table[-2], table[-1], diode)
 

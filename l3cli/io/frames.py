@@ -91,9 +91,9 @@ class WholeFrames:
         for path, frame in ((each, frame) for each in self.paths for frame in self._frames_in(each)):
             if frame.values.shape != shape or frame.phase != (0, 0):
                 raise InputFileError(
-                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels from CFA site {frame.phase}, but a "
-                    f"full frame of camera {self.camera.name} has {shape[0]}×{shape[1]} pixels from CFA site (0, 0); "
-                    "use uncropped raw frames"
+                    f"{path} has {frame.values.shape[0]}×{frame.values.shape[1]} pixels and begins at CFA site "
+                    f"{frame.phase}, but a full frame of camera {self.camera.name} has {shape[0]}×{shape[1]} pixels and "
+                    "begins at CFA site (0, 0); use uncropped raw frames"
                 )
             require_bits(path, frame.values, self.camera.bits)
             yield frame.values

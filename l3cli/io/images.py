@@ -94,7 +94,9 @@ def require_bearable(path: Path, spec: Any) -> None:
     """Raise InputFileError if a picture is too large, is a volume, or has deep samples."""
     require_picture(str(path), spec.height, spec.width, spec.nchannels * max(spec.format.size() // VALUE_BYTES, 1))
     if spec.deep or spec.depth != 1:
-        raise InputFileError(f"{path} is a volume or has deep samples; use a two-dimensional picture with plain pixels")
+        raise InputFileError(
+            f"{path} is a volume or has deep samples; use a two-dimensional picture with one value per pixel and channel"
+        )
 
 
 def require_whole_stack(path: Path, spec: Any, pages: int) -> None:

@@ -111,7 +111,7 @@ def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
             raise InputFileError(f"{path}: {error.strerror}") from error
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputFileError(
-            f"{path} cannot be decoded ({reason}), so it is damaged or has another format; copy it again"
+            f"{path} cannot be decoded ({reason}) and may be damaged; copy it again, or use another format"
         ) from error
 
 
@@ -257,9 +257,9 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
     kind, shape, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
-        raise ValueError("not an array of numbers")
+        raise ValueError("the array does not contain numbers")
     if offset + prod(shape) * dtype.itemsize > os.fstat(file.fileno()).st_size:
-        raise ValueError("an array that exceeds the memory file")
+        raise ValueError("the array exceeds the memory file")
     file.seek(offset)
     return np.fromfile(file, dtype, prod(shape)).reshape(shape)
 
@@ -289,7 +289,7 @@ def receive(connection: socket.socket, until: float | None = None) -> bytes:
     """Receive a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:
-        raise ValueError("a message that exceeds the maximum size")
+        raise ValueError("the message exceeds the maximum size")
     return _exactly(connection, length, until)
 
 

@@ -327,15 +327,16 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     first, last = table.wavelength[0], table.wavelength[-1]
     if not first - 1 <= nm <= last + 1:
         raise InputFileError(
-            f"{table.path} covers only {first:g}…{last:g} nm, but a capture is at {nm:g} nm; add a reading there"
+            f"{table.path} covers only {first:g}…{last:g} nm, but a capture is at {nm:g} nm; add a reading at this "
+            "wavelength"
         )
     reading, unit = _reading(table, monitor.column, nm)
     if monitor.reference is None:
         if unit or not 1 / MOST_UNREFERENCED <= reading <= MOST_UNREFERENCED:
             with_unit = " (with a unit)" if unit else ""
             raise InputFileError(
-                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of lamp readings; "
-                'set "reference" to the column of the readings before the captures'
+                f"{table.path}: {reading:.4g}{with_unit} at {nm:g} nm is not a ratio near 1 of two lamp readings; "
+                'set "reference" to the column with the readings before the captures'
             )
         return reading
     before, other = _reading(table, monitor.reference, nm)
@@ -347,7 +348,8 @@ def monitor_at(monitor: MonitorRecipe, nm: float, folder: Path, read: ReadTable 
     if not 1 / MOST_MONITOR <= ratio <= MOST_MONITOR:
         raise InputFileError(
             f"{table.path}: at {nm:g} nm, the reading {reading:.4g} differs from its reference {before:.4g} by more than a "
-            f'factor of {MOST_MONITOR:g}; set "reference" to the column of the readings when the spectra were measured'
+            f'factor of {MOST_MONITOR:g}; set "reference" to the column with the readings from the measurement of the '
+            "spectra"
         )
     return ratio
 

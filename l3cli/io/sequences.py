@@ -270,7 +270,7 @@ def _in_folder(folder: Path) -> list[Path]:
 def _globbed(path: Path) -> list[Path]:
     files = globbed(path)
     if not files:
-        raise InputFileError(f"{path} matches no file; correct the glob of the raw frames")
+        raise InputFileError(f"{path} matches no file; correct the file name pattern")
     return files
 
 
@@ -382,7 +382,8 @@ def picture_files(path: Path) -> list[Path]:
             number for number in range(min(numbered, default=0), max(numbered, default=0)) if number not in numbered
         ]:
             raise InputFileError(
-                f"{path}: number {lost[0]} is missing; select the existing pictures with a glob, or render it again"
+                f"{path}: picture number {lost[0]} is missing; render this picture, or select the existing pictures "
+                "with a glob"
             )
         files = list(numbered.values())
     else:

@@ -203,7 +203,7 @@ def odd_exposure_time(seconds: float | None, table: TransformTable) -> str:
     compared = f" ({times:.0f} times the mean of the training, {table.exposure:.3g} s)" if times >= MANY_TIMES else ""
     return (
         f"‹exposure_time› {seconds:g} means {seconds:g} seconds{compared}, so l3 subtracts a dark current of "
-        f"{table.dark_signal(seconds):.3g} DN; give seconds, not milliseconds"
+        f"{table.dark_signal(seconds):.3g} DN; set the time in seconds, not milliseconds"
     )
 
 

@@ -66,7 +66,9 @@ def calibrate(
     photos, light, truth = options.photos, options.light, options.truth
     console, force = options.console, options.force
     if (measurements is None) == (not photos):
-        raise RecipeError("calibration needs a measurement file or raw photos; name either a measurement file or ‹photo›")
+        raise RecipeError(
+            "calibration needs either a measurement file or raw photos; specify a measurement file, or set ‹photo›"
+        )
     if light is not None and measurements is not None:
         raise RecipeError(
             "‹light› applies only to photos, because a measurement file contains its own illuminants; leave ‹light› out"

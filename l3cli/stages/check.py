@@ -346,10 +346,10 @@ def recipes_of(name: str) -> list[Path]:
     if folder.is_dir():
         files = sorted(folder.glob("*.toml"), key=lambda each: (each.name != "camera.toml", each.name))
         if not files:
-            raise InputFileError(f"{folder} contains no recipes (*.toml); name a recipe or a folder of recipes")
+            raise InputFileError(f"{folder} contains no recipes (*.toml); specify a recipe or a folder of recipes")
         return files
     if os.sep in name or path.suffix:
-        raise InputFileError(f"{name} does not exist; name a recipe or a measurement file (TOML)")
+        raise InputFileError(f"{name} does not exist; specify a recipe or a measurement file (TOML)")
     raise RecipeError(f'no file or recipe is called "{name}"; {suggestion(name, [*names(), *known_benchmarks()])}')
 
 

@@ -12,7 +12,7 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.limits import read_bounded
 from l3cli.system.outputs import OutputGuard
 
-EXPECTED = 'name a file that contains the output of "l3 evaluate --json"'
+EXPECTED = 'use a file that contains the output of "l3 evaluate --json"'
 
 
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:

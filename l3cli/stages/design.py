@@ -204,7 +204,7 @@ def _refuse(recipe: SceneRecipe, path: Path) -> None:
     """Raise RecipeError if a scene has no reflectance spectra, which are needed to simulate it under other illuminants."""
     if SCENE_LIGHT in recipe.illuminants:
         raise RecipeError(
-            f'{path}: "{SCENE_LIGHT}" in illuminants cannot be used for moments; name illuminants such as "D65"'
+            f'{path}: "{SCENE_LIGHT}" in illuminants cannot be used for moments; set illuminants such as "D65"'
         )
     if recipe.pair or not recipe.scene or any(map(holds_codes, recipe.scene)):
         raise RecipeError(
@@ -398,7 +398,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         seen, noise = task.problem.seen, task.problem.noise
         if wrong := [each.name for each in task.levels if clips_everything(seen[each.light], each, noise)]:
             raise RecipeError(
-                f"at the level {listed(wrong)}, all pixels clip behind every filter in all scenes; reduce the exposure"
+                f"at the level {listed(wrong)}, all pixels of all scenes clip behind every filter; reduce the exposure"
             )
         lists = [task.arrays_of(pattern, number) for number, pattern in enumerate(task.wanted.pattern)]
         sums = {"recipe": [sha256(path) for path in files], "moments": [sha256(options.moments)]}

@@ -49,7 +49,7 @@ def is_table(path: Path) -> bool:
         kind = str(root.attrs["kind"])
     if kind not in (CameraModel.kind, TransformTable.kind):
         raise InputFileError(
-            f"{path} is {a(kind)}, which cannot be exported; name a camera model, a camera recipe or a transform table"
+            f"{path} is {a(kind)}, which cannot be exported; use a camera model, a camera recipe or a transform table"
         )
     return kind == TransformTable.kind
 

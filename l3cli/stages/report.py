@@ -113,7 +113,7 @@ def _read(paths: tuple[Path, ...]) -> Given:
     for pair in given.pairs:
         if pair.transforms.outputs != pair.head.outputs:
             raise InputFileError(
-                f"{pair.table.path} and {pair.frames.path} have different outputs; name a table and a training set with the "
+                f"{pair.table.path} and {pair.frames.path} have different outputs; use a table and a training set with the "
                 "same outputs"
             )
     return given
@@ -124,8 +124,7 @@ def _artifact(path: Path) -> Artifact:
         kind = str(root.attrs["kind"])
     if kind not in KINDS:
         raise InputFileError(
-            f"{path} is {a(kind)}, which a report cannot show; name camera models, training sets, transform tables or "
-            "designs"
+            f"{path} is {a(kind)}, which a report cannot show; use camera models, training sets, transform tables or designs"
         )
     if KINDS[kind] is not TrainingSet:
         return load(KINDS[kind], path)
@@ -396,7 +395,7 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
     if output.suffix != ".html":
         raise RecipeError(f"‹plot› {output} cannot contain an HTML page; use a file name that ends in .html")
     if not paths:
-        raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; name a camera recipe to check")
+        raise RecipeError(f"‹plot› {output} needs a camera recipe without faults; correct the recipe, or leave ‹plot› out")
     with OutputGuard(options.console) as guard:
         guard.protect(*(file for each in judged for file in (each.path, *each.files)))
         guard.protect(*(file for path in paths for file in camera_files(path)))

@@ -252,8 +252,8 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
         cameras = _sorted_by_camera(files, listed, console)
         if len(cameras) > 1 and (given := [name for name in SINGLE_CAMERA_OPTIONS if getattr(options, name) is not None]):
             raise RecipeError(
-                f"‹{given[0]}› applies to one camera, but {len(cameras)} cameras took the raw files; name raw files of one "
-                f"camera, or leave ‹{given[0]}› out"
+                f"‹{given[0]}› applies to one camera, but {len(cameras)} cameras took the raw files; use the raw files "
+                f"of one camera, or leave ‹{given[0]}› out"
             )
         places = _places(folder, list(cameras))
         made = {
@@ -297,12 +297,14 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
     require_regular(photo, "name a table and a raw file")
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
         others = [photo, *(each for each in inputs if each != table)]
-        raise RecipeError(f"{photo} is a raw file; name the table before the raw files: {_rendering(table, others, output)}")
+        raise RecipeError(
+            f"{photo} is a raw file; write the table before the raw files: {_rendering(table, others, output)}"
+        )
     photos = [photo, *inputs]
     making = f"l3 init --from {shlex.join(map(str, photos))} {NEW_FOLDER} && make -C {NEW_FOLDER} table.h5"
     rendering = _rendering(Path(NEW_FOLDER, "table.h5"), photos, output)
     raise RecipeError(
-        f"{photo} is a raw file, but l3 render also needs a table; make a table for the camera, then render: "
+        f"{photo} is a raw file, but l3 render also needs a table; train a table for the camera, then render: "
         f"{making}; {rendering}"
     )
 
@@ -359,13 +361,13 @@ def _raw_files(photo: Path) -> list[Path]:
     if not photo.is_dir():
         if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
             raise InputFileError(
-                f"{photo} contains no metadata about the camera; name a DNG or a camera's own raw file, or start from a "
+                f"{photo} contains no metadata about the camera; use a DNG or a camera's own raw file, or start from a "
                 'recipe, such as "l3 init bayer DIR"'
             )
         return [photo]
     files = sorted(path for path in photo.iterdir() if is_photo(path) and path.is_file())
     if not files:
-        raise InputFileError(f"{photo} contains no raw files; name a folder with DNG, CR2, NEF, ARW or similar files")
+        raise InputFileError(f"{photo} contains no raw files; use a folder with DNG, CR2, NEF, ARW or similar files")
     return files
 
 
@@ -386,7 +388,7 @@ def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console
         cameras.setdefault(facts.camera, []).append((path, facts))
     if not cameras:
         raise InputFileError(
-            f"{files[0].parent} contains no raw file that l3 can read; name raw files that contain the mosaic of a camera"
+            f"{files[0].parent} contains no raw file that l3 can read; use raw files that contain the mosaic of a camera"
         )
     return cameras
 
@@ -477,7 +479,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if body.rows < SMALLEST_SENSOR[0] or body.cols < SMALLEST_SENSOR[1]:
         least = "×".join(map(str, SMALLEST_SENSOR))
         raise InputFileError(
-            f"{path} has {body.rows}×{body.cols} pixels, but l3 needs at least {least}; name a raw file of the whole sensor"
+            f"{path} has {body.rows}×{body.cols} pixels, but l3 needs at least {least}; use a raw file of the whole sensor"
         )
     if options.pattern is not None:
         channels, cfa = array_named(options.pattern)
@@ -498,7 +500,7 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     if options.black_level is None and (share := share_below_black(frame)):
         raise InputFileError(
             f"{path}: {share:.0%} of the pixels are below {BELOW * black_level:.0f} DN, although the file states a black "
-            f"level of {black_level:g} DN, so the values have another bit depth or black has been subtracted; set "
+            f"level of {black_level:g} DN; the bit depth may be different, or black may already be subtracted; set "
             "‹black_level› and ‹white_level›"
         )
     if options.black_level is None and (black := black_doubt(frame, body.cfa)) is not None:

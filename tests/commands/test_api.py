@@ -77,7 +77,7 @@ def test_uncertainty_is_that_of_the_command(pipeline: Path, tmp_path: Path, refu
     assert ".exr" in refused(2, *command, tmp_path / "u.tif")
     assert "a single frame" in refused(2, *command[:3], raw, "-o", tmp_path / "all", "--uncertainty", tmp_path / "u.exr")
     into, clips = tmp_path / "into" / f"{raw.stem}.exr", (raw.parent, "-o", tmp_path / "clips", "--format", "mp4")
-    assert "needs a single frame" in refused(2, *command[:2], *clips, "--uncertainty", into)
+    assert "works only for a single frame" in refused(2, *command[:2], *clips, "--uncertainty", into)
     for output in (into, into.parent):
         assert into.name in refused(2, *command[:3], "-o", output, "--format", "exr", "--uncertainty", into)
     np.save(tmp_path / "small.npy", l3.read_raw(raw, table).values[:30])

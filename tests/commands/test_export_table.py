@@ -191,7 +191,7 @@ def test_wrong_artifacts_and_forms_are_refused(table: Path, bayer: CameraModel, 
     assert "camera.h5" in line
     save(some_sums(bayer)[0], tmp_path / "sums.h5")
     line = refused(3, "export", tmp_path / "sums.h5", "-o", tmp_path / "c")
-    assert "sums, which cannot be exported; name a camera model, a camera recipe or a transform table" in line
+    assert "sums, which cannot be exported; use a camera model, a camera recipe or a transform table" in line
     assert "'halide'; use one of c, folder" in refused(2, "export", table, "-o", tmp_path / "c", "--to", "halide")
     assert "is a file; choose a folder" in refused(1, "export", table, "-o", table)
     assert not (tmp_path / "c").exists()

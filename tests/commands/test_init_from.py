@@ -74,7 +74,7 @@ def test_a_photo_without_a_table_gets_the_commands_that_lead_to_its_picture(
     assert "also needs a table" in refused(2, "render", named, photo, "-o", "p.png")
     (tmp_path / "table.h5").touch()
     swapped = refused(2, "render", "my photo.dng", "table.h5", "-o", "p.png")
-    assert "name the table before the raw files: l3 render table.h5 'my photo.dng' -o p.png" in swapped
+    assert "write the table before the raw files: l3 render table.h5 'my photo.dng' -o p.png" in swapped
     assert "missing.dng does not exist" in refused(3, "render", "missing.dng", "-o", "p.png")
     assert "write --photo" in refused(2, "calibrate", named, "-o", "camera.h5")
 

@@ -158,7 +158,9 @@ def test_two_clips_of_one_name_or_one_that_is_there_are_refused_before_work(
     (tmp_path / "out/v").mkdir()
     (tmp_path / "out/v/mine").write_text("mine")
     assert "v is not empty" in refused(1, *call, shots / "v.mkv")
-    assert "name a folder" in refused(2, "render", table, shots / "fold", shots / "v.mkv", "-o", tmp_path / "a.mp4", *FAST)
+    assert "specify a folder" in refused(
+        2, "render", table, shots / "fold", shots / "v.mkv", "-o", tmp_path / "a.mp4", *FAST
+    )
 
 
 def test_clips_of_a_folder_become_videos(l3: L3, tmp_path: Path, table: Path, shots: Path) -> None:

@@ -147,11 +147,11 @@ MISTAKES = """
     1 report table.h5 -o raw.tif/new.html
         raw.tif is a file, not a folder
     3 compare table.h5
-        table.h5 is not a JSON file; name a file that contains the output of "l3 evaluate --json"
+        table.h5 is not a JSON file; use a file that contains the output of "l3 evaluate --json"
     3 compare nothing.json
-        nothing.json does not exist; name a file
+        nothing.json does not exist; use a file
     3 compare folder
-        folder is a folder; name a file
+        folder is a folder; use a file
     3 compare empty.json
         use the output of "l3 evaluate --json"
     2 info
@@ -266,7 +266,7 @@ def test_one_line_of_each(l3: L3, table: Path, bayer: CameraModel, tmp_path: Pat
     assert swapped.endswith("the file was probably read in a wrong format; read the file with --byte-order big")
     (long,) = warnings("a.raw", "--size", right, "--exposure-time", 20)
     assert long.startswith("warning: --exposure-time 20 means 20 seconds (1000 times the mean of the training, 0.02 s)")
-    assert long.endswith("give seconds, not milliseconds")
+    assert long.endswith("set the time in seconds, not milliseconds")
 
 
 TWIN = bayer_camera()

@@ -96,7 +96,7 @@ def test_what_is_no_report_is_refused(pipeline: Path, tmp_path: Path, refused: R
     out = tmp_path / "report.html"
     shard = ("train", pipeline / "training.h5", "--classes", pipeline / "classes.toml", "--shard", "1/2")
     assert l3(*shard, "-o", tmp_path / "sums.h5")[0] == 0
-    assert "name camera models, training sets, transform tables or designs" in refused(
+    assert "use camera models, training sets, transform tables or designs" in refused(
         3, "report", tmp_path / "sums.h5", "-o", out
     )
 

@@ -237,10 +237,10 @@ def test_cameras_that_do_not_fit_are_refused(flawed: Path, refused: Refused) -> 
     assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "plain.h5")
     save(replace(camera, rows=48, flat_field=None), flawed / "large.h5")
     assert (
-        "0.npy has 24×32 pixels from site 0,0, but a full frame of camera random has 48×32 from site 0,0; set --camera"
-        in refused(3, *call, flawed / "large.h5")
+        "0.npy has 24×32 pixels and begins at site 0,0, but a full frame of camera random has 48×32 and begins at site 0,0; "
+        "set --camera" in refused(3, *call, flawed / "large.h5")
     )
-    assert "from site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
+    assert "begins at site 1,0" in refused(3, *call, flawed / "camera.h5", "--phase", "1,0")
     assert "neither a defect map nor a flat field" in refused(3, *call, flawed / "table.h5")
     assert "not an HDF5 file" in refused(3, *call, frame)
     assert "nowhere.h5 does not exist" in refused(3, *call, flawed / "nowhere.h5")

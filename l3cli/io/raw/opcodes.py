@@ -109,13 +109,13 @@ def _listed(page: Any) -> list[Opcode]:
         content = bytes(content)
         (count,) = struct.unpack_from(">I", content)
         if count > MOST_OPCODES:
-            raise ValueError(f"a list of {count} opcodes")
+            raise ValueError(f"a list contains {count} opcodes")
         at = 4
         for _ in range(count):
             number, _, flags, size = HEAD.unpack_from(content, at)
             at += HEAD.size + size
             if at > len(content):
-                raise ValueError("an opcode that extends beyond its list")
+                raise ValueError("an opcode extends beyond its list")
             opcodes.append(Opcode(stage, number, bool(flags & OPTIONAL), content[at - size : at]))
     return opcodes
 
@@ -124,7 +124,7 @@ def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
     """Return rectangles and single points of bad pixels (rect, 5): index of the list, then top, left, bottom, right."""
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
-        raise ValueError("a list of bad pixels with the wrong length")
+        raise ValueError("a list of bad pixels has the wrong length")
     numbers = np.frombuffer(opcode.content, ">i4", offset=12).astype(np.int64)
     corners, listed = numbers[: 2 * points].reshape(-1, 2), numbers[2 * points :].reshape(-1, 4)
     return np.insert(np.concatenate([np.hstack([corners, corners + 1]), listed]), 0, opcode.stage, axis=1)
@@ -138,9 +138,9 @@ def _gain_map(opcode: Opcode) -> GainMap:
     spacing = tuple(1.0 if points == 1 else value for points, value in zip((rows, cols), numbers[2:4], strict=True))
     origin = tuple(0.0 if points == 1 else value for points, value in zip((rows, cols), numbers[4:6], strict=True))
     if not (min(rows, cols, map_planes, count, down, across) >= 1 and gains.size == rows * cols * map_planes):
-        raise ValueError("a gain map with the wrong number of gains")
+        raise ValueError("a gain map has the wrong number of gains")
     if not (np.isfinite((*spacing, *origin)).all() and min(spacing) > 0 and 0 < gains.min() <= gains.max() <= MOST_GAIN):
-        raise ValueError("a gain map with invalid gains or spacing")
+        raise ValueError("a gain map has invalid gains or an invalid spacing")
     area = slice(top, bottom, down), slice(left, right, across)
     planes = range(plane, min(plane + count, MOST_PLANES if opcode.stage == 2 else 1))  # a mosaic has one plane
     return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
@@ -149,7 +149,7 @@ def _gain_map(opcode: Opcode) -> GainMap:
 def _vignette(opcode: Opcode) -> Vignette:
     *terms, across, down = struct.unpack(">7d", opcode.content)
     if not np.isfinite((*terms, across, down)).all():
-        raise ValueError("vignetting terms that are not finite")
+        raise ValueError("some vignetting terms are not finite")
     return Vignette(tuple(terms), (down, across))
 
 
@@ -193,7 +193,7 @@ def gain_of_pixels(
     with np.errstate(all="ignore"):  # the result of an overflow is rejected below
         gain = _product(opcodes, pattern, planes, shape)
     if not (gain.min() > 0 and gain.max() <= MOST_GAIN):
-        raise ValueError(f"gains of {gain.min():.3g}…{gain.max():.3g}")
+        raise ValueError(f"the gains are {gain.min():.3g}…{gain.max():.3g}")
     return gain.astype(np.float32)
 
 

@@ -91,9 +91,7 @@ FIELDS = (
     HeaderField("read procedures", REFUSED, "rejected, because only the program that the header names can read the data"),
     HeaderField("fwhm", HARMLESS, "widths of the bands; l3 treats the values as samples at the band centres"),
     HeaderField("complex function", HARMLESS, "how to display complex data, which l3 rejects"),
-    HeaderField(
-        "solar irradiance", HARMLESS, "spectrum from which other programs compute reflectance; give `light` instead"
-    ),
+    HeaderField("solar irradiance", HARMLESS, "spectrum from which other programs compute reflectance; set `light` instead"),
     *(
         HeaderField(name, HARMLESS, meaning)
         for name, meaning in (

@@ -470,11 +470,11 @@ def far_from_training(asked: str, white: SceneWhite, table: TransformTable) -> s
     if (white.modelled and "," not in asked) or _alike(white.light.xyz, table.white_point):
         return ""
     x, y = table.white_point[:2] / table.white_point.sum()
-    how = "l3 only adapts the colours; name the illuminant, or add the illuminant to the scene recipe and train again"
+    how = "l3 only adapts the colours; set ‹white› to the illuminant, or train with the illuminant in the scene recipe"
     if white.modelled:
         how = (
-            "l3 assumes a black body or daylight; for a fluorescent or LED lamp, name the illuminant or set the ROW,COL "
-            "of a grey"
+            "l3 assumes a black body or daylight; for a fluorescent or LED lamp, set ‹white› to the name of the "
+            "illuminant or to the ROW,COL of a grey"
         )
     return f"‹white› {asked} is far from the mean illuminant of the training (x,y = {x:.4f},{y:.4f}), so {how}"
 

@@ -45,7 +45,8 @@ def clips_of(inputs: Sequence[Path], table: Path, options: RenderOptions, output
         source, target = (Path(os.path.realpath(path)) for path in (each, output))  # no error for a loop of links
         if inside and (source in (target, *target.parents) or target in source.parents):
             raise RecipeError(
-                f"the output {output} and the folder of clips {each} must not contain each other; name another output folder"
+                f"the output {output} and the folder of clips {each} must not contain each other; choose another output "
+                "folder"
             )
         clips += [path for path in inside if os.path.realpath(path) != os.path.realpath(table)] or [each]
     return tuple(clips)
@@ -185,10 +186,11 @@ def _refuse_folder(folder: Path, options: RenderOptions) -> None:
     """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips."""
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
         raise RecipeError(
-            f"the output {folder} can contain only one clip; name a folder, and choose the type of the files with ‹format›"
+            f"the output {folder} can contain only one clip; specify a folder, and set ‹format› to the file type of the "
+            "videos"
         )
     if options.uncertainty is not None:
-        raise RecipeError("‹uncertainty› needs a single frame; name one frame, or leave ‹uncertainty› out")
+        raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or leave ‹uncertainty› out")
     destination_of(folder / f"clip.{options.format}", options.format, video_choice(options), options.shard)
     refuse_unwritable(folder)
 

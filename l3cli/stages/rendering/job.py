@@ -279,7 +279,7 @@ def _frames(
     if options.shard is None:
         return sequence
     if sequence.count == 1 and not (inputs[0].exists() or set("%#*?[") & set(str(inputs[0]))):
-        raise InputFileError(f"{inputs[0]} does not exist; name a folder, a pattern or a file with several frames")
+        raise InputFileError(f"{inputs[0]} does not exist; specify a folder, a pattern or a file with several frames")
     return replace(sequence, part=part_of(sequence, options.shard, options.temporal))
 
 
@@ -339,7 +339,7 @@ def _refuse_frames(sequence: FrameSequence, destination: Destination, table: Tra
         )
     if options.uncertainty is not None:
         if sequence.count != 1:
-            raise RecipeError("‹uncertainty› needs a single frame; name one frame, or leave ‹uncertainty› out")
+            raise RecipeError("‹uncertainty› works only for a single frame; render one frame, or leave ‹uncertainty› out")
         from l3cli.rendering.uncertainty import require_known_noise  # imported here to save start-up time
 
         require_known_noise(table)

@@ -171,7 +171,7 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
     """Return the temporal filters. They always run in this process, because they need all frames in order."""
     if job.sequence.count == 1:
-        job.options.console.warn("‹temporal› has no effect on a single frame; name a sequence, or leave ‹temporal› out")
+        job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or leave ‹temporal› out")
     try:
         return Chunks(filters(job.options.backend, table, **job.engine))
     except DeviceError:

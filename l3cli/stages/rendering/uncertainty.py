@@ -32,7 +32,7 @@ def write_uncertainty(job: Job, look: Look) -> Path:
     assert path is not None
     (frame,) = (look.sequence.frames.read(number) for number in look.sequence.frames.wanted)
     if frame is None:
-        raise InputFileError("‹uncertainty› needs a frame, but the input contains none; name an input with one frame")
+        raise InputFileError("‹uncertainty› needs a frame, but the input contains no frames; use an input with one frame")
     result = uncertainty(NoiseRenderer(job.options.backend, table, **job.engine).of_frame(frame), frame)
     pixels = np.concatenate([result.sigma, result.mask[..., None].astype(np.float32)], axis=2)
     write_picture(path, pixels, (*(f"sigma.{name}" for name in table.outputs), "mask"))

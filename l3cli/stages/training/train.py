@@ -231,8 +231,8 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
     if not _is_of(run, table, FIRST_PASS):
         layers = "".join(f" or {layer}" for layer in LAYERS[: len(run.recipe.layer)]) if run.has_refinement_layers else ""
         raise InputFileError(
-            f"{path} is not the table of the first pass{layers} of this run, because it was trained with other training "
-            "sets, shares, recipe or seed; pass the table that ‹merge› wrote for the shards of the previous pass"
+            f"{path} is not the table of the first pass{layers} of this run, because its training sets, shares, recipe "
+            "or seed are different; set ‹first› to the table that ‹merge› wrote for the shards of the previous pass"
         )
     return pass_of(run, table, LAST)
 
@@ -315,7 +315,7 @@ def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRec
     recipe = draft_of(recipe) if stage.options.get("draft") else recipe
     is_of_recipe = len(recipe.learning.noises) == reader.conditions
     if type(seed) is not int or not is_of_recipe or (isinstance(head, PartialLayerSums) and not recipe.layer):
-        raise InputFileError(f"{path} does not record which run it is a shard of; train this shard again")
+        raise InputFileError(f"{path} does not contain the recipe and seed of its training run; train this shard again")
     return recipe, seed
 
 
@@ -329,7 +329,7 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
             )
         if head.shard in seen:
             raise InputFileError(
-                f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}; name each shard once"
+                f"{path} and {seen[head.shard]} are the same shard, {head.shard} of {head.shards}; use each shard once"
             )
         seen[head.shard] = path
     missing = [f"{index}/{heads[0].shards}" for index in range(1, heads[0].shards + 1) if index not in seen]
@@ -337,7 +337,8 @@ def _require_all_shards(paths: tuple[Path, ...], heads: list[Head]) -> None:
         named = ", ".join(missing[:8]) + (" …" if len(missing) > 8 else "")
         are = "are" if len(missing) > 1 else "is"
         raise InputFileError(
-            f"{paths[0]} is one of {heads[0].shards} shards, but ‹shard› {named} {are} missing; name the files of all shards"
+            f"{paths[0]} is one of {heads[0].shards} shards, but ‹shard› {named} {are} missing; merge the files of all "
+            "shards"
         )
 
 
