@@ -1,5 +1,6 @@
-"""Python interface of l3, which is imported as `l3cli`. It contains the stages, artifacts, raw frames, a renderer and
-metrics.
+"""Python interface of l3.
+
+The package is imported as `l3cli`. It contains the stages, the artifacts, raw frames, a renderer and metrics.
 
     import l3cli as l3
 
@@ -8,12 +9,14 @@ metrics.
     table = l3.train("training.h5", "table.h5", jobs=2)
     picture = l3.Renderer(table).picture(l3.read_raw("frame.dng", table))
 
-A stage is a function whose arguments are paths or artifacts. It writes the same bytes as the command with the same name,
-and returns the artifact that it has written. Stages do not print anything. Warnings of the command become Python
-warnings (UserWarning). If you pass a `console` (`l3cli.system.console.Console`), it receives all messages instead.
+The functions `calibrate`, `simulate`, `train`, `render` and `evaluate` run the commands with the same names. Their arguments
+are paths or artifacts, and they write the same bytes as the commands. `calibrate`, `simulate` and `train` return the
+artifact that they have written, `render` the number of frames left out, and `evaluate` a dictionary of metrics. These
+functions do not print anything. Warnings of the command become Python warnings (UserWarning). If you pass a `console`
+(`l3cli.system.console.Console`), it receives all messages instead.
 
-All errors are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError for
-an unusable file, DeviceError for OpenCL. Messages contain the names of parameters as ‹force›.
+All errors of l3 are subclasses of `L3Error` in `l3cli.errors`: RecipeError for a wrong argument or recipe, InputFileError
+for an unusable file, DeviceError for OpenCL. Messages contain the names of parameters as ‹force›.
 """
 
 from l3cli.api.figures import delta_e_2000, psnr, scielab, ssim

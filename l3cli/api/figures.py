@@ -11,7 +11,7 @@ from l3cli.evaluation import quality
 from l3cli.physics.display import LUMA, daylight, displayed_delta_e, displayed_xyz, srgb_decoded
 
 Array = NDArray[np.floating]
-WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # code of display white, by dtype
+WHITE_CODES = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}  # value of display white for each dtype
 
 
 def delta_e_2000(one: ArrayLike, other: ArrayLike) -> Array:
@@ -154,7 +154,10 @@ def ssim(one: ArrayLike, other: ArrayLike) -> float:
 
 
 def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures with values from 0 to 1. Grey pictures raise InputFileError."""
+    """Return both pictures as colour pictures with values from 0 to 1.
+
+    Raises InputFileError if the pictures are grey, have different shapes, or are not pictures.
+    """
     pictures = _pictures(one, other)
     if pictures[0].ndim != 3:
         raise InputFileError(f"{_described(one)} is not a colour picture; pass an sRGB picture (row, col, 3)")
@@ -162,7 +165,10 @@ def _colours(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
 
 
 def _pictures(one: ArrayLike, other: ArrayLike) -> tuple[Array, Array]:
-    """Return both pictures with values from 0 to 1. Pictures with different shapes raise InputFileError."""
+    """Return both pictures with values from 0 to 1.
+
+    Raises InputFileError if the pictures have different shapes, or if one of the arrays is not a picture.
+    """
     pictures = _picture(one), _picture(other)
     if pictures[0].shape != pictures[1].shape:
         raise InputFileError(

@@ -1,5 +1,7 @@
-"""Raw frames in memory, the renderer for these frames, and the class with which video programs render mosaics of equal
-size.
+"""Raw frames in memory, the renderer for these frames, and the base of the plugins for video programs.
+
+`read_raw` and `raw_frame` make raw frames. `Renderer` renders raw frames. `Mosaics` prepares and renders the frames of a
+video program (l3cli/video_hosts).
 """
 
 import functools
@@ -168,7 +170,11 @@ def raw_frame(
 
 
 def _codes(pattern: ArrayLike) -> NDArray[np.int64]:
-    """Return the colour code of each letter in a pattern, with the shape (row, col)."""
+    """Return the colour code of each letter of a filter array, with the shape (row, col).
+
+    A word with a square number of letters, such as "rggb", is read row by row. Raises RecipeError if the pattern is not a
+    rectangle of known letters.
+    """
     letters = np.array(list(pattern) if isinstance(pattern, str) else pattern)
     side = math.isqrt(letters.size)
     if letters.ndim == 1 and side * side == letters.size:
@@ -185,7 +191,11 @@ def _of_array(
     values: NDArray[Any], sensor: TransformTable | CameraModel, known: RawOverrides, content: dict[str, NDArray],
     name: str = "the array",
 ) -> RawFrame:  # fmt: skip
-    """Check an array and make a raw frame from it. Values above the range of the converter cause a warning."""
+    """Check an array and make a raw frame from it.
+
+    Values above the range of the table's analog-to-digital converter cause a Python warning. Raises InputFileError if the
+    array is not a mosaic of uint8 or uint16.
+    """
     array = np.asarray(values)
     if array.dtype not in (np.uint8, np.uint16) or array.ndim != 2 or not array.size:
         raise InputFileError(
@@ -198,9 +208,9 @@ def _of_array(
 
 
 class Renderer:
-    """Renders raw frames with one table: single frames, sequences or arrays.
+    """Renders raw frames with one table, as pictures, as linear outputs, or with their uncertainty.
 
-    A renderer can be used from several threads. It renders one frame at a time.
+    Several threads can use the same renderer. It renders only one frame at a time.
 
     Parameters
     ----------
@@ -251,7 +261,7 @@ class Renderer:
         self._pictured = self.table.pictured()  # the table with only the outputs that pictures need
         shows_all = self._pictured.outputs == self.table.outputs
         self._pictures = self._renderer if shows_all else NoiseRenderer(backend, self._pictured, **chosen)
-        # Renderers by the mixture of the table's illuminants for which they render.
+        # The key of each renderer is the mixture of training illuminants whose transforms it uses. None: common transforms.
         self._renderers: dict[Mix | None, NoiseRenderer] = {None: self._pictures}
         self._alone = ThreadLock()
 
@@ -441,7 +451,11 @@ class Renderer:
     def _shown_as(
         self, exposure: float | None, white: str | None, space: str, bits: int
     ) -> tuple[Rendition, WhiteSource | None]:
-        """Return the rendition and the source of the white. An unusual white causes a warning, as with `l3 render`."""
+        """Return the settings of the pictures, and the source from which the white of each frame is determined.
+
+        The source is None if `white` is an explicit white, such as "D50". If this white is far from the training
+        illuminants, l3 warns.
+        """
         rendition, source = shown_as(self._pictured, exposure, white, space, bits)
         if white is not None and source is None and (given := given_white(white, self._pictured)) is not None:
             from l3cli.stages.rendering.job import warn_of_white  # imported here, because few callers set a white
@@ -450,7 +464,11 @@ class Renderer:
         return rendition, source
 
     def _lit(self, white: str | None, source: WhiteSource | None, frame: RawFrame) -> NoiseRenderer:
-        """Return the renderer with the transforms for the given white, or for the white that is measured in the frame."""
+        """Return the renderer whose transforms fit the white, which is either the white in the arguments or the white of the
+        frame.
+
+        A renderer for a new mixture of illuminants replaces the previous one in the cache.
+        """
         found = source.white(frame) if source else given_white(white, self._pictured)
         mix = None if found is None else nearest_for(self._pictured, found.light.xyz)
         with self._alone:
@@ -475,16 +493,31 @@ PIXELS = Quantity(0, 1_000_000, "pixels", whole=True)
 
 
 class Mosaics:
-    """Renders the frames of a video program, which all have the same size.
+    """Prepares and renders the frames of a video program. All frames have the same size.
+
+    The plugins for video programs (l3cli/video_hosts) use this class. They render with the attribute `renderer`.
 
     Parameters
     ----------
     table : str or path
         The table.
-    black_level, white_level, phase, camera, backend, device
-        As the options of `l3 render`.
+    black_level, white_level : float or None
+        Levels in DN, or None for the levels of the table.
+    phase : (int, int) or None
+        CFA row and column of the first pixel of each frame.
     size : (int, int) or None
         Rows and columns of the frames, or None for the size of the table's camera.
+    camera : str, path or None
+        Camera model with a defect map or a flat field, with which the frames are corrected.
+    backend : {"opencl", "reference"}
+        Renderer, as in `Renderer`.
+    device : str or None
+        OpenCL device, as in `Renderer`.
+
+    Attributes
+    ----------
+    renderer : Renderer
+        The renderer of the table.
 
     Raises
     ------
@@ -553,12 +586,26 @@ class Mosaics:
 
 
 def pair(text: str, separator: str, name: str) -> tuple[int, int] | None:
-    """Parse two whole numbers from a text such as "720x1280" or "0,1". An empty text returns None.
+    """Parse two whole numbers from a text such as "720x1280" or "0,1".
+
+    Parameters
+    ----------
+    text : str
+        The text. An empty text means that the option is not set.
+    separator : str
+        The characters between the two numbers.
+    name : str
+        Name of the option, with which the error message begins.
+
+    Returns
+    -------
+    (int, int) or None
+        The two numbers, or None if the text is empty.
 
     Raises
     ------
     RecipeError
-        If the text has another form. The message begins with `name`, the name of the option.
+        If the text does not consist of two numbers from 0 to 1,000,000.
     """
     if not text:
         return None

@@ -1,6 +1,6 @@
-"""The four stages and the evaluation as functions, and functions that load and save artifacts.
+"""The four stages and the evaluation as Python functions, and functions that load and save artifacts.
 
-Stages work on files. An artifact in memory is first saved to a temporary file.
+The stages read and write files. If you pass an artifact in memory to a stage, it is first saved to a temporary file.
 """
 
 import contextlib
@@ -32,9 +32,9 @@ LOADABLE: tuple[type[Artifact], ...] = (CameraModel, TrainingSet, TransformTable
 
 
 def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
-    """Load an artifact of any kind.
+    """Load a camera model, a transform table or a training set.
 
-    If you know the kind, prefer `load_camera`, `load_table` or `load_training_set`, whose return types are more
+    If you know the type of the artifact, use `load_camera`, `load_table` or `load_training_set`, whose return types are more
     specific.
 
     Parameters
@@ -50,7 +50,7 @@ def load(path: Name) -> CameraModel | TransformTable | TrainingSet:
     Raises
     ------
     InputFileError
-        If the file is not an artifact, or if its bytes have changed since it was written.
+        If the file is not an artifact of one of these types, or if its bytes have changed since it was written.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def load_training_set(path: Name) -> TrainingSet:
 def save(artifact: CameraModel | TransformTable, path: Name) -> None:
     """Save a camera model or a transform table as HDF5.
 
-    The file gets its name only when it is complete. An existing file is replaced.
+    An existing file is replaced. The file is complete, or it is not written at all.
 
     Parameters
     ----------
@@ -183,19 +183,21 @@ def save(artifact: CameraModel | TransformTable, path: Name) -> None:
 
 @contextlib.contextmanager
 def file_of(given: Name | Artifact, kind: str | None = None) -> Iterator[Path]:
-    """Yield the file of an artifact. An artifact in memory is saved to a temporary file.
+    """Context manager that provides the file of an artifact or of a recipe.
+
+    An artifact in memory is saved to a temporary file, which is deleted at the end of the block.
 
     Parameters
     ----------
     given : str, path or Artifact
-        A file or an artifact in memory. If `kind` is set, also the name of a recipe.
+        A file or an artifact in memory. If `kind` is set, the name of a recipe that comes with l3 is also accepted.
     kind : str, optional
-        Folder of configs/ that contains the recipes, such as "cameras".
+        Folder of configs/ in which recipes are searched by name, such as "cameras".
 
     Yields
     ------
     Path
-        The file. A temporary file is deleted after the block.
+        The file.
     """
     if not isinstance(given, Artifact):
         yield Path(given) if kind is None else find_recipe(str(given), kind)
@@ -215,10 +217,11 @@ R = TypeVar("R")
 
 
 class by_keyword(Generic[P, O]):
-    """Decorator that replaces the parameter `options` of a function by one keyword parameter for each declared option.
+    """Decorator that replaces the parameter `options` of a function by one keyword parameter per option of the command.
 
-    These parameters appear in the signature and in the docstring, with the types and help texts of the command line. The
-    function runs with one BLAS thread, as the command does, because rounding errors depend on the number of threads.
+    The keyword parameters appear in the signature and in the docstring, with the types and help texts of the command line.
+    An unknown keyword raises TypeError. Warnings become Python warnings, unless the caller passes a `console`. The function
+    runs with one BLAS thread, as the command does, because rounding errors depend on the number of threads.
     """
 
     def __init__(self, options: Callable[P, O]) -> None:

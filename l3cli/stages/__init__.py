@@ -1,1 +1,4 @@
-"""The stages. Each reads its input files, calls the computing packages, and writes its output; messages go to a console."""
+"""The stages of l3, one per command.
+
+A stage reads files, calls the packages that compute, and writes files. It sends messages to a console.
+"""

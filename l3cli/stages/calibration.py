@@ -1,4 +1,5 @@
-"""The calibration stage: it fits a camera model to measurements, or drafts a measurement file for a folder of captures."""
+"""The stage of `l3 calibrate`: it estimates a camera model from measurements, or drafts a measurement file for a folder of
+captures."""
 
 import itertools
 import os
@@ -30,13 +31,16 @@ from l3cli.system.files import FilesUsed, files_to_read, write_whole
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-MAX_PRINTED = 8  # largest number of assumptions, and of missing entries, that are printed one by one
+MAX_PRINTED = 8  # at most this many assumptions, and this many missing entries, are printed
 
 
 def calibrate(
     measurements: Path | None, output: Path, options: CalibrateOptions
 ) -> tuple[CameraModel, dict[str, Any], FilesUsed]:
     """Calibrate a camera from a measurement file or from raw photos of a ColorChecker, and write the camera model.
+
+    Warnings about the fit are sent to the console. If the measurement file only corrects an existing camera model, the fit
+    is not checked.
 
     Parameters
     ----------
@@ -59,7 +63,7 @@ def calibrate(
     Raises
     ------
     InputFileError, RecipeError
-        If the measurements cannot be used.
+        If the measurements cannot be used, or if `measurements` and `options.photos` are both set or both missing.
     L3Error
         If the model predicts the charts badly and `accept` is not set, or if the output cannot be written.
     """
@@ -123,7 +127,8 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     """Write a draft of a measurement file for a folder of captures.
 
     If the folder contains no raw frames, the draft describes its tables of responsivities. The frames contain no information
-    about sensor, CFA and optics, which are taken from the camera in the options.
+    about sensor, CFA and optics, so these values come from `options.camera`. Values that are still unknown are marked TODO
+    in the draft, and assumed values are marked ASSUMED. The most important of them are also printed.
 
     Parameters
     ----------
@@ -132,7 +137,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     output : Path
         Measurement file to write (.toml).
     options : DraftOptions
-        Options of `l3 calibrate`.
+        Options of `l3 calibrate --draft`.
 
     Returns
     -------
@@ -144,7 +149,7 @@ def draft(folder: Path, output: Path, options: DraftOptions) -> FilesUsed:
     InputFileError
         If the folder contains neither raw frames nor responsivities.
     RecipeError
-        If the frames do not fit the camera.
+        If the frames do not fit the camera, or if the name of the output does not end in .toml.
     L3Error
         If the output cannot be written.
     """
@@ -204,7 +209,10 @@ def _problem(text: str, output: Path) -> str:
 
 
 def named_from(path: Path, output: Path) -> str:
-    """Return a path for a measurement file: relative to the folder of the file if inside this folder, otherwise absolute."""
+    """Return a path as it is written in the measurement file `output`.
+
+    The path is relative to the folder of the measurement file if this folder contains it. Otherwise it is absolute.
+    """
     relative = os.path.relpath(path, output.parent)
     return str(path.absolute()) if relative.startswith("..") else Path(relative).as_posix()
 

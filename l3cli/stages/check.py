@@ -1,7 +1,8 @@
-"""The stage of `l3 check`, which finds errors in recipes and the lines on which they occur.
+"""The stages of `l3 check` and `l3 schema`.
 
-This module also creates the JSON schema of each type of recipe. It checks design recipes and scene files itself, because
-these checks need several packages that do not import each other.
+`l3 check` finds errors in recipes and prints the lines on which they occur. `l3 schema` prints the JSON schema of a type of
+recipe. The checks of design recipes and scene files are in this module, because they need several packages that do not
+import each other. The other checks are in the packages that define the recipes.
 """
 
 import contextlib
@@ -43,7 +44,9 @@ from l3cli.training.summary import class_lines, class_meaning
 def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
     """Return the existing files to which a recipe refers.
 
-    A recipe refers to a file by its name, by a pattern such as "*.exr", or within a mixture of illuminants.
+    A recipe refers to a file by its name, by a pattern such as "*.exr", or within the description of a mixture of
+    illuminants, such as "0.7 D65 + 0.3 lamp.csv". Every text in the recipe is tried as a file name. Missing files are left
+    out.
 
     Parameters
     ----------
@@ -64,7 +67,7 @@ def files_named(path: Path, content: Mapping[str, Any]) -> tuple[Path, ...]:
 
 
 def design_recipe_faults(recipe: DesignRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a design recipe. If the recipe has no faults, yield the faults of its files of spectra."""
+    """Yield the faults of a design recipe. The files of spectra are checked only if the recipe itself has no faults."""
     wrong = list(design_faults(recipe))
     yield from wrong
     if not wrong:
@@ -77,9 +80,10 @@ def _design_curves(recipe: DesignRecipe, source: RecipeSource) -> Any:
 
 
 def design_meaning(recipe: DesignRecipe, source: RecipeSource) -> Meaning:
-    """Return the report of `l3 check` on a design recipe.
+    """Return the summary of a design recipe for `l3 check`, and an empty list of faults.
 
-    The report contains peak quantum efficiencies of the filters, illuminants and exposures of the levels, and warnings.
+    The summary contains the peak quantum efficiencies of the filters, the illuminants and exposures of the levels, and
+    warnings.
     """
     curves = _design_curves(recipe, source)
     camera = pixel_of(recipe.pixel, source.path.parent)
@@ -98,7 +102,10 @@ def design_lines(figures: dict[str, Any], width: int | None) -> list[str]:
 
 
 def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[Fault]:
-    """Yield the faults of a scene recipe and of its files, for the camera of `source` if there is a camera."""
+    """Yield the faults of a scene recipe, and report missing files.
+
+    If `source` has a camera, the recipe is checked for this camera.
+    """
     yield from scene_faults(recipe, source.camera)
     yield from curve_faults(recipe, source)
     for number, scene in enumerate(recipe.scene):
@@ -111,10 +118,11 @@ def scene_recipe_faults(recipe: SceneRecipe, source: RecipeSource) -> Iterator[F
 
 
 def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
-    """Return what `l3 check` reports about a scene recipe: the number of scenes, clips and frames.
+    """Return the summary of a scene recipe for `l3 check`, and faults in its scene files.
 
-    If `source` has a camera, the report contains the size of the frames, and scene files that are too small for the sensor
-    are returned as faults.
+    The summary contains the numbers of scenes, clips and frames, the illuminants, the luminances and the exposures. If
+    `source` has a camera, the scene files are also checked, for example for their size, and the summary contains the sizes
+    of the frames and warnings. If `source` has no camera, the list of faults is empty.
     """
     run = None
     if source.camera is None:
@@ -144,7 +152,7 @@ def scene_meaning(recipe: SceneRecipe, source: RecipeSource) -> Meaning:
 
 
 def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> dict[str, Any]:
-    """Return the camera's name, the size of the largest frame in pixels and in bytes, and the bytes of all frames."""
+    """Return the name of the camera, the size of the largest frame in pixels and in bytes, and the total number of bytes."""
     sizes = []
     for scene, paths in zip(recipe.scene, files, strict=True):
         each = len(recipe.illuminants) * len(recipe.luminances()) * len(recipe.exposures()[1])
@@ -166,7 +174,8 @@ class Kind(NamedTuple):
     """A type of recipe, such as camera recipes or class recipes."""
 
     name: str
-    recipes: tuple[type[Recipe], ...]  # structure of a complete recipe and, if different, of a recipe with the key `base`
+    # The structure of a complete recipe. If a recipe with the key `base` has another structure, it comes second.
+    recipes: tuple[type[Recipe], ...]
     folder: str | None  # folder in configs/ that contains the recipes of this type that come with l3
 
     @property
@@ -179,7 +188,7 @@ class Kind(NamedTuple):
 
 
 CAMERA = "camera"
-# keys that show the type of a recipe that contains the key `base`
+# additional keys from which the type of a recipe with the key `base` is recognised
 BASED = {"a camera recipe": ("base", "phase"), "a measurement file": ("dark", "white")}
 KINDS = {
     kind.name: kind
@@ -197,8 +206,8 @@ KINDS = {
 def kind_of(content: Mapping[str, Any]) -> Kind | None:
     """Determine the type of a recipe from its keys and tables. Return None if two types fit equally well.
 
-    The best type is the type with the largest number of characteristic keys, which no other type has. If several types have
-    this number, the number of keys with a value of the right type decides.
+    For each type, the keys that occur only in this type are counted. The type with the largest count is chosen. If several
+    types have the same count, the number of keys whose values have the right form decides.
     """
     ranked = sorted(KINDS.values(), key=lambda kind: _likeness(content, kind), reverse=True)
     best, second = (_likeness(content, kind) for kind in ranked[:2])
@@ -213,7 +222,10 @@ def _likeness(content: Mapping[str, Any], kind: Kind) -> tuple[int, int]:
 
 
 def _fits(field: msgspec.structs.FieldInfo, value: Any) -> bool:
-    """Whether a value has the form of a field: a table, a list or a single value. The content may still have faults."""
+    """Whether a value has the form of a field: a table, a list or a single value.
+
+    Faults inside a table or list do not matter.
+    """
     try:
         msgspec.convert(value, field.type)
     except msgspec.ValidationError as error:
@@ -258,10 +270,10 @@ CHECKS = {
     "measurements": Checks(measurement_faults, measurement_meaning, measurement_lines),
 }
 INDENT = "  "
-# matches the part in which messages about similar faults differ: the number of a list entry, or the name of a missing file
+# Similar faults have messages that differ only in the number of a list entry, or in the name of a missing file.
 ENTRY = re.compile(r"\[\d+\]|^.*(?= does not exist)")
-MAX_LISTED = 3  # up to this number of similar faults, each fault has a line of its own; otherwise they share one line
-MAX_LINE_NUMBERS = 8  # number of line numbers in the line that similar faults share
+MAX_LISTED = 3  # more similar faults than this are printed as one line
+MAX_LINE_NUMBERS = 8  # largest number of line numbers in such a line
 SYNTAX = re.compile(r"\(at line (\d+), column \d+\)")  # position in an error message of the TOML parser
 
 
@@ -297,10 +309,10 @@ class Judgement:
 
 
 def check(given: Sequence[str]) -> list[Judgement]:
-    """Check recipes.
+    """Check recipes and return the results in the order of the arguments.
 
-    Cameras are checked first, because other recipes are checked for a camera. This is a camera from the folder of the recipe
-    or, if there is no camera in this folder, the first camera.
+    Cameras are checked first, because other recipes are checked for a camera. This is a camera without faults from the same
+    folder or, if there is no such camera, the first camera. A file that occurs twice is checked once.
 
     Parameters
     ----------
@@ -331,11 +343,21 @@ def check(given: Sequence[str]) -> list[Judgement]:
 def recipes_of(name: str) -> list[Path]:
     """Return the recipe files for an argument of `l3 check`.
 
+    In a folder, camera.toml comes first. The other files are sorted by name.
+
     Parameters
     ----------
     name : str
-        Path of a file, path of a folder of recipes, or name of recipes that come with l3. Recipes of different types may
-        have the same name.
+        Path of a file, path of a folder of recipes, or name of recipes or of a benchmark that come with l3. Recipes of
+        different
+        types may have the same name.
+
+    Raises
+    ------
+    InputFileError
+        If the path does not exist, or if the folder contains no recipes.
+    RecipeError
+        If no recipe has this name.
     """
     path = Path(name)
     if path.exists() and not path.is_dir():  # devices and other special files are refused when they are read
@@ -362,7 +384,12 @@ def _is_camera(path: Path) -> bool:
 
 
 def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
-    """Check one file. If `camera` is set, the recipe is checked for this camera."""
+    """Check one file.
+
+    The type of recipe is determined by the place of the file, if it comes with l3, or otherwise by its keys. A file that
+    cannot be read, is not valid TOML, or has an unknown type has a single fault. If `camera` is set, the recipe is checked
+    for this camera.
+    """
     try:
         text = read_text(path, "a recipe or a measurement file")
         content = parse_toml(text, str(path))
@@ -385,15 +412,15 @@ def judge(path: Path, camera: CameraModel | None = None) -> Judgement:
 
 
 def _judged(kind: Kind, source: RecipeSource) -> tuple[dict[str, Any], list[Fault]]:
-    """Check a recipe, and return a summary of its content and its faults.
+    """Check a recipe, and return the summary of its content, and its faults.
 
-    The types of the values are checked first, then the values. If there are no faults so far, the summary is computed, which
-    may find further faults.
+    First the types of the values are checked, then the values. If both checks find no faults, the summary is computed. This
+    can find further faults, for example in files to which the recipe refers.
     """
     recipe, faults = typed(dict(source.content), kind.structure(source.content))
     if recipe is not None:
         others = about_others(CHECKS[kind.name].faults(recipe, source), faults)
-        # Only LISTED_FAULTS faults are printed, so it is not worth the time to look for many more.
+        # Only LISTED_FAULTS faults are printed. One more is enough to know that the list is not complete.
         faults += itertools.islice(others, max(LISTED_FAULTS + 1 - len(faults), 0))
     meaning: dict[str, Any] = {}
     if not faults:
@@ -426,8 +453,8 @@ def _written(key: KeyPath) -> str:
 def as_text(judgement: Judgement, width: int | None = None) -> list[str]:
     """Format the result of a check as lines of text.
 
-    Each fault has a line of the form `file:line: message`, which editors understand. If there are no faults, the lines
-    summarise the recipe. Tables are at most `width` characters wide.
+    Each fault has a line of the form `file:line: message`, which editors understand. Similar faults share a line. If there
+    are no faults, the lines summarise the recipe and end with its warnings. Tables are at most `width` characters wide.
     """
     if judgement.findings:
         lines = [f"{judgement.path}:{line}: {message}" for line, message in folded(judgement.findings)]

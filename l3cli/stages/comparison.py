@@ -1,4 +1,4 @@
-"""The stage of `l3 compare`, which compares metrics of several cameras as functions of luminance."""
+"""The stage of `l3 compare`, which compares the metrics of several cameras at each scene luminance."""
 
 import itertools
 import json
@@ -16,14 +16,16 @@ EXPECTED = 'use a file that contains the output of "l3 evaluate --json"'
 
 
 def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOptions) -> tuple[Comparison, FilesUsed]:
-    """Compare the metrics of several cameras at each luminance.
+    """Compare the metrics of several cameras at each luminance, and optionally write a page with curves.
+
+    If the evaluations may not be comparable, a warning is sent to the console.
 
     Parameters
     ----------
     evaluations : tuple of Path
         Files with the output of `l3 evaluate --json`.
     page : Path or None
-        HTML page with curves to write.
+        HTML page to write, with a curve of each metric against luminance.
     options : CompareOptions
         Options of `l3 compare`.
 
@@ -37,9 +39,10 @@ def compare(evaluations: tuple[Path, ...], page: Path | None, options: CompareOp
     Raises
     ------
     InputFileError
-        If a file is not an evaluation, or if the files differ in their luminances.
+        If a file is not an evaluation, if an evaluation lacks one of the metrics, or if the files differ in their
+        luminances.
     RecipeError
-        If an evaluation lacks one of the metrics, or if the name of the page does not end in .html.
+        If the name of the page does not end in .html.
     L3Error
         If the page cannot be written.
     """

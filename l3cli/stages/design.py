@@ -1,8 +1,9 @@
 """The stages of `l3 design moments` and `l3 design`.
 
-`l3 design moments` simulates how a lens and a pixel record scenes, and stores the second moments of image patches. From
-these moments, the error of any CFA can be predicted. `l3 design` ranks the CFAs that can be made from a library of filters
-by this error. To check the prediction, it can also train and evaluate the best CFAs.
+`l3 design moments` simulates how a lens and the bare pixels of a sensor record scenes, and stores second moments of image
+patches. From these moments, l3 can predict the error of any colour filter array. `l3 design` ranks the arrays that can be
+made from a library of filters by their predicted error. To check the prediction, it can also train and evaluate the best
+arrays.
 """
 
 import dataclasses
@@ -70,27 +71,32 @@ Arrays = Mapping[str, NDArray]
 
 
 class Parts(PartsFolder):
-    """The stored results of a run. Each part is a file with named NumPy arrays."""
+    """The stored intermediate results of a run. Each result is a file with named NumPy arrays."""
 
     def each(
         self, what: str, work: Callable[[T], Arrays], items: Sequence[T], pool: WorkerPool, console: Console
     ) -> Iterator[dict[str, NDArray]]:
         """Apply `work` to each item, store the results, and yield them in order.
 
-        If an earlier run has already stored the result for an item, this result is read instead.
+        If an earlier run has already stored the result for an item, `work` is not called for this item.
 
         Parameters
         ----------
         what : str
             Name of the results in the plural, for file names and for the progress bar.
         work : callable
-            Function that computes named arrays from an item. It must be picklable.
+            Function that computes a dictionary of arrays from an item. It must be picklable.
         items : sequence
             The items.
         pool : WorkerPool
             The worker processes.
         console : Console
             Shows the progress.
+
+        Yields
+        ------
+        dict of str to ndarray
+            The result for the next item.
         """
         paths = [self.folder / f"{what}-{number:05d}.npz" for number in range(len(items))]
         done = [path.is_file() for path in paths]
@@ -108,9 +114,9 @@ PARTS = 8  # number of parts into which the scenes are divided, independent of t
 
 
 def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOptions) -> tuple[SceneMoments, FilesUsed]:
-    """Compute the moments of scenes, as recorded by the lens and pixel of a camera, and write them.
+    """Compute the second moments of scenes, as recorded by the lens and the bare pixels of a camera, and write them.
 
-    The filters of the camera have no influence.
+    The colour filters of the camera have no influence.
 
     Parameters
     ----------
@@ -122,6 +128,13 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
         File of moments to write.
     options : MomentsOptions
         Options of `l3 design moments`.
+
+    Returns
+    -------
+    SceneMoments
+        The moments. If `resume` is set and the output is finished, they are read from the output.
+    FilesUsed
+        The files that were read and written.
 
     Raises
     ------
@@ -184,12 +197,14 @@ def gather_moments(scenes: Path, camera: Path, output: Path, options: MomentsOpt
 
 
 def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
-    """Whether `resume` is set and an earlier run has already finished the output.
+    """Whether `resume` is set and an earlier run with the same inputs and options has already finished the output.
+
+    If so, the stored parts are removed and a message is sent to the console.
 
     Raises
     ------
     L3Error
-        If the output exists but belongs to another run, unless `force` is set.
+        If the output exists, unless it is finished or `force` is set.
     """
     finished = options.resume and not options.force and is_of_run(output, parts.key)
     if not finished:
@@ -201,7 +216,10 @@ def _is_finished(output: Path, parts: Parts, options: PartsOptions) -> bool:
 
 
 def _refuse(recipe: SceneRecipe, path: Path) -> None:
-    """Raise RecipeError if a scene has no reflectance spectra, which are needed to simulate it under other illuminants."""
+    """Raise RecipeError if the scenes cannot be simulated under every illuminant and behind every filter.
+
+    Scenes must have reflectance spectra, and the recipe must not have a transmittance of the lens.
+    """
     if SCENE_LIGHT in recipe.illuminants:
         raise RecipeError(
             f'{path}: "{SCENE_LIGHT}" in illuminants cannot be used for moments; set illuminants such as "D65"'
@@ -235,7 +253,7 @@ def _scene(wanted: WantedScene, run: SimulationRun) -> Scene:
 def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
     """Return the second moments of the photon spectra of some scenes.
 
-    The array "power" has the axes (illuminant, wavelength, wavelength).
+    The result is one array "power", with the axes (illuminant, wavelength, wavelength).
     """
     power = np.zeros((len(run.recipe.illuminants), run.camera.wavelength.size, run.camera.wavelength.size))
     for _, wanted in chunk:
@@ -247,7 +265,10 @@ def _spectra(run: SimulationRun, chunk: Chunk) -> dict[str, NDArray]:
 
 
 def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: int, chunk: Chunk) -> dict[str, NDArray]:
-    """Return sums over the patches of some scenes. The name of each array ends in the number of the illuminant."""
+    """Return sums over randomly chosen patches of some scenes.
+
+    The name of each array ends in the index of the illuminant. The same patches are used under all illuminants.
+    """
     sums = [empty_sums(basis.shape[1]) for basis in bases]
     for place, wanted in chunk:
         scene = _scene(wanted, run)
@@ -259,8 +280,8 @@ def _moments(run: SimulationRun, bases: Sequence[NDArray[np.float64]], patches: 
 
 
 CLASS_RECIPE = "single"  # class recipe with which CFAs are trained
-CROP = 72  # side in pixels of the square crop of the first scene that a design stores
-FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics of evaluation.quality that a design stores
+CROP = 72  # side in pixels of the square crop of the first scene, which a design stores
+FIGURES = ("mean_delta_e", "scielab", "output_psnr")  # metrics that a design stores, as attributes of Quality
 # scene recipe for training CFAs
 TRAINING_SCENES = """illuminants = {lights}
 exposure_share = [0.9]
@@ -292,7 +313,7 @@ count = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """A camera with a CFA to train, and the conditions under which it is evaluated."""
+    """A camera with one of the CFAs, and the conditions under which a table for this camera is evaluated."""
 
     camera: CameraModel
     levels: Sequence[tuple[str, Level]]  # illuminant and exposure of each condition
@@ -300,7 +321,7 @@ class Trial:
 
 
 def trained(trial: Trial) -> dict[str, NDArray]:
-    """Train a CFA and evaluate it on other scenes.
+    """Train a table for a CFA and evaluate it on other scenes. All files are temporary.
 
     Returns
     -------
@@ -369,6 +390,8 @@ TUNED = " (tuned)"  # suffix of the name of a CFA with tuned filters
 def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, FilesUsed]:
     """Rank the CFAs of a design recipe by their predicted error, and write the design.
 
+    If the recipe asks for it, filters are also tuned. If `options.truth` is set, the best CFAs are trained and evaluated.
+
     Parameters
     ----------
     recipe : Path
@@ -378,6 +401,12 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
     options : DesignOptions
         Options of `l3 design`.
 
+    Returns
+    -------
+    Design
+        The design. If `resume` is set and the output is finished, it is read from the output.
+    FilesUsed
+        The files that were read and written.
     Raises
     ------
     RecipeError, InputFileError
@@ -440,8 +469,8 @@ class _Run:
     def candidates(self, lists: Sequence[list[Cfa] | None]) -> Iterator[Cfa]:
         """Yield each CFA whose error is predicted, without duplicates.
 
-        For a pattern of the recipe, these are all its CFAs or, if a pattern has too many CFAs, the results of simulated
-        annealing. All Bayer CFAs of the library of filters are also included.
+        These are all CFAs that fit a pattern of the recipe. For a pattern with too many CFAs, they are the results of
+        simulated annealing. All Bayer CFAs of the library of filters are also included.
 
         Parameters
         ----------
@@ -483,10 +512,15 @@ class _Run:
         )
 
     def truth(self, made: Design, most: int) -> Truth:
-        """Train and evaluate CFAs.
+        """Train a table for several CFAs, and evaluate the tables.
 
-        The CFAs are the best ones of the design (at most `most`), the best Bayer CFA, and the rival CFAs in the recipe. If
-        filters were tuned, the CFA with tuned filters is also trained, both with the original and with the tuned filters.
+        The CFAs are the `most` best CFAs of the design, the best Bayer CFA, and the rival CFAs in the recipe. If filters
+        were tuned, the CFA with tuned filters is also trained, both with the original and with the tuned filters.
+
+        Raises
+        ------
+        L3Error
+            If the CFAs were not evaluated on the same scenes.
         """
         task, names = self.task, self.task.names
         given = [made.patterns[place] for place in made.best(most)]

@@ -1,4 +1,4 @@
-"""The stage of `l3 evaluate`: metrics of a table on frames with known targets, or of a rendered video over time."""
+"""The stage of `l3 evaluate`. It evaluates a table on frames with known targets, or a rendered video over time."""
 
 import contextlib
 import dataclasses
@@ -52,20 +52,23 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
 PlanesOf = Callable[[TrainingFrame], dict[str, NDArray[np.floating]]]  # frame → outputs of each pipeline
-CHART_LUMINANCE = 1e4  # cd/m², luminance of white on the charts; so bright that dark current is negligible
-LUX = 1e-9, 1e9  # lux, range of plausible illuminances
+CHART_LUMINANCE = 1e4  # luminance of white on the charts in cd/m², at which dark current is negligible
+LUX = 1e-9, 1e9  # range of plausible illuminances in lux
 CHART_BANDS = np.array([*np.arange(SHOWN[0], SHOWN[1], 20.0), SHOWN[1]])  # nm; fine enough to model diffraction
 
 
 def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
     """Compute sharpness, signal-to-noise ratio and colour uncertainty of pipelines on simulated charts.
 
+    The signal-to-noise ratio is left out (None) for cameras with relative responsivities. The colour uncertainty is left out
+    for outputs other than X, Y, Z, and for cameras without a confidence band of the responsivities.
+
     Parameters
     ----------
     head : TrainingSet
-        Head of a training set. Its camera photographs the charts, and the pipelines compute its outputs.
+        Head of a training set. The charts are simulated with its camera and its outputs.
     planes : callable
-        Takes a frame and returns the output planes (output, row, col) of each pipeline, by the name of the pipeline.
+        Function that returns the output planes (output, row, col) of each pipeline for a frame, by the name of the pipeline.
 
     Returns
     -------
@@ -91,7 +94,7 @@ def standard_figures(head: TrainingSet, planes: PlanesOf) -> dict[str, Any]:
 
 
 def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -> TrainingFrame:
-    """Return a noise-free frame of a slanted edge.
+    """Return a noise-free frame of a slanted edge. The exposure is chosen automatically.
 
     Parameters
     ----------
@@ -114,8 +117,9 @@ def edge_frame(camera: CameraModel, light: Light, across: str, target: Target) -
 def _chart(camera: CameraModel, light: Light, target: Target, planes: PlanesOf) -> dict[str, Any]:
     """Return the mean colour difference that the uncertainty of the responsivities causes in each pipeline.
 
-    Cameras with responsivities drawn within the confidence band photograph a chart without noise. The pipelines process
-    these frames as frames of `camera`, and the colours are compared with the colours of a frame that `camera` has taken.
+    A chart is simulated without noise for `camera`, and for cameras whose responsivities are drawn at random within the
+    confidence band of `camera`. Each pipeline processes all frames as if they were from `camera`. The colours are compared
+    with the colours of the frame from `camera`.
     """
     size = standards.SIDE, standards.SIDE
     cube = surface_patches(np.random.default_rng(0), standards.PATCHES, size, CHART_BANDS)
@@ -166,17 +170,20 @@ def _greys(
     return standards.grey_document(camera, noise, lux, raw, snr)
 
 
-FRAMES_PER_LIGHT = 2  # number of frames under each illuminant that are evaluated at several gains
-MAX_RENDERERS = 8  # size of the cache of renderers; consecutive frames show one scene under several illuminants
-DECIDING_METRIC = "mean_delta_e"  # if this metric is smaller for a baseline, the baseline is better than the table
-OTHER_LIGHT = 0.005  # distance in CIE 1960 uv from which two whites count as different illuminants
-ONE_LIGHT = 0.001  # distance in CIE 1960 uv up to which the illuminants of a training set count as the same
-# If two sequences differ in brightness by this factor, their lightness differences are mostly differences in exposure.
+FRAMES_PER_LIGHT = 2  # largest number of frames per illuminant that are evaluated at several gains
+MAX_RENDERERS = 8  # cache size; several renderers are needed, because consecutive frames have different illuminants
+DECIDING_METRIC = "mean_delta_e"  # a baseline counts as better than the table if this metric is smaller
+OTHER_LIGHT = 0.005  # two whites with a larger distance in CIE 1960 uv count as different illuminants
+ONE_LIGHT = 0.001  # illuminants of a training set with a smaller distance in CIE 1960 uv count as the same
+# If two sequences differ in brightness by more than this factor, differences in exposure dominate the lightness error.
 DIFFERENT_BRIGHTNESS = 1.05
 
 
 def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[str, Any], FilesUsed]:
     """Evaluate a table, the baselines and rival pipelines on the frames of a training set.
+
+    If `options.pictures` is set, the pictures of all pipelines are written into this folder. Warnings are sent to the
+    console, for example if the table was trained on these frames or for another camera.
 
     Parameters
     ----------
@@ -255,7 +262,8 @@ def evaluate(table: Path, frames: Path, options: EvaluateOptions) -> tuple[dict[
 def document_of(
     evaluation: Evaluation, renderers: "FrameRenderers", head: TrainingSet, by_gain: Sequence[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the output of `l3 evaluate --json`: metrics of all evaluated frames, and metrics on simulated charts."""
+    """Return the output of `l3 evaluate --json`: the metrics of all evaluated frames, the metrics at several gains, and the
+    metrics on simulated charts, which are computed here."""
 
     def planes(frame: TrainingPair) -> dict[str, NDArray]:
         return evaluation.developed(frame, renderers.of(frame).outputs(raw_of(frame, 0, head.camera)))
@@ -306,7 +314,7 @@ GAINS = (1.0, 4.0, 16.0, 64.0)  # analog gains at which a table is evaluated
 def for_frames(
     table: tuple[object, TransformTable], frames: tuple[object, CameraModel], console: Console
 ) -> tuple[TransformTable, str]:
-    """Adapt a table to the analog gain of frames, and warn if the frames were taken by another camera.
+    """Adapt a table to the analog gain of frames, and warn if the table was trained for another camera.
 
     Parameters
     ----------
@@ -320,7 +328,7 @@ def for_frames(
     Returns
     -------
     TransformTable
-        The table with the noise at the gain of the frames.
+        The table with the transforms for the gain of the frames.
     str
         The warning, or "" if the table was trained for the camera of the frames.
 
@@ -350,15 +358,31 @@ def figures_by_gain(
     viewing: float = VIEWING,
     border: int | None = None,
 ) -> list[dict[str, Any]]:
-    """Evaluate a few simulated frames per illuminant at several analog gains.
+    """Evaluate a table on a few frames per illuminant at several analog gains.
 
-    The gains are those values of GAINS at which the noise of the camera is known.
+    The frames are simulated again at the gains 1, 4, 16 and 64, as far as the noise of the camera is known at these gains.
+
+    Parameters
+    ----------
+    table : TransformTable
+        The table, not adapted to a gain.
+    reader : TrainingSetReader
+        The training set. Real pairs in it are not used.
+    backend : str
+        Name of the renderer.
+    console : Console
+        Shows the progress.
+    viewing : float
+        Samples per degree for S-CIELAB.
+    border : int, optional
+        Number of pixels that are ignored at each side of the frames.
 
     Returns
     -------
     list of dict
         Metrics for each gain and illuminant, as in `Evaluation.document`. The list is empty if the noise is known at one
-        gain only, or if all frames are real.
+        gain
+        only, or if all frames are real.
     """
     least, most = known_gains(table)
     gains, lights = [gain for gain in GAINS if least <= gain <= most], dict[str, list[int]]()
@@ -380,8 +404,8 @@ def figures_by_gain(
 class FrameRenderers:
     """Renderers for the frames of a training set, with a cache of the most recent renderers.
 
-    If a table has transforms for several illuminants, the transforms are blended for the illuminant of each frame
-    (docs/method.md#several-illuminants).
+    If a table has transforms for several illuminants, each frame is rendered with transforms that are blended for its
+    illuminant (docs/method.md#several-illuminants). The blend is reported once for each illuminant.
     """
 
     def __init__(self, backend: str, table: TransformTable, console: Console) -> None:
@@ -412,7 +436,20 @@ def evaluate_frame(
 ) -> tuple[TrainingPair, dict[str, NDArray]]:
     """Render a frame of a training set with every pipeline.
 
-    If `counted` is True, the frame is added to the evaluation.
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Receives the frame, if `counted` is True.
+    renderers : FrameRenderers
+        Renderers of the table.
+    reader : TrainingSetReader or AtGain
+        The training set.
+    index : int
+        Index of the frame.
+    rivals : mapping of str to Path, optional
+        Picture of this frame by each rival.
+    counted : bool
+        Whether to add the metrics of the frame to the evaluation.
 
     Returns
     -------
@@ -431,7 +468,7 @@ def evaluate_frame(
 
 
 def _planes(path: Path, frame: TrainingPair) -> NDArray[np.floating]:
-    """Read the picture of a rival for a frame.
+    """Read the picture that a rival rendered from a frame.
 
     Returns
     -------
@@ -463,12 +500,21 @@ def _name_of(rival: Path) -> str:
 def evaluate_sequence(rendered: Path, options: SequenceOptions) -> tuple[SequenceFigures, FilesUsed]:
     """Evaluate a rendered sequence over time and, optionally, compare it with an ideal sequence whose motion is known.
 
+    If the sequences differ in brightness, a warning suggests another exposure.
+
     Parameters
     ----------
     rendered : Path
         Folder of pictures, pattern of file names, or video.
     options : SequenceOptions
         Options of `l3 evaluate`. If `border` is not set, all pixels are evaluated.
+
+    Returns
+    -------
+    SequenceFigures
+        The metrics.
+    FilesUsed
+        The files that were read.
 
     Raises
     ------

@@ -38,6 +38,8 @@ pixels with the usual set, which is exported separately and has its own test fil
 def is_table(path: Path) -> bool:
     """Return True if a file is a transform table, and False if it is a camera.
 
+    A file with the suffix .toml counts as a camera and is not read.
+
     Raises
     ------
     InputFileError
@@ -55,7 +57,16 @@ def is_table(path: Path) -> bool:
 
 
 def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str, dict[str, dict[str, Any]]], FilesUsed]:
-    """Export a camera model or camera recipe into a folder.
+    """Write the curves, matrices, tuning files and data sheet of a camera into a folder.
+
+    Parameters
+    ----------
+    camera : Path
+        Camera model or camera recipe.
+    output : Path
+        Folder to write.
+    options : ExportOptions
+        Options of `l3 export`. Only `force` and `console` are used.
 
     Returns
     -------
@@ -69,7 +80,7 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
     RecipeError, InputFileError
         If the input is not a camera.
     L3Error
-        If a file cannot be written.
+        If a file exists and `force` is not set, or if a file cannot be written.
     """
     console = options.console
     with OutputGuard(console) as guard:
@@ -89,7 +100,19 @@ def export(camera: Path, output: Path, options: ExportOptions) -> tuple[dict[str
 
 
 def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[list[str], FilesUsed]:
-    """Export a transform table into a folder, as C source or as arrays.
+    """Write a transform table into a folder, as C source or as arrays.
+
+    The options can select the transforms for one white, one gain, or frames after temporal filtering. If a table has several
+    sets of transforms and the options select none, a message says which set is exported.
+
+    Parameters
+    ----------
+    table : Path
+        Transform table.
+    output : Path
+        Folder to write.
+    options : ExportOptions
+        Options of `l3 export`. The default format is C source.
 
     Returns
     -------
@@ -105,7 +128,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
     RecipeError
         If an option does not fit the format or the table.
     L3Error
-        If a file cannot be written.
+        If a file exists and `force` is not set, or if a file cannot be written.
     """
     form, words, prefix, which = options.form or "c", options.words, options.prefix, options.which
     white, console = options.white, options.console
@@ -121,7 +144,7 @@ def export_table(table: Path, output: Path, options: ExportOptions) -> tuple[lis
             raise RecipeError(
                 f"‹white› {white} needs transforms for single illuminants, which {table} does not contain; leave ‹white› out"
             )
-        if white is not None or form != "folder":  # without ‹white›, a folder contains the transforms for each illuminant
+        if white is not None or form != "folder":  # a folder without ‹white› contains the transforms of all illuminants
             transforms = mixed(transforms, light_mix_of_given(white, transforms, mix_for, console))
         if options.gain is not None:
             transforms = at_gain(transforms, options.gain)

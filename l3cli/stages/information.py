@@ -28,16 +28,26 @@ from l3cli.rendering.opencl.devices import cache_warning, survey
 from l3cli.system.files import sha256
 from l3cli.system.limits import trusted
 
-WHOLE: tuple[type[Artifact], ...] = (CameraModel, TransformTable, SceneMoments, Design)  # small enough to be read at once
+WHOLE: tuple[type[Artifact], ...] = (
+    CameraModel,
+    TransformTable,
+    SceneMoments,
+    Design,
+)  # types that are small enough to be read whole
 
 
 def content(file: Path) -> dict[str, Any]:
     """Return the output of `l3 info --json`.
 
+    Parameters
+    ----------
+    file : Path
+        The artifact.
+
     Returns
     -------
     dict
-        Type, version, history and datasets of an artifact. For a transform table, the entry "insight" summarises the
+        Type, version, history and datasets of the artifact. For a transform table, the entry "insight" summarises the
         training.
 
     Raises
@@ -58,7 +68,7 @@ class Verification:
     """Result of the verification of an artifact and of the files from which it was made."""
 
     intact: Intact
-    links: tuple[Link, ...]  # for each role of input files in the history, such as "training set", an entry
+    links: tuple[Link, ...]  # one entry per role of input files in the history, such as "training set"
     strangers: tuple[Path, ...]  # input files that do not occur in the history
 
     def document(self) -> dict[str, Any]:
@@ -75,8 +85,8 @@ class Verification:
 def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
     """Verify an artifact.
 
-    Three checks are made: the digest of the file must be right, its content must be complete and valid, and the digests of
-    `inputs` are compared with its history.
+    l3 checks the digest of the file, reads its whole content, and compares the digests of `inputs` with its history.
+    Differences between `inputs` and the history are part of the result. They do not raise an error.
 
     Parameters
     ----------
@@ -96,7 +106,10 @@ def verification(file: Path, inputs: tuple[Path, ...]) -> Verification:
 
 
 def _read_whole(file: Path) -> None:
-    """Read the whole content of an artifact. Large artifacts are read frame by frame or site by site."""
+    """Read the whole content of an artifact, which raises InputFileError if the content is incomplete or invalid.
+
+    Large artifacts are read frame by frame or site by site.
+    """
     with open_artifact(file, *WHOLE, TrainingSet, *SUMS, unchanged=True) as root:
         kind = str(root.attrs["kind"])
         if kind == TrainingSet.kind:
@@ -113,7 +126,8 @@ def _read_whole(file: Path) -> None:
 def versions() -> dict[str, Any]:
     """Return the versions for a bug report: l3, Python, system, libraries and OpenCL devices.
 
-    The version of a library that is not installed is None.
+    The version of a library that is not installed is None. If OpenCL cannot be used, the list of devices contains the
+    reason. The entry "decoding" describes how untrusted files are decoded.
     """
     try:
         required = metadata.requires("l3cli") or []
@@ -161,7 +175,8 @@ def _version(library: str) -> str | None:
 def measure(options: BenchOptions) -> dict[str, Any]:
     """Measure frame times, and return the output of `l3 bench --json`.
 
-    If `options.variant` is set, only this variant of the kernel is measured.
+    If `options.variant` is set, only this variant of the kernel is measured. If compiled kernels cannot be cached, a warning
+    is sent to the console.
 
     Returns
     -------

@@ -29,6 +29,9 @@ MONO = "spectra/mono.csv"  # file with the spectrum of the light at each step of
 def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, FilesUsed]:
     """Simulate the lab measurements of a camera and write them into a folder.
 
+    The folder contains the frames, the files of spectra, and the measurement file MEASUREMENTS.toml. The frames are written
+    by `options.jobs` processes.
+
     Parameters
     ----------
     camera : Path
@@ -50,7 +53,7 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
     RecipeError, InputFileError
         If the camera or the lab recipe cannot be used.
     L3Error
-        If the folder cannot be written.
+        If the folder already contains a measurement file and `force` is not set, or if the folder cannot be written.
     """
     recipe, seed, console = options.recipe, options.seed, options.console
     file = output / "MEASUREMENTS.toml"
@@ -110,7 +113,8 @@ def _chart_name(capture: LabCapture) -> str:
 def _described(
     model: CameraModel, chosen: LabRecipe, captures: tuple[LabCapture, ...], folder: Path
 ) -> files.MeasurementRecipe:
-    """Write the files of spectra, and return the content of the measurement file."""
+    """Write the files of spectra into `folder`, and return the content of the measurement file, which is not
+    written here."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
     others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}

@@ -49,11 +49,11 @@ from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import a, short_names, tidy
 from l3cli.training.summary import insight
 
-# These limits keep the size of the page below parts.MAX_PAGE_BYTES.
-PICTURE_BYTES = 5_500_000  # for the pictures of all evaluated frames
-PIXEL_BYTES = 1_000_000  # for all pixel viewers
-CLASS_BYTES = 300_000  # for the filters of further classes in all pixel viewers
-THUMBNAIL_BYTES = 2_000_000  # for the thumbnails of all training sets
+# Limits in bytes, which keep the size of the page below parts.MAX_PAGE_BYTES.
+PICTURE_BYTES = 5_500_000  # pictures of all evaluated frames
+PIXEL_BYTES = 1_000_000  # all pixel viewers, which show the class, the filter and the values of single pixels
+CLASS_BYTES = 300_000  # filters of classes that do not occur in the crops of the pixel viewers
+THUMBNAIL_BYTES = 2_000_000  # thumbnails of all training sets
 KINDS: dict[str, type[Artifact]] = {kind.kind: kind for kind in (CameraModel, TrainingSet, TransformTable, Design)}
 SEQUENCE_SUFFIX = ".json"  # suffix of the files that `l3 evaluate` writes for sequences
 CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel viewer shows
@@ -61,6 +61,17 @@ CROPPED = ("ours", "ideal", "basic")  # names of the pictures that the pixel vie
 
 def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) -> FilesUsed:
     """Write an HTML page about camera models, training sets, transform tables, designs and evaluations of sequences.
+
+    Each table is evaluated on each training set with the same CFA. The results are part of the page.
+
+    Parameters
+    ----------
+    artifacts : tuple of Path
+        Artifacts, and JSON files that `l3 evaluate --sequence` has written.
+    output : Path
+        The page, whose name must end in .html.
+    options : ReportOptions
+        Options of `l3 report`.
 
     Returns
     -------
@@ -99,7 +110,10 @@ def report(artifacts: tuple[Path, ...], output: Path, options: ReportOptions) ->
 
 
 def _read(paths: tuple[Path, ...]) -> Given:
-    """Read the files. If several files have the same content, only the first of them is used."""
+    """Read the files. If several files have the same content, only the first of them is used.
+
+    Raises InputFileError if a table and a training set of the same camera have different outputs.
+    """
     entries: dict[str, Entry] = {}
     sequences: dict[str, dict[str, Any]] = {}
     sums: dict[str, str] = {}
@@ -150,7 +164,11 @@ def _require_luminance(given: Given, at: float | None) -> None:
 
 
 def _compose(given: Given, options: ReportOptions, console: Console) -> tuple[str, str, list[Section]]:
-    """Return title, lead and sections of the page. Pictures come first, then the artifacts, grouped by CFA."""
+    """Return title, lead and sections of the page.
+
+    The sections with pictures come first, then the sections about artifacts with the same CFA, then sequences, designs and
+    the history of all files. The tables are evaluated here.
+    """
     arrays, tables = given.arrays, given.of(TransformTable)
     _warn_of_arrays(given, console)
     pairs = len(given.pairs)
@@ -219,7 +237,8 @@ def _array_sections(given: Given, cameras: list[tuple[str, CameraModel]], called
 
 
 def figures_of_camera(camera: CameraModel) -> dict[str, Any]:
-    """Return what `l3 calibrate --json` reports about a camera, and the reason not to trust the fit, if there is one."""
+    """Return the output of `l3 calibrate --json` for a camera, and under "shortfall" why its fit is too poor ("" if it is
+    not)."""
     doubt = shortfall(camera) if camera.fit else None
     return figures(camera) | {"shortfall": (doubt or "").partition(";")[0]}
 
@@ -269,7 +288,9 @@ class Judged:
 
 
 def _judge(pair: Pair, anchor: str, limits: tuple[int, int, int], options: ReportOptions, console: Console) -> Judged:
-    """Evaluate a table on the frames of a training set.
+    """Evaluate a table on the frames of a training set, and make the section with the pictures.
+
+    Pictures are shown only if the outputs of the table are X, Y and Z.
 
     Parameters
     ----------
@@ -378,7 +399,7 @@ def plot(judged: Sequence[Judgement], output: Path, options: CheckOptions) -> No
     Parameters
     ----------
     judged : sequence of Judgement
-        The checked files. Other types of file and camera recipes with faults are left out.
+        Results of `l3 check`. Camera recipes with faults, and recipes of other types, are left out.
     output : Path
         The page, whose name must end in .html.
     options : CheckOptions

@@ -1,7 +1,7 @@
-"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for one camera.
+"""The stage of `l3 init`, which creates a folder with recipes and a Makefile for one camera, or for each of several cameras.
 
-The user chooses a recipe that comes with l3, a recipe or design file, the name of a known camera, or raw files. For raw
-files, l3 identifies the camera that took them.
+The camera comes from one of these sources: a recipe that comes with l3, a recipe or design file of the user, the name of a
+known camera, or raw files. For raw files, l3 identifies the camera from their metadata.
 """
 
 import itertools
@@ -55,14 +55,14 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed, atomic_output, blamed_on, files_to_read, refuse_protected, require_regular
 from l3cli.system.outputs import OutputGuard
 
-COLOURS = set(LETTERS.lower())  # colour letters, which ‹pattern› may contain without blanks between them
+COLOURS = set(LETTERS.lower())  # colour letters; ‹pattern› may contain them without blanks between them
 # Nona Bayer array. It is common in smartphones, but l3 has no recipe for it.
 NONA = "ggg rrr/ggg rrr/ggg rrr/bbb ggg/bbb ggg/bbb ggg"
 RAW_OVERRIDES = ("black_level", "white_level", "opcodes")  # options that replace values in the raw files
 SINGLE_CAMERA_OPTIONS = ("phase", "pattern", "black_level", "white_level")  # options that are refused for several cameras
 NEW_FOLDER = "mine"  # folder name in suggested commands, as in the documentation
-PHOTO_LINK = "picture"  # name of the symbolic link to the photo, because make cannot handle every file name
-CHART_WHITE = "chart"  # value of ‹white› of l3 render if l3 has only estimated the illuminant of the chart
+PHOTO_LINK = "picture"  # name of a symbolic link to the photo, whose own name may contain characters that make cannot handle
+CHART_WHITE = "chart"  # value of ‹white› for l3 render if the illuminant of the chart was only estimated
 MAX_CHART_PHOTOS = 4  # number of photos per camera in which l3 looks for a ColorChecker
 FOLDER_FILES = (*COMMON, "camera.toml", CURVES)  # files that l3 init writes into a folder
 Taken = Sequence[tuple[Path, Stated]]  # raw files of one camera, each with its metadata
@@ -108,7 +108,8 @@ def start(starter: Path, folder: Path, options: InitOptions) -> FilesUsed:
 def start_recipe(recipe: Path, folder: Path, options: InitOptions) -> FilesUsed:
     """Create a folder from a camera recipe of the user.
 
-    The base recipe and the curve files of the recipe are copied, too.
+    The folder contains copies of the recipe, of its base recipe and of its curve files. The file names in the copies are
+    changed, so that they refer to the copies.
 
     Raises
     ------
@@ -153,7 +154,7 @@ def start_named(name: str, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
-    """Create a camera folder from a design, with the CFA that has the smallest predicted error.
+    """Create a folder for the camera of a design, with the CFA that has the smallest predicted error.
 
     Raises
     ------
@@ -178,7 +179,7 @@ def start_designed(path: Path, folder: Path, options: InitOptions) -> FilesUsed:
 
 
 def _write_recipes(folder: Path, contents: Mapping[str, bytes], reads: Mapping[str, Sequence[Path]]) -> FilesUsed:
-    """Write a recipe folder. Raises an error if the camera in the folder cannot be simulated."""
+    """Write a recipe folder. If its camera recipe is not valid, an error is raised after the files are written."""
     used = files_to_read(reads)
     write_folder(folder, contents)
     load_camera(folder / "camera.toml")
@@ -218,12 +219,13 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tuple[list[Path], FilesUsed]:
     """Create a folder for the camera that took some raw files.
 
-    If several cameras took the files, `folder` contains a subfolder for each camera.
+    If several cameras took the files, `folder` contains a subfolder for each camera. Each folder also contains a symbolic
+    link to the raw file that `make` renders.
 
     Parameters
     ----------
     photos : sequence of Path
-        Raw files, or folders of raw files.
+        Raw files, or folders of raw files. Files in these folders that are not raw files are reported and left out.
     folder : Path
         Folder to create.
     options : InitOptions
@@ -238,6 +240,8 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
 
     Raises
     ------
+    RecipeError
+        If an option for a single camera is set, but several cameras took the files.
     InputFileError
         If a file is not a raw file, or if its CFA, black level or white level is unknown.
     L3Error
@@ -278,6 +282,9 @@ def start_from(photos: Sequence[Path], folder: Path, options: InitOptions) -> tu
 def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
     """Raise the error for a raw file in the place where `l3 render` expects a table.
 
+    The message contains commands that the user probably wants to run: the same command with the table first or, if the
+    inputs contain no table, the commands that train a table and render the raw files.
+
     Parameters
     ----------
     photo : Path
@@ -290,11 +297,11 @@ def refuse_as_table(photo: Path, inputs: Sequence[Path], output: Path) -> None:
     Raises
     ------
     RecipeError
-        Always, unless the file does not exist. The message contains the commands that render the raw file.
+        Always, unless the file does not exist.
     InputFileError
         If the file does not exist.
     """
-    require_regular(photo, "name a table and a raw file")
+    require_regular(photo, "specify a table and a raw file")
     if table := next((each for each in inputs if each.suffix == ".h5"), None):
         others = [photo, *(each for each in inputs if each != table)]
         raise RecipeError(
@@ -581,9 +588,9 @@ def _misplaced(body: Body, doubt: PhaseDoubt) -> str:
 
 
 def _by_chart(measured: Measurements, console: Console) -> CameraModel | None:
-    """Return the camera model that is fitted to the ColorChecker in a photo.
+    """Return the camera model that is fitted to the ColorChecker in a photo. Warnings about the fit are sent to the console.
 
-    The result is None if the photo shows no chart, or if the fit is too poor.
+    The result is None if the photo shows no usable chart, or if the fit is too poor.
     """
     try:
         camera = model.calibrate(measured)
@@ -601,7 +608,13 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
     """Return the responsivities of a camera without a chart, and a text about their source.
 
     l3 uses the first available source: (1) measured curves of this camera; (2) the colour matrices in the file; (3) the mean
-    of the measured cameras; (4) for a single channel, bare silicon behind an infrared filter.
+    of the measured cameras; (4) for a single channel, bare silicon behind an infrared filter. If the white balance of the
+    file shows that the raw values are already balanced, the curves of source (3) are balanced for D65.
+
+    Raises
+    ------
+    InputFileError
+        If no source fits the channels.
     """
     channels = measured.body.channels
     if (name := known_as(known.camera)) and sorted(channels) == sorted(ROLES):
@@ -626,7 +639,7 @@ def _without_chart(path: Path, known: Stated, measured: Measurements) -> tuple[r
         neutral = measured.photos[0].frames[0].neutral
         if neutral is None or np.ptp(neutral) > 0:
             return curves, origin
-        # No sensor responds to grey with equal signals, so the raw values have already been white-balanced.
+        # Equal signals for grey mean that the raw values have already been white-balanced, because no sensor responds so.
         balanced = responsivity.balanced_curves(curves, "D65")
         return balanced, f"{origin}; balanced for D65, because the values in the file are white-balanced"
     if len(channels) == 1:

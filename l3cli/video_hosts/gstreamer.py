@@ -21,8 +21,8 @@ INSTALL = "GStreamer's Python module is missing; install it (Debian: python3-gst
 try:
     import gi
 
-    for _room in ("Gst", "GstBase", "GstVideo"):
-        gi.require_version(_room, "1.0")
+    for _namespace in ("Gst", "GstBase", "GstVideo"):
+        gi.require_version(_namespace, "1.0")
     from gi.repository import GLib, GObject, Gst, GstBase, GstVideo
 except (ImportError, ValueError) as _missing:
     raise L3Error(INSTALL) from _missing
@@ -32,11 +32,11 @@ if not Gst.is_initialized():
 NAME = "l3render"
 ORDERS = ("rggb", "bggr", "grbg", "gbrg")
 DEPTHS = ("", "10le", "12le", "14le", "16le")  # suffixes of video/x-bayer formats; GStreamer < 1.24 supports only 8 bits
-MOSAICS = (
+MOSAICS = (  # caps of the input
     "video/x-raw, format=(string){ GRAY16_LE, GRAY8 }; "
     f"video/x-bayer, format=(string){{ {', '.join(order + depth for depth in DEPTHS for order in ORDERS)} }}"
 )
-BITS = {"RGB": 8, "RGBA64_LE": 16}
+BITS = {"RGB": 8, "RGBA64_LE": 16}  # bits per value of each output format
 PICTURES = f"video/x-raw, format=(string){{ {', '.join(BITS)} }}, colorimetry=(string)sRGB"
 SHARED = ("width", "height", "framerate", "pixel-aspect-ratio")  # fields of the caps that input and output have in common
 USUAL_RATE = Fraction(30)  # frame rate to assume if the stream does not state a rate, in frames/s
@@ -49,8 +49,9 @@ def _pad(name: str, direction: Any, caps: str) -> Any:
 class L3Render(GstBase.BaseTransform):
     """GStreamer element that renders mosaics in DN, in the same way as `l3 render` renders a sequence.
 
-    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), whichever the next element accepts. If a stream does not fit
-    the table, the element posts an error message of one line and the stream ends.
+    The output is sRGB with 8 bits (RGB) or 16 bits (RGBA64_LE), depending on the formats that the next element accepts. If
+    an error occurs, for example because the frames do not fit the table, the element posts a one-line error message to the
+    application, and the stream ends.
     """
 
     __gtype_name__ = "L3Render"
@@ -88,7 +89,7 @@ class L3Render(GstBase.BaseTransform):
 
     def __init__(self) -> None:
         super().__init__()
-        self._mosaics: Any = None  # Mosaics object, from start to stop
+        self._mosaics: Any = None  # l3cli.api.frames.Mosaics while the element runs, otherwise None
         self._reported = ""  # latest error message, which is not repeated when GStreamer tries several caps
         self._picture: Any = None  # function that renders the next frame
         self._source: Any = None  # memory layout of the input frames
@@ -100,7 +101,7 @@ class L3Render(GstBase.BaseTransform):
         self._reported = ""
         try:
             self._mosaics = self._opened()
-        except Exception as error:  # GStreamer would print the traceback of an exception and continue
+        except Exception as error:  # if an exception left this method, GStreamer would print a traceback and continue
             return self._failed(error)
         return True
 
@@ -176,7 +177,7 @@ class L3Render(GstBase.BaseTransform):
         return Gst.FlowReturn.OK
 
     def _failed(self, error: Exception) -> bool:
-        """Post an error message to the application, unless the same message has just been posted."""
+        """Post an error message to the application, unless the previous message was the same. Return False."""
         text = format_error(error, "-")
         if text != self._reported:
             self._reported, code = text, Gst.ResourceError.FAILED
@@ -185,7 +186,10 @@ class L3Render(GstBase.BaseTransform):
 
 
 class _Layout:
-    """Memory layout of a frame with the given caps. Raises a RecipeError if the stream is interlaced."""
+    """Memory layout of the frames of a stream, computed from the caps of the stream.
+
+    If the caps contain no frame rate, the rate is USUAL_RATE. Raises a RecipeError if the stream is interlaced.
+    """
 
     def __init__(self, caps: Any) -> None:
         structure = caps.get_structure(0)
@@ -206,9 +210,10 @@ class _Layout:
         self.rate = Fraction(above, below) if found and above > 0 else USUAL_RATE
 
     def pixels(self, buffer: Any, content: Any) -> Any:
-        """Return the content of a buffer as an array (row, col, channel).
+        """Return the frame in a buffer as an array (row, col, channel), without copying the data.
 
-        Raises a RecipeError if the buffer is too small.
+        If the buffer has video metadata, its stride and offset are used instead of the stride and offset of the caps. Raises
+        a RecipeError if the buffer is too small.
         """
         import numpy as np
 

@@ -33,8 +33,9 @@ def render(
 ) -> Any:  # fmt: skip
     """Render a clip of mosaics with a table.
 
-    If the exposure and the white are not set, they are measured on the first frame and used for the whole clip. Frames can
-    therefore be requested in any order and from any thread. The device renders one frame at a time.
+    An automatic exposure and a measured white are determined from the first frame, and used for the whole clip. Frames can
+    therefore be requested in any order and from any thread. Only one frame is rendered at a time. This function already
+    renders the first frame, so that errors are raised before the clip is played.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def render(
     exposure : float, optional
         Factor on Y. [default: automatic exposure]
     white : str, optional
-        White of the scene, as in `l3 render`. [default: measured on the first frame]
+        White of the scene, as in `l3 render`. [default: the white of the table]
     black_level, white_level : float, optional
         Levels in DN. [default: the levels of the table]
     phase : (int, int) or str, optional
@@ -61,7 +62,7 @@ def render(
         Renderer and OpenCL device, as in `l3 render`.
     temporal : bool, default False
         Whether to filter the frames over time, as with `l3 render --temporal`. The result does not depend on the order in
-        which frames are requested. For a frame out of order, up to 255 earlier frames are filtered first.
+        which frames are requested. If a frame is not requested in order, up to 255 earlier frames are filtered first.
 
     Returns
     -------
@@ -111,7 +112,10 @@ def render(
 
 
 def _require_mosaics(clip: Any) -> None:
-    """Raise an L3Error if the clip does not consist of frames of one size and format, with a grey plane of 8 to 16 bits."""
+    """Check that all frames of a clip have the same size and the same format: one grey plane of integers with 8 to 16 bits.
+
+    Raises an L3Error otherwise.
+    """
     form = clip.format
     if form is None or not clip.width:
         raise L3Error("the frames of the clip differ in format or size; use a clip with a constant format and size")
@@ -120,7 +124,7 @@ def _require_mosaics(clip: Any) -> None:
 
 
 def _colours(linear: bool) -> dict[str, int]:
-    """Return the properties of rendered frames, which state full-range sRGB, or linear RGB with the same primaries."""
+    """Return the colour properties of the rendered frames: full-range sRGB, or linear RGB with the primaries of sRGB."""
     transfer = vs.TRANSFER_LINEAR if linear else vs.TRANSFER_IEC_61966_2_1
     named = {"_Matrix": vs.MATRIX_RGB, "_Primaries": vs.PRIMARIES_BT709, "_Transfer": transfer, "_Range": vs.RANGE_FULL}
     return {name: int(value) for name, value in named.items()}

@@ -1,7 +1,8 @@
-"""Checkpoint of a rendering: a list of finished outputs and of their inputs, with which `--resume` continues a run.
+"""List of the finished outputs of a rendering and of their origins, with which `--resume` continues an interrupted run.
 
-A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same.
-Files are identified by size, times and inode. Computing SHA-256 digests would add about 10 % to the time of a rendering.
+A picture is finished if its file has not changed since the run wrote it, and if its frame and its settings are the same as
+in the earlier run. Files are compared by size, times and inode, because SHA-256 digests would add about 10 % to the
+rendering time.
 """
 
 import contextlib
@@ -36,7 +37,7 @@ class PictureCheckpoint(Checkpoint):
 
     def __init__(self, path: Path, key: str) -> None:
         super().__init__(path, key)
-        self._unseen: set[str] = set()  # pictures of the earlier run whose frames have not occurred in this run yet
+        self._unseen: set[str] = set()  # pictures of the earlier run whose frames this run has not reached yet
 
     @property
     def finished(self) -> Path:
@@ -44,12 +45,14 @@ class PictureCheckpoint(Checkpoint):
         return self.path.with_name(self.path.name.removesuffix(UNFINISHED) + FINISHED)
 
     def continue_run(self, output: Path, force: bool) -> None:
-        """Read the checkpoint of an earlier run, if there is one.
+        """Read the checkpoint of an earlier run.
+
+        If there is no checkpoint, or if it does not match and `force` is set, do nothing.
 
         Raises
         ------
         RecipeError
-            If the earlier run had another table, other options or inputs in another place, unless `force` is set.
+            If the earlier run had another table, other options, or inputs in another place, and `force` is not set.
         """
         earlier = self.path if self.path.is_file() else self.finished
         if earlier.is_file() and not self.take_over(earlier) and not force:
@@ -64,7 +67,10 @@ class PictureCheckpoint(Checkpoint):
         return file.name in self.items and dated(file) == self.items[file.name]["file"]
 
     def has(self, file: Path, origin: str) -> bool:
-        """Whether an output is finished and has the given origin. Return False if `origin` is "" (unknown)."""
+        """Whether an output is finished and has the given origin. Return False if `origin` is "" (unknown).
+
+        The output is then no longer listed in `abandoned`.
+        """
         self._unseen.discard(file.name)
         return bool(origin) and self.is_ours(file) and self.items[file.name]["origin"] == origin
 
@@ -74,9 +80,10 @@ class PictureCheckpoint(Checkpoint):
 
     @contextlib.contextmanager
     def kept(self) -> Iterator[None]:
-        """Write the checkpoint during the block.
+        """Context manager that writes the checkpoint file during the block, and renames it to `finished` afterwards.
 
-        If the block fails, the checkpoint file remains, unless no output was finished.
+        If the block fails, the file keeps its name, so that the run can be continued. If no output was finished by then, the
+        file is deleted.
         """
         refuse_protected(self.finished)
         self.begin()
@@ -104,23 +111,24 @@ def checkpoint_of(destination: Destination, key: str, resume: bool, force: bool)
 
 
 class FrameOrigins:
-    """Computes the origin of each picture: a digest of everything from which the picture is made.
+    """Computes the origin of each picture, which is a digest of the frames and settings from which the picture is made.
 
     Parameters
     ----------
     inputs : Path
-        File with all frames. Not used for frames that have files of their own.
+        The input. It is used for frames that do not have a separate file.
     settings : object
-        Further settings that influence all pictures, such as the estimated gain, as JSON data.
+        Settings that influence all pictures and are not part of the key of the run, such as the estimated gain, as JSON
+        data.
     follow : bool
-        Whether each picture depends on all previous frames.
+        Whether each picture depends on all previous frames. The origins must then be computed in the order of the frames.
     """
 
     def __init__(self, inputs: Path, settings: Any, follow: bool) -> None:
         self._inputs, self._before, self._follow = inputs, _digest(settings), follow
 
     def of(self, reference: FrameReference) -> FrameReference:
-        """Return the reference with its origin, unless the origin is known only after the frame is read.
+        """Return the reference of a frame with its origin. If its frame has no file, the reference is returned unchanged.
 
         Call this method before the frame is read, because the file could change during reading.
         """
@@ -128,13 +136,17 @@ class FrameOrigins:
         return self._with_origin(reference, fingerprint(source)) if source.is_file() else reference
 
     def of_read(self, reference: FrameReference, frame: RawFrame) -> FrameReference:
-        """Return the reference of a frame with its origin, after the frame was read."""
+        """Return the reference of a frame with its origin, after the frame was read.
+
+        Without a file, the pixels identify the frame.
+        """
         if reference.origin:
             return reference
         return self._with_origin(reference, hashlib.sha256(frame.values.tobytes()).hexdigest())
 
     def of_all(self, sequence: FrameSequence) -> str:
-        """Return the origin of a video or of a file with several pages, or "" if it depends on frames not read yet."""
+        """Return the origin of a video or of a file with several pages. For frames from a stream without a file,
+        return ""."""
         if not sequence.is_stream:
             return _digest([self.of(reference).origin for reference in sequence.frames] + [str(sequence.part)])
         if not self._inputs.is_file():

@@ -1,6 +1,6 @@
 """First phase of a rendering: it opens the table, finds the frames, and checks all options.
 
-All errors that do not depend on the content of a frame are raised here, before anything is written.
+Errors that do not depend on the content of a frame are raised here, before anything is written.
 """
 
 import itertools
@@ -87,7 +87,9 @@ class Job:
 def open_job(
     table_file: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions, guard: OutputGuard, is_clip: bool
 ) -> Job:
-    """Open the table, find the frames, and check all options, before any work is done.
+    """Open the table, find the frames, and check all options, before anything is written.
+
+    If `resume` is set, this function also reads the list of finished outputs of the earlier run.
 
     Parameters
     ----------
@@ -177,8 +179,8 @@ def stated_overrides(options: RenderOptions) -> RawOverrides:
 
 
 def _gains_in(path: Path) -> tuple[float, ...]:
-    """Read a text file of analog gains."""
-    gains, give = [], "name a text file that contains the gain of each frame, one per line"
+    """Read a text file that contains the analog gain of each frame, separated by blanks or line ends."""
+    gains, give = [], "use a text file that contains the gain of each frame, one per line"
     for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
         try:
             gains.append(float(GAIN.read(text)))
@@ -200,7 +202,7 @@ def has_display(destination: Destination, options: RenderOptions) -> bool:
 
 
 def _engine(options: RenderOptions) -> dict[str, str]:
-    """Return the options of the backend."""
+    """Return the options for the backend that the user has set. Raise RecipeError if the backend does not support them."""
     engine = {name: value for name, value in {"device": options.device, "variant": options.variant}.items() if value}
     if engine and options.backend != "opencl":
         raise RecipeError(
@@ -213,7 +215,8 @@ def _engine(options: RenderOptions) -> dict[str, str]:
 def _prepared_meanwhile(
     backend: str, engine: dict[str, str], suffix: str | None, scheduler: "Scheduler | None"
 ) -> BackgroundTask:
-    """Prepare the OpenCL device and the file writer for `suffix` in the background, while the block reads the table."""
+    """Context manager that prepares the OpenCL device and the writer for files with `suffix` in the background during its
+    block."""
 
     def work() -> None:
         if scheduler is None:
@@ -412,7 +415,10 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 
 
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
-    """Return the settings with which outputs become pictures. Warn if the white is far from the white of the training."""
+    """Return the settings with which outputs become pictures.
+
+    If the user has set a white, check it and send warnings to the console.
+    """
     if not has_display(destination, options):
         return outputs_as_they_are(table)
     require_xyz(table.outputs)
@@ -433,7 +439,8 @@ def _rendition(destination: Destination, white: str | None, table: TransformTabl
 
 
 def warn_of_white(name: str, white: SceneWhite, table: TransformTable, console: Console) -> None:
-    """Warn if a white is far from the training illuminant, or if the camera has no data for part of its spectrum."""
+    """Warn if a white is far from the training illuminants, or if the camera has no data for part of the illuminant's
+    spectrum."""
     if doubt := far_from_training(name, white, table):
         console.warn(doubt)
     if table.camera is not None and "," not in name:

@@ -169,7 +169,12 @@ def _timing(job: Job) -> tuple[VideoChoice, Pacing]:
 
 
 def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
-    """Return the temporal filters. They always run in this process, because they need all frames in order."""
+    """Return the temporal filters, which run in this process even if workers render the frames, because they need all frames
+    in order.
+
+    A single frame causes a warning. If workers render the frames and this machine has no OpenCL device, the filters run with
+    numpy.
+    """
     if job.sequence.count == 1:
         job.options.console.warn("‹temporal› has no effect on a single frame; render a sequence, or leave ‹temporal› out")
     try:
@@ -177,4 +182,4 @@ def _temporal_filters(job: Job, table: TransformTable) -> Chunks:
     except DeviceError:
         if job.scheduler is None:
             raise
-        return Chunks(filters("reference", table))  # this machine needs no device; results of all backends are equal
+        return Chunks(filters("reference", table))  # the filters of all backends give equal results

@@ -25,12 +25,12 @@ from l3cli.system.files import sha256
 
 @dataclass(frozen=True)
 class FrameTask:
-    """A frame and the results of the steps so far. Workers receive it as a pickle."""
+    """A frame and the results of the rendering steps so far. Tasks can be pickled, so that they can be sent to workers."""
 
     reference: FrameReference
     place: int  # position in the sequence, counted from 0
-    is_finished: bool = False  # whether the picture already exists or is not needed
-    is_counted: bool = True  # whether the frame is rendered; otherwise it is read only because other frames depend on it
+    is_finished: bool = False  # whether the frame need not be rendered, because its picture exists or is not wanted
+    is_counted: bool = True  # whether a picture of the frame is wanted; if not, other frames may still depend on it
     is_filtered: bool = False  # whether the temporal filter processes the frame
     frame: RawFrame | None = None  # None if a worker reads the frame, if the frame is not needed, or after an error
     digest: str = ""  # SHA-256 of the file if a worker reads the frame
@@ -109,7 +109,12 @@ class FrameReader:
         return self._checkpoint is not None and self._checkpoint.has(file, reference.origin)
 
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
-        """Return the task of a frame that a worker reads. The first frame is never among them: warnings depend on it."""
+        """Return the task of a frame that a worker reads, with the digest of its file.
+
+        If the file cannot be read, return the error.
+
+        The first frame is never left to a worker, because it is needed for warnings.
+        """
         assert task.reference.source is not None
         try:
             digest = sha256(task.reference.source)
@@ -118,7 +123,10 @@ class FrameReader:
         return replace(task, digest=digest, identity=file_identity(digest), scale=self._fixed_scale)
 
     def _measured(self, task: FrameTask) -> FrameTask | None:
-        """Read and measure a frame. Return None at the end of a stream."""
+        """Read a frame, measure its exposure and white, and determine its identity for the metadata.
+
+        Return None at the end of a stream. An error in the frame becomes part of the task.
+        """
         try:
             frame = self._sequence.frames.read(task.reference.number)
             if frame is None:
@@ -145,7 +153,10 @@ class FrameReader:
             yield replace(task, error=self._sequence.absent(numbers), lost=len(numbers), is_counted=True)
 
     def _require_shape(self, frame: RawFrame) -> None:
-        """Raise InputFileError if a frame of a video, or a page of a file, differs in size from the first frame."""
+        """Raise InputFileError if a frame of a video, or a page of a file, differs in size from the first frame.
+
+        Separate pictures may differ.
+        """
         shape = upright(frame.values, frame.orientation).shape
         self._shape = first = self._shape or shape
         if shape != first and not self._job.destination.one_by_one:

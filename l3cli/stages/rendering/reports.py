@@ -13,7 +13,7 @@ from l3cli.system.console import Console
 from l3cli.system.files import FilesUsed
 from l3cli.system.text import counted
 
-# What happens to the times of frames: they are evenly spaced; the video keeps uneven times; or uneven times are lost.
+# Values of Tally.frame_times: the frames are evenly spaced; the video keeps uneven times; or the uneven times are lost.
 EVEN, KEPT, LOST = "even", "kept", "lost"
 
 
@@ -30,7 +30,10 @@ class Tally:
     files: FilesUsed = field(default_factory=FilesUsed)
 
     def leave_out(self, error: L3Error, job: Job, count: int = 1) -> None:
-        """Report an error and count the frames that are left out because of it, or raise it unless `skip_bad` is set."""
+        """Report an error, and count the frames that are left out because of it.
+
+        If `skip_bad` is not set, raise the error instead.
+        """
         if not job.options.skip_bad:
             raise error
         self.failures += count
@@ -50,8 +53,8 @@ class Tally:
 class WhiteReport:
     """Reports the white of the frames.
 
-    The white of each still is reported. For a sequence, the white of the first frame is reported and, if the white has
-    changed, the white of the last frame.
+    The white of each still is reported. For a sequence, the white of the first frame and, if it has changed, the white of
+    the last frame are reported. The first white is also checked, and a warning is sent to the console if it is implausible.
     """
 
     def __init__(self, source: WhiteSource | None, stills: bool, console: Console) -> None:

@@ -1,7 +1,7 @@
 """Third phase of a rendering: all frames are read, rendered and written.
 
-The steps for a frame are: read, measure, filter in time, render, encode, write. The steps run in several threads. Between
-the threads there are short queues, so that memory does not grow with the number of frames.
+For each frame, these steps follow one another: read, measure, filter in time, render, encode, write. The steps run in
+several threads. The queues between the threads are short, so memory does not grow with the number of frames.
 """
 
 import contextlib
@@ -31,12 +31,14 @@ QUEUE_FRAMES = 3  # largest number of frames in the queue between two steps
 
 
 def run(job: Job, look: Look, renderers: Renderers) -> Tally:
-    """Render the frames of a job. If `resume` is set, finished pictures are not rendered again.
+    """Render the frames of a job, and report warnings at the end.
+
+    If `resume` is set, finished pictures are not rendered again.
 
     Raises
     ------
     InputFileError, L3Error
-        If a frame is damaged and `skip_bad` is not set, or if an output cannot be written.
+        If a frame is damaged and `skip_bad` is not set, if no frame can be read, or if an output cannot be written.
     """
     tally = Tally()
     if not _is_finished(job, look, tally):
@@ -65,7 +67,7 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Render all frames, and count them in the tally."""
+    """Render and write all frames, count them in the tally, and report warnings about them."""
     start = time.monotonic()
     sequence, options, console = look.sequence, job.options, job.options.console
     meter = FrameMeter(look.table, look.rendition, look.white_source, look.video.rate if job.in_order else None)
@@ -106,7 +108,6 @@ def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures,
 
 
 def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTask]:
-    """Yield the frames after the temporal filter."""
     for task in tasks:
         if task.is_filtered and task.frame is not None:
             yield replace(task, frame=temporal.filtered(task.place, task.frame))
