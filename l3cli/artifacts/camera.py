@@ -125,6 +125,58 @@ class Readout:
 
 
 @dataclass(frozen=True)
+class Polarisers:
+    """Linear polarisers in front of the pixels (docs/method.md#polarisers).
+
+    A channel without a polariser has a leakage of 1, so that it passes all light, and an angle of 0.
+    """
+
+    polariser_deg: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        unit="deg",
+        doc="angle of the transmission axis, counter-clockwise from the horizontal axis of the frame",
+    )
+    leakage: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        "wavelength",
+        doc="transmission across the axis, relative to the transmission along the axis; 0: ideal; 1: no polariser",
+    )
+
+    def __post_init__(self) -> None:
+        if not ((self.polariser_deg >= 0) & (self.polariser_deg < 180)).all():
+            raise ValueError("polariser_deg must be at least 0 and less than 180")
+        if not (self.leakage.size and self.leakage.min() >= 0 and self.leakage.max() <= 1):
+            raise ValueError("leakage, the inverse of the extinction ratio, must be between 0 and 1")
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Whether each channel has a polariser."""
+        return np.asarray((self.leakage < 1).any(axis=1))
+
+    @property
+    def extinction(self) -> NDArray[np.float64]:
+        """Ratio of the transmissions along and across the axis, (channel, wavelength). It is infinite if ideal."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / self.leakage)
+
+    @property
+    def stokes_response(self) -> NDArray[np.float64]:
+        """Transmission of S0, S1 and S2, relative to the transmission along the axis.
+
+        Returns
+        -------
+        ndarray, (channel, stokes, wavelength)
+            First row of the Mueller matrix of each polariser: ½ (1 + k), ½ (1 − k) cos 2θ and ½ (1 − k) sin 2θ, with the
+            leakage k and the angle θ. It is (1, 0, 0) without a polariser.
+        """
+        angle = 2 * np.radians(self.polariser_deg)[:, None]
+        modulation = 0.5 * (1.0 - self.leakage)
+        return np.stack([0.5 * (1.0 + self.leakage), modulation * np.cos(angle), modulation * np.sin(angle)], axis=1)
+
+
+@dataclass(frozen=True)
 class Noise:
     """Noise of the sensor, referred to the photodiode (docs/method.md#sensor)."""
 
@@ -303,6 +355,9 @@ class CameraModel(Artifact):
         Exposure time and gain of each channel. None if they are the same for all channels.
     gains : AnalogGains or None
         Read noise at other analog gains. None if the read noise is assumed to be the same at all gains.
+    polarisers : Polarisers or None
+        Polarisers in front of the pixels. `responsivity` is then the responsivity to light that is polarised along the
+        transmission axis. None if no channel has a polariser.
     noise_left : float
         Fraction of the temporal noise variance that remains after a temporal filter. `under` sets it. It is not stored.
     """
@@ -345,6 +400,7 @@ class CameraModel(Artifact):
     flat_field: FlatField | None = group(default=None)
     readout: Readout | None = group(default=None)
     gains: AnalogGains | None = group(default=None)
+    polarisers: Polarisers | None = group(default=None)
     noise_left: float = 1.0
 
     def __post_init__(self) -> None:
@@ -431,11 +487,38 @@ class CameraModel(Artifact):
         return np.ones(len(self.channels)) if self.readout is None else self.readout.channel_gain
 
     @property
+    def stokes_response(self) -> NDArray[np.float64]:
+        """Response of each channel to S0, S1 and S2, relative to its responsivity: (channel, stokes, wavelength).
+
+        Without polarisers, it is (1, 0, 0).
+        """
+        if self.polarisers is not None:
+            return self.polarisers.stokes_response
+        response = np.zeros((len(self.channels), 3, self.wavelength.size))
+        response[:, 0] = 1.0
+        return response
+
+    @property
     def electron_weights(self) -> NDArray[np.float64]:
         """Matrix that converts radiance to photo-electrons per second of exposure, with the shape (channel, wavelength).
 
-        The radiance is in photons/s/sr/m²/nm (docs/method.md#sensor).
+        The radiance is in photons/s/sr/m²/nm (docs/method.md#sensor). The light is not polarised.
         """
+        weights = self._axis_weights
+        return weights if self.polarisers is None else weights * self.stokes_response[:, 0]
+
+    @property
+    def stokes_weights(self) -> NDArray[np.float64]:
+        """Matrices that convert S0, S1 and S2 to photo-electrons per second of exposure: (stokes, channel, wavelength).
+
+        The Stokes parameters are radiances in photons/s/sr/m²/nm, and the photo-electrons are the sum over all three.
+        The first matrix is `electron_weights`.
+        """
+        return np.moveaxis(self._axis_weights[:, None] * self.stokes_response, 1, 0)
+
+    @property
+    def _axis_weights(self) -> NDArray[np.float64]:
+        """Photo-electrons per second of exposure for light that is polarised along the axis of the polariser, if any."""
         photons = self.optics.irradiance_per_radiance * self.pixel_pitch**2 * spectra.bin_widths(self.wavelength)
         if self.readout is not None:
             return self.responsivity * photons * self.readout.channel_exposure[:, None]

@@ -19,6 +19,7 @@ from l3cli.artifacts.camera import (
     CameraModel,
     Noise,
     Optics,
+    Polarisers,
     Readout,
     check_sensor,
 )
@@ -26,11 +27,12 @@ from l3cli.artifacts.camera_curves import ResponsivityRecipe, curve_faults, curv
 from l3cli.artifacts.recipe_source import RecipeSource
 from l3cli.artifacts.schema import Spec, declared
 from l3cli.artifacts.store import load
-from l3cli.errors import RecipeError, raised_as, suggestion
+from l3cli.errors import InputFileError, RecipeError, raised_as, suggestion
 from l3cli.recipes.builtin import known_recipes
 from l3cli.recipes.faults import Fault, fault, refuse_first
 from l3cli.recipes.load import load_recipe, parse_recipe
 from l3cli.recipes.toml import Count, CountOrNone, NotNegative, Positive, Recipe, Seed, parse_toml, read_text
+from l3cli.spectra.file import read_table
 from l3cli.spectra.table import CurveTable
 
 UNIT_SUFFIXES = {"1": "", "e-": "_e", "e-/s": "_e_per_s"}  # suffix of a key, by the unit of its value
@@ -44,7 +46,7 @@ ReadNoise = Annotated[float, msgspec.Meta(ge=0, le=MAX_READ_NOISE_E)]
 
 
 class ChannelRecipe(Recipe):
-    """Readout of a channel whose exposure, gain or read noise differs from the defaults."""
+    """A channel with a polariser, or whose exposure, gain or read noise differs from the defaults."""
 
     like: str | None = None  # name of a channel with the same filter and therefore the same responsivity
     # exposure time, relative to the exposure time of the frame, which is the longest
@@ -52,6 +54,17 @@ class ChannelRecipe(Recipe):
     # conversion gain, relative to sensor.gain_dn_per_e, which is the lowest gain
     gain: Annotated[float, msgspec.Meta(ge=1, le=MAX_GAIN)] = 1.0
     read_noise_e: ReadNoise | None = None  # read noise at the gain of the channel; default: noise.read_noise_e
+    # angle of the transmission axis of the polariser, counter-clockwise from the horizontal axis of the frame; default: no
+    # polariser. The responsivity is then the responsivity to light that is polarised along this axis.
+    polariser_deg: Annotated[float, msgspec.Meta(ge=0, lt=180)] | None = None
+    # transmission of the polariser along its axis, divided by the transmission across: a number, or a CSV file with the
+    # wavelength in nm and the ratio; default: the polariser is ideal
+    extinction: Annotated[float, msgspec.Meta(ge=1)] | str | None = None
+
+    @property
+    def read_out_differently(self) -> bool:
+        """Whether the exposure, the gain or the read noise differs from the defaults."""
+        return (self.exposure, self.gain, self.read_noise_e) != (1.0, 1.0, None)
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
@@ -59,6 +72,9 @@ def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
+        if one.extinction is not None and one.polariser_deg is None:
+            message = f"channel.{name}.extinction has no effect without a polariser; set channel.{name}.polariser_deg"
+            yield fault(message, ("channel", name, "extinction"))
         if one.like is None:
             continue
         like = ("channel", name, "like")
@@ -109,11 +125,13 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout of a recipe without `channel_faults`, or None if the recipe has no [channel.NAME].
+    """Return the readout of a recipe without `channel_faults`.
 
-    `read_noise`, in e-, applies to channels without a `read_noise_e`.
+    The result is None if the recipe has no [channel.NAME], or if these sections only describe polarisers. `read_noise`, in
+    e-, applies to channels without a `read_noise_e`.
     """
-    if not channel:
+    polarised = any(one.polariser_deg is not None for one in channel.values())
+    if not channel or (polarised and not any(one.read_out_differently for one in channel.values())):
         return None
     each = [channel.get(name, ChannelRecipe()) for name in channels]
     return Readout(
@@ -122,6 +140,52 @@ def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], re
         channel_read_noise=np.array([read_noise if one.read_noise_e is None else one.read_noise_e for one in each]),
         same_filter=np.array([channels.index(name) for name in filters_of(channel, channels)]),
     )
+
+
+def polarisers_of(
+    channel: Mapping[str, ChannelRecipe], channels: Sequence[str], wavelength: NDArray[np.float64], folder: Path
+) -> Polarisers | None:
+    """Return the polarisers that a recipe describes, or None if it describes none.
+
+    Parameters
+    ----------
+    channel : mapping of str to ChannelRecipe
+        Sections [channel.NAME] without `channel_faults`.
+    channels : sequence of str
+        Names of all channels.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths of the camera in nm.
+    folder : Path
+        Folder of the recipe, to which file names are relative.
+
+    Raises
+    ------
+    InputFileError
+        If a file of extinction ratios is missing, contains several curves, or contains ratios below 1.
+    """
+    each = [channel.get(name, ChannelRecipe()) for name in channels]
+    if all(one.polariser_deg is None for one in each):
+        return None
+    return Polarisers(
+        polariser_deg=np.array([one.polariser_deg or 0.0 for one in each]),
+        leakage=np.array([_leakage(one, wavelength, folder) for one in each]),
+    )
+
+
+def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
+    """Return the inverse of the extinction ratio at each wavelength. It is 1 without a polariser."""
+    if one.polariser_deg is None:
+        return np.ones_like(wavelength)
+    if not isinstance(one.extinction, str):
+        return np.full(wavelength.shape, 0.0 if one.extinction is None else 1.0 / one.extinction)
+    path = folder / one.extinction
+    table = read_table(path).counted(1)
+    if table.values.min() < 1:
+        raise InputFileError(
+            f"{path} contains the extinction ratio {table.values.min():g}, but the smallest possible ratio is 1; write the "
+            "transmission along the axis divided by the transmission across"
+        )
+    return np.asarray(1.0 / np.interp(wavelength, table.wavelength, table.values[0]))
 
 
 class SensorRecipe(Recipe):
@@ -253,7 +317,7 @@ class CameraRecipe(Recipe):
     responsivity: ResponsivityRecipe
     noise: NoiseRecipe
     optics: OpticsRecipe
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a different readout
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # channels with a polariser or other readout
     gain: GainRecipe | None = None  # additional analog gains of the whole sensor
 
 
@@ -275,12 +339,13 @@ def load_camera(path: Path) -> CameraModel:
 
 
 def camera_files(path: Path) -> list[Path]:
-    """Return the files that `load_camera` reads: the file itself and, for recipes, the base and the file of curves."""
+    """Return the files that `load_camera` reads: the file itself and, for recipes, the base and the files of curves."""
     if path.suffix != ".toml":
         return [path]
     recipe, whole = read_recipe(path)
-    named = recipe.responsivity.file
-    return list(dict.fromkeys([path, whole, *([] if named is None else [whole.parent / named])]))
+    curves = [one.extinction for one in recipe.channel.values() if isinstance(one.extinction, str)]
+    named = [*([] if recipe.responsivity.file is None else [recipe.responsivity.file]), *curves]
+    return list(dict.fromkeys([path, whole, *(whole.parent / name for name in named)]))
 
 
 def curves_in_file(path: Path) -> CurveTable | None:
@@ -378,6 +443,7 @@ def camera_from_recipe(recipe: CameraRecipe, path: Path) -> CameraModel:
             optics=optics_of(recipe.optics),
             readout=readout_of(recipe.channel, recipe.cfa.channels, noise.read_noise_e),
             gains=gains_of(recipe.gain, noise.read_noise_e),
+            polarisers=polarisers_of(recipe.channel, recipe.cfa.channels, wavelength, path.parent),
         )
 
 
@@ -497,8 +563,12 @@ def parse_cfa(cfa: CfaRecipe, name: str) -> NDArray[np.uint8]:
 
 
 def known_arrays() -> dict[str, CfaRecipe]:
-    """Return the colour filter arrays of the camera recipes that l3 includes, by the name of the recipe."""
+    """Return the colour filter arrays of the camera recipes that l3 includes, by the name of the recipe.
+
+    Arrays of polarisers come last, because the mean signals of a frame do not distinguish them from colour filters.
+    """
     found = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in known_recipes("cameras").items()}
+    found = dict(sorted(found.items(), key=lambda each: "polariser_deg" in str(each[1].get("channel"))))
     arrays = {name: recipe.get("cfa", {}) for name, recipe in found.items()}
     return {name: CfaRecipe(**cfa) for name, cfa in arrays.items() if {"channels", "pattern"} <= cfa.keys()}
 
@@ -527,3 +597,6 @@ def camera_recipe_faults(recipe: CameraRecipe | PhaseRecipe, source: RecipeSourc
         work = (responsivity, declared, recipe.cfa.channels, source.path.parent)
         if not any(each.keys[0][0] in ("responsivity", "cfa") for each in wrong):
             yield from source.attempt(("responsivity", "file"), *work)
+    for name, one in recipe.channel.items():
+        if isinstance(one.extinction, str) and one.polariser_deg is not None:
+            yield from source.attempt(("channel", name, "extinction"), _leakage, one, np.zeros(1), source.path.parent)

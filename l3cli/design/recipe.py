@@ -340,7 +340,7 @@ def pixel_camera(path: Path) -> tuple[CameraModel, list[Path]]:
         The files that were read.
     """
     if not is_design(path):
-        return dataclasses.replace(load_camera(path), readout=None), camera_files(path)
+        return dataclasses.replace(load_camera(path), readout=None, polarisers=None), camera_files(path)
     pixel = load_recipe(path, DesignRecipe).pixel
     return pixel_of(pixel, path.parent), [path, *camera_files(base_camera(pixel, path.parent))]
 
@@ -373,7 +373,9 @@ def pixel_of(pixel: PixelRecipe, folder: Path) -> CameraModel:
     if pixel.f_number is not None:
         optics = dataclasses.replace(optics, f_number=pixel.f_number)
     pitch = base.pixel_pitch if pixel.pitch_um is None else pixel.pitch_um * 1e-6
-    return dataclasses.replace(base, noise=noise, gain=gain, optics=optics, pixel_pitch=pitch, readout=None, fit=None)
+    return dataclasses.replace(
+        base, noise=noise, gain=gain, optics=optics, pixel_pitch=pitch, readout=None, polarisers=None, fit=None
+    )
 
 
 def camera_texts(camera: CameraModel, origin: str) -> dict[str, str]:

@@ -219,6 +219,13 @@ def curves_of(starter: Path) -> Path | None:
     return None if named is None else starter.parent / named
 
 
+def _extinctions(camera: Path) -> list[Path]:
+    """Return the files with extinction ratios that a camera recipe uses, each once."""
+    recipe = tomllib.loads((_base(camera) or camera).read_text(encoding="utf-8"))
+    named = [one.get("extinction") for one in recipe.get("channel", {}).values()]
+    return list(dict.fromkeys(camera.parent / name for name in named if isinstance(name, str)))
+
+
 def _named(camera: Path) -> list[Path]:
-    """Return the files that a camera recipe refers to: the recipe on which it is based, and its responsivities."""
-    return [path for path in (_base(camera), curves_of(camera)) if path is not None]
+    """Return the files that a camera recipe refers to: the recipe on which it is based, and its curves."""
+    return [path for path in (_base(camera), curves_of(camera), *_extinctions(camera)) if path is not None]
