@@ -35,7 +35,7 @@ Paths = Given[Name | Sequence[Name], tuple[Path, ...]]
 
 @options
 class CalibrateOptions(ForceOptions, JobsOptions):
-    """Options of a calibration."""
+    """Options of a calibration from a measurement file or from photos."""
 
     photos: Paths = option(
         (),
@@ -61,7 +61,7 @@ class CalibrateOptions(ForceOptions, JobsOptions):
 
 @options
 class DraftOptions(CalibrateOptions):
-    """Options of l3 calibrate, including the options for drafting a measurement file."""
+    """Options of l3 calibrate. They also include the options for drafting a measurement file."""
 
     draft: OnePath = option(
         None, "Do not calibrate: write a measurement file for the captures or tables in FOLDER.", metavar="FOLDER"
@@ -95,7 +95,10 @@ class SimulateOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 
 class Shares(Reader):
-    """Proportions such as 1,0.7,0.4. At least one proportion must be above zero."""
+    """Proportions of several training sets, such as "1,0.7,0.4" or a sequence of numbers.
+
+    At least one proportion must be above zero.
+    """
 
     number = Number(0, 1e6)
 
@@ -118,7 +121,7 @@ class Shares(Reader):
 
 @options
 class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
-    """Options of training in a single process."""
+    """Options for training a table in one run."""
 
     classes: OnePath = option(
         None,
@@ -141,7 +144,7 @@ class TrainOptions(ForceOptions, WorkerOptions, SeedOptions):
 
 @options
 class ShardOptions(TrainOptions):
-    """Options of l3 train, including the options for training in shards."""
+    """Options of l3 train. They also include the options for training in shards."""
 
     shard: Given[PAIR | str | None, PAIR | None] = option(
         None, "Compute only the partial sums of shard I of N (from 1), for ‹merge›.", Shard(), metavar="I/N", bytes=False
@@ -154,7 +157,7 @@ class ShardOptions(TrainOptions):
 
 @options
 class EvaluateOptions(ForceOptions, BackendOptions):
-    """Options for evaluating a table."""
+    """Options for evaluating a table on a training set."""
 
     viewing: float = option(
         50.0, "Pixels per degree of visual angle, for S-CIELAB.", Number(2, 1000, "samples/degree"), metavar="2…1000"
@@ -184,7 +187,7 @@ class EvaluateOptions(ForceOptions, BackendOptions):
 
 @options
 class SequenceOptions(EvaluateOptions):
-    """Options of l3 evaluate, including the options for evaluating a sequence."""
+    """Options of l3 evaluate. They also include the options for evaluating a sequence."""
 
     sequence: OnePath = option(
         None,
@@ -199,9 +202,9 @@ class SequenceOptions(EvaluateOptions):
 
 
 class Brightness(Reader):
-    """An illuminance or luminance with its unit. It is stored as the luminance of a perfect white in cd/m².
+    """An illuminance or luminance with its unit, such as "5 lux". It is stored as the luminance of a perfect white in cd/m².
 
-    A number without a unit, which is possible only in Python, is a luminance in cd/m².
+    In Python, a number without a unit is also permitted. It is a luminance in cd/m².
     """
 
     number = Number(1e-9, 1e9)
@@ -304,7 +307,7 @@ class LabOptions(ForceOptions, JobsOptions, SeedOptions):
 
 @options
 class PartsOptions(ForceOptions, JobsOptions):
-    """Option for continuing an earlier run."""
+    """Options of commands that can continue an interrupted run."""
 
     resume: bool = option(
         False, "Continue an interrupted run with the finished parts in OUTPUT.parts.", bytes=False, shared=True

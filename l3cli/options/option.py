@@ -1,8 +1,9 @@
 """Declaration of options, and the options that several commands share.
 
-An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. The command-line
-option (cli/options.py), the keyword of the Python function (api/stages.py) and the contribution of the option to the key of
-a run are derived from this declaration. Every command imports this module first, so it must not import slow modules.
+An option is declared once, as a field of a frozen dataclass with a reader, a default and a help text. From this declaration,
+l3 derives the command-line option (cli/options.py), the keyword of the Python function (api/stages.py), and the contribution
+of the option to the key with which `--resume` recognises a run. Every command imports this module first, so it must not
+import slow modules.
 """
 
 import hashlib
@@ -23,33 +24,39 @@ from l3cli.system.text import LARGEST_WHOLE, Quantity
 
 Name = str | PathLike[str]
 TypeGiven = TypeVar("TypeGiven", contravariant=True)
-TypeHeld = TypeVar("TypeHeld", covariant=True)
+TypeStored = TypeVar("TypeStored", covariant=True)
 T = TypeVar("T")
 
 
-class Given(Generic[TypeGiven, TypeHeld]):
-    """Annotation of a field that accepts one type and stores another, such as Given[Name | None, Path | None]."""
+class Given(Generic[TypeGiven, TypeStored]):
+    """Annotation of a field that accepts one type and stores another type.
 
-    if TYPE_CHECKING:  # only type checkers see these methods; at run time a field is a plain attribute
+    For example, a field with the annotation Given[Name | None, Path | None] accepts a string or a path, and stores a path.
+    """
 
-        def __get__(self, options: object, owner: object) -> TypeHeld: ...
+    if TYPE_CHECKING:  # these methods exist only for type checkers; at run time, a field is an ordinary attribute
+
+        def __get__(self, options: object, owner: object) -> TypeStored: ...
         def __set__(self, options: object, value: TypeGiven) -> None: ...
 
 
 class Reader:
-    """Converts the value of an option, from the command line or from Python, to the type that is stored."""
+    """Base class of the objects that check the value of an option and convert it to the type that is stored.
+
+    Values come from the command line as text, and from Python as any type.
+    """
 
     def read(self, given: Any) -> Any:
-        """Return the value to store. Raises ValueError, with advice, if `given` is invalid."""
+        """Return the value to store. Raises ValueError if `given` is invalid. The message says how to correct the value."""
         raise NotImplementedError
 
-    def written(self, held: Any) -> Any:
+    def written(self, stored: Any) -> Any:
         """Convert a stored value to a JSON type."""
-        return str(held) if isinstance(held, Fraction | Path | range) else held
+        return str(stored) if isinstance(stored, Fraction | Path | range) else stored
 
 
 class Flag(Reader):
-    """A flag, on or off."""
+    """A flag, which is on (True) or off (False)."""
 
     def read(self, given: Any) -> bool:
         return bool(given)
@@ -65,7 +72,10 @@ class Text(Reader):
 
 
 class File(Reader):
-    """Path of an input file. It is checked when l3 opens the file, because the message is then more specific."""
+    """Path of an input file.
+
+    The file is checked only when l3 opens it, because the error message can then be more specific.
+    """
 
     def read(self, given: Any) -> Path:
         return Path(given)
@@ -77,7 +87,7 @@ class Output(File):
 
 @dataclass(frozen=True)
 class Recipe(File):
-    """A recipe file, or the name of an included recipe in the folder `kind` of configs/."""
+    """A recipe file, or the name of a recipe that comes with l3 in the folder `kind` of configs/."""
 
     kind: str
 
@@ -88,7 +98,7 @@ class Recipe(File):
 
 
 class Choice(Reader):
-    """One of several permitted values."""
+    """One of several permitted values. A value can also be written as text."""
 
     def __init__(self, *values: Any) -> None:
         self.values = values
@@ -121,10 +131,11 @@ class Declaration:
     flag: str | None = None  # name on the command line, if it differs from the name of the field
     several: bool = False  # whether the option may be repeated
     bytes: bool = True  # whether the bytes of outputs depend on the option
-    shared: bool = False  # whether other commands have the option too; --help lists shared options last
+    shared: bool = False  # whether several commands have the option; --help lists such options last
 
-    def held(self, given: Any) -> Any:
-        """Return the value to store. If `given` is None, the result is the default."""
+    def stored(self, given: Any) -> Any:
+        """Return the value to store. If `given` is None, this is the default. If the option may be repeated, it is
+        a tuple."""
         given = self.default if given is None else given
         if given is None:
             return None
@@ -136,14 +147,25 @@ class Declaration:
 def option(default: Any, help: str, reader: Reader | None = None, **about: Any) -> Any:
     """Return a dataclass field that declares an option.
 
-    If `reader` is None, the type of the field determines the reader. `about` are the other attributes of Declaration. An
-    option that is off by default should have the default None. Other defaults, even 0, enter the key that identifies a run.
+    An option that is off by default should have the default None. All other defaults, even 0, become part of the key of a
+    run.
+
+    Parameters
+    ----------
+    default : Any
+        Default value, as a user would write it.
+    help : str
+        Help text for the command line and for the docstring.
+    reader : Reader, optional
+        Checks and converts the value. [default: determined by the type of the field]
+    **about
+        Other attributes of Declaration.
     """
     return field(default=default, metadata={"option": (help, reader, about)})
 
 
 def declarations(cls: "type[Options]") -> dict[str, Declaration]:
-    """Return the declarations of a class by name, with shared options last."""
+    """Return the declarations of the options of a command by name. Options that several commands have come last."""
     declared = {}
     for each in fields(cls):
         if "option" in each.metadata:
@@ -165,9 +187,9 @@ def _reader_of(type: Any) -> Reader:
 
 @dataclass_transform(kw_only_default=True)
 def options(cls: type[T]) -> type[T]:
-    """Class decorator that turns options into a frozen dataclass.
+    """Class decorator that turns a class of options into a frozen dataclass with keyword arguments.
 
-    Type checkers do not see that the class is frozen, because mypy would then lose the stored types of inherited fields.
+    The class is not declared as frozen for type checkers, because mypy would then lose the stored types of inherited fields.
     """
     return dataclass(frozen=True, kw_only=True)(cls)
 
@@ -178,7 +200,11 @@ _SILENT = Silent()
 
 @options
 class Options:
-    """Base class of the options of a command. The constructor raises RecipeError if a value is invalid."""
+    """Base class of the options of a command.
+
+    The constructor checks and converts all values. It raises RecipeError if a value is invalid. Without a console, messages
+    are discarded.
+    """
 
     console: Given[Console | None, Console] = _NOT_GIVEN  # on the command line, set by --quiet, --log and --json
 
@@ -186,7 +212,7 @@ class Options:
         object.__setattr__(self, "console", self.console or _SILENT)
         for name, declared in declarations(type(self)).items():
             try:
-                object.__setattr__(self, name, declared.held(getattr(self, name)))
+                object.__setattr__(self, name, declared.stored(getattr(self, name)))
             except ValueError as error:
                 raise RecipeError(f"‹{declared.flag or name}›: {error}") from None
 
@@ -196,27 +222,30 @@ class Options:
         Input files are also left out, because `run_key` identifies them by their bytes.
         """
         declared = declarations(type(self)).items()
-        held = {name: (each, getattr(self, name)) for name, each in declared if each.bytes and not _is_file(each)}
-        return {name: each.reader.written(value) for name, (each, value) in held.items() if _is_chosen(value)}
+        stored = {name: (each, getattr(self, name)) for name, each in declared if each.bytes and not _is_file(each)}
+        return {name: each.reader.written(value) for name, (each, value) in stored.items() if _is_chosen(value)}
 
     def inputs(self, all: bool = True) -> dict[str, tuple[Path, ...]]:
-        """Return the input files among the options, by name. If `all` is False, only files that affect outputs."""
+        """Return the input files among the options, by name. If `all` is False, return only the files that affect
+        outputs."""
         read = {
             name: getattr(self, name)
             for name, each in declarations(type(self)).items()
             if _is_file(each) and not isinstance(each.reader, Output) and (all or each.bytes)
         }
-        return {name: held if isinstance(held, tuple) else (held,) for name, held in read.items() if held}
+        return {name: stored if isinstance(stored, tuple) else (stored,) for name, stored in read.items() if stored}
 
     def run_key(self, *facts: Any, files: Callable[[Path], Iterable[Path]] | None = None) -> str:
-        """Return a digest of everything that affects the bytes of the outputs of a run.
+        """Return a digest of everything that affects the bytes of the outputs of a run: version of l3, options, input files
+        and `facts`.
 
         Parameters
         ----------
         *facts
-            Facts about the inputs, as JSON types.
+            Facts about the other inputs of the run, as JSON types.
         files : callable, optional
-            Returns the files to which the path in an option refers. [default: the files of a sequence of frames]
+            Function that returns the files to which the path in an option refers. [default: the files of a sequence of
+            frames]
         """
         from l3cli.io.sequences import frame_files
 
@@ -243,7 +272,7 @@ OnePath = Given[Name | None, Path | None]
 
 
 class Pair(Reader):
-    """Two whole numbers with a separator, such as ROW,COL."""
+    """Two whole numbers with a separator, such as "2,0" for ROW,COL, or a tuple of two numbers."""
 
     def __init__(self, shape: str, separator: str, number: Number) -> None:
         self._shape, self._separator, self._number = shape, separator, number
@@ -264,7 +293,7 @@ SITE = Pair("ROW,COL", ",", Number(0, 65535, "rows or columns", whole=True))
 
 
 class Shard(Pair):
-    """I/N, which is shard I of the N shards of a run."""
+    """A shard I/N, which is part I of N parts of a run. I is counted from 1."""
 
     def __init__(self) -> None:
         super().__init__("I/N, such as 1/4", "/", Number(0, 1_000_000, "shards", whole=True))
@@ -310,7 +339,7 @@ class SeedOptions(Options):
 
 @options
 class SchedulerOptions(Options):
-    """Options for workers on other machines."""
+    """Options for workers on other machines. The options for TLS are permitted only with a scheduler."""
 
     scheduler: str | None = option(
         None, "Run on the workers of this dask scheduler (tcp://HOST:PORT).", metavar="ADDRESS", bytes=False, shared=True
@@ -333,7 +362,8 @@ class SchedulerOptions(Options):
             raise RecipeError("‹tls_ca›, ‹tls_cert› and ‹tls_key› need ‹scheduler›; set ‹scheduler› to its tls:// address")
 
     def cluster(self) -> "Scheduler | None":
-        """Return the scheduler, or None if no address is set. Raises the same errors as Scheduler."""
+        """Return the scheduler, or None if no address is set. Raises an error if the address or a TLS file cannot
+        be used."""
         if self.scheduler is None:
             return None
         from l3cli.parallel.cluster import Scheduler
@@ -350,7 +380,7 @@ class JobsOptions(Options):
 
 @options
 class WorkerOptions(JobsOptions, SchedulerOptions):
-    """Options for processes on this machine or on others."""
+    """Options for processes on this machine or on other machines. The two cannot be combined."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -41,7 +41,8 @@ class Exposure(NamedTuple):
 
 
 class ExposureReader(Reader):
-    """A factor of Y, "auto", EV relative to "auto" (such as "+1EV"), or "camera" for the exposure that each file states."""
+    """Exposure of pictures: a factor of Y, "auto", EV relative to "auto" (such as "+1EV"), or "camera" for the exposure in
+    each file."""
 
     factor, stops = Number(1e-9, 1e9, "times Y"), Number(-20, 20, "EV")
 
@@ -59,13 +60,13 @@ class ExposureReader(Reader):
             factor = self.factor.read(text)
         except ValueError as error:
             raise ValueError(f"{error}, auto, camera, or EV relative to auto such as -1EV") from None
-        if text.startswith("+"):  # a factor has no sign, so EV may be meant
+        if text.startswith("+"):  # factors are written without a sign, so the user may have meant EV
             raise ValueError(f"{text} is ambiguous; write {text[1:]} (factor of Y) or {text}EV (brighter than auto)")
         return Exposure(factor)
 
 
 class FrameRange(Reader):
-    """A range of frame numbers, FROM-TO[xSTEP]."""
+    """A range of frame numbers in the form FROM-TO[xSTEP], such as "1-500x2". A single number selects one frame."""
 
     # Frame numbers may be timestamps in µs.
     number, step = Number(0, 10**18 - 1, whole=True), Number(1, 10**18 - 1, "frames", whole=True)
@@ -114,7 +115,7 @@ PIXELS = Number(1, 1_000_000, "pixels", whole=True)
 
 @options
 class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOptions):
-    """Options of l3 render."""
+    """Options of l3 render. Only one of `gain` and `gains` may be set."""
 
     format: str = option(
         "png",

@@ -1,4 +1,7 @@
-"""Rendering of several clips in one call. Clips are rendered separately, and an error in a clip does not stop the rest."""
+"""Rendering of several clips with one command.
+
+Each clip is rendered separately, and an error in a clip does not stop the others.
+"""
 
 import contextlib
 import functools
@@ -65,7 +68,8 @@ def are_clips(inputs: Sequence[Path], table: Path, options: RenderOptions, outpu
 
 
 def _is_stack(path: Path, sensor: Callable[[], TransformTable], known: RawOverrides) -> bool:
-    """Whether a file contains several frames. Errors in the file are reported later, when the file is rendered."""
+    """Whether a file contains several frames. Return False if the file cannot be read, because the error is
+    reported later."""
     with contextlib.suppress(L3Error, OSError):
         return path.is_file() and holds_several(path, sensor, known)
     return False
@@ -128,7 +132,7 @@ class Summary:
 
 
 def render_one(table: Path, inputs: tuple[Path, ...], output: Path, options: RenderOptions) -> Summary:
-    """Render one clip, or several files with one frame each. Errors are the same as in `render`."""
+    """Render one clip, or several files with one frame each, and return the outcome. Errors are raised, as in `render`."""
     gathering, summary = Gathering(options.console, MAX_WARNINGS), Summary()
     tally = render(table, inputs, output, replace(options, console=gathering))
     name = str(inputs[0]) if len(inputs) == 1 else f"{inputs[0]} and {len(inputs) - 1} more"
@@ -206,11 +210,11 @@ def _output_of(source: Path, folder: Path, table: TransformTable, options: Rende
     name = name_of(source)
     if is_video(Path(f"clip.{options.format}")) or is_still(source, table, stated_overrides(options)):
         return folder / f"{name}.{options.format}"
-    return folder / name.replace(".", "_")  # because l3 would take a name with a suffix for a file
+    return folder / name.replace(".", "_")  # because l3 would treat a name with a suffix as a file
 
 
 def _refuse_output(output: Path, options: RenderOptions) -> None:
-    """Raise L3Error if an output exists, unless the options permit to continue or to replace it."""
+    """Raise L3Error if a clip's output exists, unless the options permit continuing or replacing it."""
     if options.resume or options.force:
         return
     (refuse_existing if output.suffix else refuse_filled_folder)(output, force=False)
@@ -222,7 +226,8 @@ def _render_clip(
 ) -> None:  # fmt: skip
     """Render a clip and add its outcome to the summary.
 
-    An error is raised only if it concerns all clips: if the device cannot be used or the disk is full.
+    Most errors are reported and become part of the summary. An error is raised only if it concerns all clips, that is, if
+    the device cannot be used or the disk is full.
     """
     output, gathering = folder / name_of(source), Gathering(options.console, MAX_WARNINGS)
     try:

@@ -1,4 +1,4 @@
-"""Removal of lamp flicker: it corrects the exposure of each frame."""
+"""Removal of lamp flicker from a sequence, by a correction of the exposure of each frame."""
 
 import math
 from collections import Counter, deque
@@ -11,7 +11,7 @@ from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
 from l3cli.stages.rendering.reading import FrameTask
 
-SMALLEST_REPORTED = 0.0005  # RMS of the natural logarithm of the brightness; weaker flicker is not reported
+SMALLEST_REPORTED = 0.0005  # RMS of the natural logarithm of the correction factors; weaker flicker is not reported
 
 
 @dataclass
@@ -20,7 +20,9 @@ class FlickerReport:
 
     frames: int = 0  # number of frames
     squares: float = 0.0  # sum of squares of the logarithms of the correction factors
-    mains: Counter[int | None] = field(default_factory=Counter)  # mains frequency in Hz → number of frames with its flicker
+    mains: Counter[int | None] = field(
+        default_factory=Counter
+    )  # mains frequency in Hz (None: no flicker) → number of frames
 
     def line(self) -> str:
         """Return the report as one line of text."""
@@ -37,7 +39,8 @@ def deflickered(
     """Yield the frames, each with an exposure scale that removes the flicker.
 
     The flicker in a frame is fitted to the brightness of LOOKAHEAD frames before and after the frame. A frame is therefore
-    yielded only after the following frames have been read.
+    yielded only after the following frames have been read. Frames that were not read, for example because of an error, are
+    yielded unchanged.
     """
     rate, unit = look.video.rate, job.sequence.unit
     window: deque[tuple[float, float]] = deque()  # time in frames, and brightness ratio, of the frames around the next frame

@@ -1,7 +1,7 @@
-"""The step from a measured frame to its finished picture, in this process or on workers on other machines.
+"""Rendering of measured frames to finished pictures, in this process or on workers on other machines.
 
-Both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If the frame need not be measured, the
-worker reads the raw file, too.
+Both use `PictureMaker.pictures`. A worker also encodes the file of the picture. If a frame need not be measured, the worker
+also reads the raw file.
 """
 
 import functools
@@ -46,7 +46,7 @@ class RenderSetup:
     engine: Mapping[str, str | None]  # options of the backend
     overrides: RawOverrides
     rendition: Rendition
-    suffix: str | None  # suffix of the picture files; None if pixels are wanted
+    suffix: str | None  # suffix of the picture files; None if the frames do not become separate files
     camera: CameraFile | None = None  # camera model with the defects and the flat field to correct
     light_mix: Mix | None = None  # mixture of the table's illuminants whose transforms are used
 

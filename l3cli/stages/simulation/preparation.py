@@ -1,4 +1,4 @@
-"""Preparation of a simulation: it checks the inputs before any frame is simulated, and reads or draws the scenes."""
+"""Preparation of a simulation: it checks the inputs before any frame is simulated, and it reads or draws the scenes."""
 
 import dataclasses
 from collections.abc import Callable
@@ -63,7 +63,7 @@ def files_of(source: sources.Source, path: Path) -> list[Path]:
 
 
 def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callable[[int], Scene | ChannelPicture]":
-    """Read or draw a scene.
+    """Read or draw a scene, and return it as a function of time.
 
     Returns
     -------
@@ -74,7 +74,9 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
     Raises
     ------
     InputFileError
-        If the scene is smaller than the sensor, or has no data at the wavelengths of the camera.
+        If the scene cannot be read, is smaller than the sensor, or has no data at the wavelengths of the camera.
+    RecipeError
+        If a synthetic scene cannot be used.
     """
     from l3cli.frames.scene import ChannelPicture, Scene
     from l3cli.simulation import procedural
@@ -102,7 +104,11 @@ def scene_over_time(wanted: sources.WantedScene, run: SimulationRun) -> "Callabl
 
 
 def _from_file(wanted: sources.WantedScene, path: Path, run: SimulationRun) -> "Scene | ChannelPicture":
-    """Read a scene file. Spectral cubes and RGB pictures are converted to scenes with reflectances."""
+    """Read a scene file.
+
+    Spectral cubes and RGB pictures are converted to scenes with reflectances. If the recipe says that the codes of a picture
+    are the signals of the channels, the result is a ChannelPicture.
+    """
     from l3cli.frames.scene import ChannelPicture, Scene, SpectralCube
 
     source = wanted.source
@@ -168,7 +174,9 @@ def refusals(run: SimulationRun, files: list[list[Path]]) -> list[dict[Path, Inp
 
 
 def size_of(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, int]:
-    """Return the rows and columns of a scene as it is projected onto the sensor. Only the header of a file is read.
+    """Return the rows and columns of a scene as it is projected onto the sensor.
+
+    If the scene is a file, only its header is read.
 
     Raises
     ------
@@ -194,7 +202,18 @@ def _file_size(wanted: sources.WantedScene, run: SimulationRun) -> tuple[int, in
 
 
 def prepare(recipe: SceneRecipe, path: Path, camera: CameraModel, seed: int) -> tuple[SimulationRun, list[list[Path]]]:
-    """Check a scene recipe for a camera, and read its curves and illuminants.
+    """Check a scene recipe for a camera, and read its curves and illuminants. Scene files are listed but not read.
+
+    Parameters
+    ----------
+    recipe : SceneRecipe
+        The scene recipe.
+    path : Path
+        File of the recipe, to whose folder file names are relative.
+    camera : CameraModel
+        The camera. The returned run contains this camera with the changes that the recipe asks for, such as another lens.
+    seed : int
+        Seed of the random numbers.
 
     Returns
     -------
@@ -265,9 +284,9 @@ def unknown_of(run: SimulationRun, camera: CameraModel, recipe: Path | None = No
 def fitting(
     run: SimulationRun, files: list[list[Path]], path: Path, skip_bad: bool, console: Console
 ) -> tuple[list[list[Path]], int]:
-    """Return the scene files that can be used, and the number of files that are left out.
+    """Check the scene files, and return the files that can be used.
 
-    If `skip_bad` is set, each file that cannot be used is reported and left out.
+    If `skip_bad` is set, each file that cannot be used is reported and left out. Only the headers of the files are read.
 
     Returns
     -------
@@ -279,7 +298,7 @@ def fitting(
     Raises
     ------
     InputFileError
-        If a file cannot be used and `skip_bad` is not set, or if no scene is left.
+        If a file cannot be used and `skip_bad` is not set, or if no scene remains.
     """
     refused = refusals(run, files)
     bad = [error for errors in refused for error in errors.values()]
@@ -341,14 +360,16 @@ def head_of(
     inputs: dict[str, list[Path]],
     chosen: dict[str, Any],
 ) -> TrainingSet:
-    """Return the head of the training set.
+    """Return the head of the training set: the camera, the outputs and the history.
+
+    The digests of all input files are computed here.
 
     Parameters
     ----------
     run : SimulationRun
         The run.
     camera : CameraModel
-        The camera whose history the training set continues.
+        The camera, whose history precedes the simulation in the history of the training set.
     recipes : (Path, Path)
         Files of the scene recipe and of the camera.
     inputs : dict

@@ -1,4 +1,4 @@
-"""The simulation stage: it writes a training set and, optionally, pictures and DNG files of the frames."""
+"""The stage of `l3 simulate`. It writes a training set and, optionally, pictures and DNG files of the frames."""
 
 import contextlib
 import functools
@@ -37,7 +37,7 @@ from l3cli.system.files import FilesUsed, files_to_read, refuse_existing
 from l3cli.system.outputs import OutputGuard
 from l3cli.system.text import counted
 
-# A scene may lack data at some wavelengths. If less than this fraction of a channel's light is affected, l3 does not warn.
+# A scene may have no data at some wavelengths. l3 warns if a channel collects more than this fraction of its light there.
 NEGLIGIBLE_LIGHT = 1e-3
 
 
@@ -52,6 +52,9 @@ class Simulated:
 
 def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions) -> Simulated:
     """Simulate the frames of a scene recipe with a camera, and write them as a training set.
+
+    With `resume`, frames that an interrupted run has stored are not simulated again. If the training set is already
+    finished, only missing pictures are written.
 
     Parameters
     ----------
@@ -83,7 +86,7 @@ def simulate(scenes: Path, camera: Path, output: Path, options: SimulateOptions)
         if scheduler:
             scenes = scenes.absolute()  # because workers on other machines may have another working directory
         model, recipe = load_camera(camera), load_recipe(scenes, SceneRecipe)
-        _ = model.saturation_exposure  # raises InputFileError, before any work, if the camera cannot be exposed
+        _ = model.saturation_exposure  # raises InputFileError, before any work, if a pixel saturates only in extreme light
         run, files = prepare(recipe, scenes, model, options.seed)
         files, bad = fitting(run, files, scenes, options.skip_bad, console)
         inputs = {"camera": camera_files(camera), **input_files(run, files)}
@@ -151,7 +154,8 @@ def _simulate_frames(
 def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Console) -> None:
     """Write the training set from its stored frames.
 
-    If the data of a scene do not cover all wavelengths at which the camera is sensitive, the user is warned.
+    If a scene has no data for more than NEGLIGIBLE_LIGHT of the light that a channel collects, a warning is sent to the
+    console.
     """
     with write_training_set(output, head) as writer:
         worst = max(stored.append_to(writer), key=lambda scene: scene.uncovered)
@@ -160,7 +164,8 @@ def _assemble(stored: StoredFrames, head: TrainingSet, output: Path, console: Co
         console.warn(f"the scene {worst.scene} has no data for {share}; use scenes with a wider range of wavelengths")
 
 
-# Channels of an EXR file of motion: displacement downwards and to the right, and whether the pixel was visible before
+# Channels of an EXR file with motion: displacement downwards, displacement to the right, and 1 if the pixel was visible
+# before
 MOTION_CHANNELS = ("down", "right", "seen")
 PICTURE_FILES = (f"*{RAW}", f"*{IDEAL}", "*_ideal.exr", f"*{MOTION}", "*.dng")  # names of the pictures that l3 writes
 
@@ -210,7 +215,8 @@ def _write_pictures(
 ) -> dict[int, float]:
     """Write the raw mosaic and the ideal picture of each frame.
 
-    The exposure of an ideal picture is chosen as in `l3 render`: the 99th percentile of Y becomes white.
+    If the outputs are X, Y and Z, the ideal picture is an sRGB file. Its exposure is chosen as in `l3 render`, that is, the
+    99th percentile of Y becomes white. For other outputs, the ideal picture is an EXR file with the linear outputs.
 
     Parameters
     ----------
@@ -259,7 +265,7 @@ def _write_pictures(
 
 
 def _write_motion(run: SimulationRun, files: list[list[Path]], folder: Path, written: list[Path]) -> dict[int, int]:
-    """Write a file with the motion since the previous frame, for each frame of each clip. Append the files to `written`.
+    """Write a file with the motion since the previous frame, for each frame of each clip, and append the files to `written`.
 
     Returns
     -------

@@ -1,4 +1,6 @@
-"""Work units of a simulation. A process reads or draws a scene, simulates its frames, and stores each frame in a file.
+"""Units of work of a simulation.
+
+For each unit, a process reads or draws a scene, simulates its frames, and stores each frame in a file.
 
 The folder with these files is next to the output, so that an interrupted run can continue.
 """
@@ -80,10 +82,10 @@ class WorkUnit:
 def units_of(
     run: SimulationRun, work: list[tuple[sources.WantedScene, list[Shot]]], stored: StoredFrames, workers: int
 ) -> list[WorkUnit]:
-    """Divide the frames that are not stored yet into work units.
+    """Divide the frames that are not stored yet into units of work.
 
     All frames of a scene are in one unit, so that the scene is read only once. If there are too few scenes for the number of
-    workers, the frames of each scene are divided into several units.
+    workers, the frames of each scene are divided into several units. Each real pair of the recipe is a unit.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """Training of additional transforms for other noise and for single illuminants.
 
-Each combination of noise and illuminant is called a condition. All conditions of a table share its classes
+A table can contain several sets of transforms, for example for frames after temporal noise reduction, or for tungsten light.
+Each combination of noise and illuminant is called a condition. All conditions of a table share the classes of the table
 (docs/method.md#noise-sets, docs/method.md#several-illuminants).
 """
 
@@ -27,7 +28,8 @@ SAME_WHITE = 1e-3  # largest difference between two whites of one illuminant, on
 
 
 def learn_conditions(run: TrainingRun, table: TransformTable, execution: Execution) -> TransformTable:
-    """Return the table with additional transforms for each combination of illuminant and noise in the recipe."""
+    """Train additional transforms for each combination of illuminant and noise in the recipe, and return the table with
+    these transforms."""
     table = _with_noises(run, pass_of(run, table), table, table, execution)
     for name, of_light in runs_by_light(run):
         execution.console.info(f"training transforms for {name} on {len(of_light.patches)} frames")
@@ -46,7 +48,10 @@ def learn_conditions(run: TrainingRun, table: TransformTable, execution: Executi
 def _with_noises(
     run: TrainingRun, pass_: TrainingPass, usual: TransformTable, like: TransformTable, execution: Execution
 ) -> TransformTable:
-    """Return a trained table with additional transforms for each noise condition in the recipe."""
+    """Train additional transforms for each noise in the recipe, and return `usual` with these transforms.
+
+    `like` is the table whose classes are used.
+    """
     made = []
     for noise, each in zip(run.recipe.learning.noises, passes_of(pass_, run.given)[1:], strict=True):
         execution.console.info(f"training transforms for {noise}")

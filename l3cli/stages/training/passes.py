@@ -38,7 +38,12 @@ class Execution:
 
 
 def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
-    """Return the first pass of a run. A pilot of all frames determines its class rule.
+    """Return the settings of the first pass of a run.
+
+    A pilot, which examines patches of all frames, determines the class rule.
+
+    The number of classes is sent to the console, as well as a message about each class feature that is left out because the
+    patches are too small.
 
     Raises
     ------
@@ -70,7 +75,10 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
 
 
 def pass_of(run: TrainingRun, table: TransformTable, number: int | None = None) -> TrainingPass:
-    """Return the first pass, or pass `number`, with the class rule and the white of a table instead of a pilot."""
+    """Return the settings of the first pass, or of pass `number`.
+
+    The class rule and the white come from a table, not from a pilot.
+    """
     about = (run.head, run.patches, table.first.rule, run.recipe.learning, table.white_point, run.seed)
     return TrainingPass(*about, number or _first_number(run), table.exposure, table.light)
 
@@ -158,7 +166,7 @@ def summed(
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:
-    """Return the table with one layer after this pass and all following passes."""
+    """Train the first layer, from the pass `pass_` to the last pass, and return a table with this layer."""
     table = None
     for number in range(pass_.number, LAST + 1):
         pass_ = replace(pass_, number=number)

@@ -1,4 +1,4 @@
-"""The settings and training sets that all passes and shards of a training run share, and a cache of frames."""
+"""The settings and training sets of a training run, which all its passes and shards share, and a cache of frames."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -68,7 +68,7 @@ def cached_for_a_run() -> Iterator[None]:
         FRAMES.clear()
 
 
-# The history of an intermediate table contains FIRST_PASS after the first pass, or one of LAYERS after a layer.
+# The history of an intermediate table contains FIRST_PASS after the first pass, or an entry of LAYERS after a layer.
 FIRST_PASS = "first"
 LAYERS = ("first layer", "second layer", "third layer", "fourth layer")
 
@@ -128,9 +128,9 @@ class TrainingRun:
 
 
 def open_run(training: tuple[Path, ...], options: TrainOptions) -> TrainingRun:
-    """Read the class recipe and the heads of the training sets, and return the training run.
+    """Read the class recipe and the heads of the training sets, verify the training sets, and return the training run.
 
-    A training set with a share of zero is ignored.
+    A training set with a share of zero is ignored. If `options.draft` is set, the recipe is replaced by its draft version.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The training stage: it trains a transform table in one run, or in shards whose partial sums are merged."""
+"""The stage of `l3 train`: it trains a transform table in one run, or in shards whose partial sums are merged."""
 
 import contextlib
 import itertools
@@ -129,7 +129,7 @@ def filling(table: TransformTable) -> list[tuple[int, int]]:
     return [(len(layer.weights), int((layer.samples == 0).sum())) for layer in table.layers]
 
 
-PASS_NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # for messages about intermediate tables
+PASS_NAMES = {FIRST_PASS: "first pass"} | dict(zip(LAYERS, LAYERS, strict=True))  # names of intermediate tables in messages
 
 
 def train_shard(training: tuple[Path, ...], shard: tuple[int, int], output: Path, options: ShardOptions) -> FilesUsed:
@@ -205,7 +205,8 @@ def _write_shard(
 def _sums(
     run: TrainingRun, pass_: TrainingPass, table: TransformTable | None, shard: tuple[int, int], execution: Execution
 ) -> Iterator[ClassSums]:
-    """Yield the sums over the blocks of frames of a shard, for each canonical site in order."""
+    """Yield the sums over the frames of a shard, for each canonical site in order. A shard without frames yields
+    empty sums."""
     index, count = shard
     blocks = frame_blocks(pass_.patches)[index - 1 :: count]
     sums = summed(sum_unit, run, pass_, table, blocks, execution)
@@ -239,6 +240,8 @@ def _last_pass(run: TrainingRun, table: TransformTable, path: Path | None) -> Tr
 
 def merge_shards(shards: tuple[Path, ...], output: Path, options: ShardOptions) -> tuple[TransformTable, FilesUsed]:
     """Merge the partial sums of all shards of a pass, and write the resulting table.
+
+    If this is not the last pass of the training, a message describes the command for the next pass.
 
     Parameters
     ----------
@@ -307,7 +310,13 @@ def _learned(pass_: TrainingPass, readers: list[PartialSumsReader], condition: i
 
 
 def _recipe_and_seed(reader: PartialSumsReader, path: Path) -> tuple[TrainingRecipe, int]:
-    """Return the class recipe and the seed of the run to which partial sums belong."""
+    """Return the class recipe and the seed of the training run to which partial sums belong. They are stored in the history.
+
+    Raises
+    ------
+    InputFileError
+        If the history contains no seed, or if the recipe does not fit the sums.
+    """
     head = reader.head
     stage = head.history[-1] if head.history else Stage("", {})
     seed = stage.options.get("seed")
