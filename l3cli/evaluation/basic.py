@@ -2,9 +2,9 @@
 
 Its steps are white balance, demosaicking and a colour matrix.
 
-Each channel clips at its own full scale. If all channels were clipped where the first channel clips, highlights would stay
-neutral, but the colour error of faces would increase by 0.6 ΔE00 (at three light levels). A baseline should be as strong
-as possible, so the basic pipeline does not do this.
+Each channel clips at its own full scale, so highlights can be coloured. If all channels were clipped at the signal at which
+the first channel clips, highlights would be neutral, but the colour error of faces would increase by 0.6 ΔE00 (at three
+light levels). The more accurate variant is used, because a baseline should be as good as possible.
 """
 
 from collections.abc import Callable
@@ -25,12 +25,14 @@ Array = NDArray[np.floating]
 Merge = Callable[[Array, TrainingPair, CameraModel, Array], Array]
 CLIPPED = 0.985  # fraction of full scale from which a sample counts as clipped
 TOUCHED = 0.02  # an interpolated value counts as clipped if clipped samples contribute more than this fraction
-# Ridge parameter, relative to the mean square of the channel differences. A larger value reduces noise but costs colour
-# accuracy. This value costs 1.7 ΔE on a chart.
+# Ridge parameter, relative to the mean square of the channel differences. A larger value reduces noise but increases colour
+# errors. This value increases the colour error of a chart by 1.7 ΔE.
 RIDGE = 0.05
 BLIND = 1e-6  # a channel counts as blind if its response to white is less than this fraction of the largest response
-ENDS = ((min, 360.0, 0), (max, 830.0, -1))  # nm, wavelength range of the CIE observers
-UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # illuminants to choose from if only a white point is known
+# Wavelength range of the CIE observers in nm. Each entry: the function that combines this end with the ends of the cameras'
+# ranges, the wavelength, and the index of the end in a list of wavelengths.
+ENDS = ((min, 360.0, 0), (max, 830.0, -1))
+UNNAMED = ("A", "D50", "D55", "D65", "D75", "E", "FL2", "FL11")  # candidates if only the white point of a frame is known
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,9 @@ class Colour:
 
 
 def fit_colour(camera: CameraModel, light: LightSpectrum, wanted: LightSpectrum | None = None) -> Colour:
-    """Fit a white balance, and a colour matrix by ridge regression over measured reflectances. White is mapped exactly.
+    """Fit a white balance and a colour matrix of a camera for an illuminant.
+
+    The matrix is fitted by ridge regression over measured reflectances. A perfect white is reproduced exactly.
 
     Parameters
     ----------
@@ -104,10 +108,10 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
 
 
 def white_preserving_ridge(channels: Array, outputs: Array) -> Array:
-    """Fit a matrix that maps white-balanced channels to outputs and preserves white.
+    """Fit a matrix that converts white-balanced channels to outputs and preserves white.
 
-    The mean of a sample's channels is subtracted from its channels and outputs. Ridge regression maps the channel
-    differences to the output differences.
+    For each sample, the mean of its channels is subtracted from its channels and from its outputs. Ridge regression then
+    finds the matrix that converts the channel differences to the output differences.
 
     Parameters
     ----------
@@ -269,9 +273,10 @@ def named_light(name: str, *cameras: CameraModel) -> LightSpectrum:
 
 
 def merges(camera: CameraModel) -> dict[str, Merge | None]:
-    """Return the functions that merge the exposures of a camera, by pipeline name.
+    """Return the functions that merge the exposures of a camera, by name of the pipeline that uses the function.
 
-    "basic" averages the exposures. If all channels have the same sensitivity, nothing has to be merged and "basic" is None.
+    "basic" averages the exposures. The other pipelines use only one of the exposures. If all channels have the same
+    sensitivity, nothing has to be merged, and the only entry is "basic" with the value None.
     """
     if camera.readout is None or np.ptp(camera.sensitivity) == 0:
         return {"basic": None}

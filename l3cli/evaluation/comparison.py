@@ -1,4 +1,4 @@
-"""Compares cameras as a function of scene luminance, and finds the luminances between which each camera is better."""
+"""Compares cameras at each scene luminance, and finds the ranges of luminance in which each camera is better."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from l3cli.physics.figures import in_words, sign
 from l3cli.system.text import short_names
 
 MAX_METRIC = 1e12  # largest plausible metric, luminance in cd/m² and exposure time in s
-CLIPPING = 0.05  # a camera clips if at least this fraction of pixels is at full scale; normal highlights stay below it
+CLIPPING = 0.05  # a camera clips if at least this fraction of pixels is at full scale; highlights usually cover less
 OTHER_SCENES = (
     "the evaluations show different scenes or illuminants and cannot be compared; "
     "simulate all training sets with the same scene recipe and seed"
@@ -51,7 +51,10 @@ class Comparison:
         return next(iter(self.curves.values()))
 
     def sentences(self, figure: str) -> list[str]:
-        """Describe for each pair of cameras which camera is better at which luminances. Empty if the scenes differ."""
+        """Describe for each pair of cameras at which luminances each camera is better.
+
+        Return an empty list if the scenes differ.
+        """
         pairs = [] if self.alike is False else itertools.combinations(self.curves[figure], 2)
         return [verdict(one, other, figure) for one, other in pairs]
 
@@ -82,7 +85,7 @@ class Comparison:
 
 
 def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
-    """Average a metric of an evaluation over the frames of each luminance.
+    """Average a metric of an evaluation over all frames with the same luminance.
 
     Parameters
     ----------
@@ -91,12 +94,12 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
     figure : str
         Key of the metric in the document.
     file : Path
-        File that contained the document, named in error messages.
+        File that contained the document, for error messages.
 
     Raises
     ------
     InputFileError
-        If the document is not an evaluation of single frames.
+        If the document is not an evaluation of single frames, or contains implausible numbers.
     RecipeError
         If the evaluation does not contain the metric.
     """
@@ -126,7 +129,7 @@ def curve_of(document: Mapping[str, Any], figure: str, file: Path) -> Curve:
 
 
 def named_by_files(curves: list[Curve], files: tuple[Path, ...]) -> list[Curve]:
-    """Append the file name to each camera name that several curves share."""
+    """Return the curves with unique names. If several curves have the same camera name, the file names are appended."""
     names = [curve.name for curve in curves]
     return [
         curve if names.count(curve.name) == 1 else replace(curve, name=f"{curve.name} ({file.removesuffix('.json')})")
@@ -154,7 +157,10 @@ def same_scenes(documents: Sequence[Mapping[str, Any]]) -> bool | None:
 
 
 def _shown(document: Mapping[str, Any]) -> dict[tuple[str, str, str], Any]:
-    """Return the fingerprints of scene and illuminant of each frame, by scene name, illuminant name and luminance."""
+    """Return the fingerprint of the scene and illuminant of each frame (None if it has no fingerprint).
+
+    The keys are scene name, illuminant name and luminance.
+    """
     return {
         (str(frame.get("scene")), str(frame.get("illuminant")), f"{float(frame['luminance']):.6g}"): frame.get("shown")
         for frame in document["frames"]

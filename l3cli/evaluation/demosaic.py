@@ -1,8 +1,9 @@
-"""Untrained demosaicking methods, the baselines for tables.
+"""Untrained demosaicking methods, which are the baselines for tables.
 
-A method is a function of a mosaic (row, col) and a CFA. The mosaic begins at CFA phase (0, 0). The result is an image of
-each channel (channel, row, col) at the size of the mosaic. Methods for bands expect a mosaic in which a perfect white is 1
-in every band (docs/method.md#baselines-for-bands). Borders are mirrored so that the CFA pattern continues.
+A method is a function of a mosaic (row, col) and a CFA. The mosaic must begin at CFA phase (0, 0). The result contains an
+image of each channel (channel, row, col) with the size of the mosaic. Methods for bands need a mosaic in which a perfect
+white is 1 in every band (docs/method.md#baselines-for-bands). At the borders, the mosaic is mirrored so that the CFA pattern
+continues.
 """
 
 import functools
@@ -28,12 +29,14 @@ CFA = NDArray[np.uint8]
 Demosaic = Callable[[Array, CFA], Array]
 Direction = tuple[int, int]  # row offset and column offset
 DIRECTIONS: tuple[Direction, ...] = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
-# CFA periods; width of the mirrored margin for band methods. They wrap around at the border, and their support is narrower.
+# Width of the mirrored margin for band methods, in CFA periods. Band methods wrap around at the border, and the margin is
+# wider
+# than their support.
 BAND_MARGIN_PERIODS = 4
-CODES = 255.0  # value of a perfect white in PPID, whose weights contain the constant 1 for 8-bit values
+CODES = 255.0  # value of a perfect white in PPID; the constant 1 in the weights of PPID was chosen for 8-bit values
 # σ of the Gaussian, in mean distances between samples of a channel. This value is best for dead leaves with a five-band CFA.
 SIGMA_SAMPLES = 0.55
-BAYER_MARGIN_PIXELS = 8  # pixels; width of the mirrored margin for Bayer methods, even and wider than their support
+BAYER_MARGIN_PIXELS = 8  # width of the mirrored margin for Bayer methods; must be even and wider than their support
 
 
 def interpolate(mosaic: Array, cfa: CFA) -> Array:

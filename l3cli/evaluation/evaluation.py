@@ -1,6 +1,6 @@
 """Compares a table with other pipelines frame by frame, and collects all metrics in one JSON document.
 
-The document includes mean errors by class, so that a user can find the classes with the largest errors.
+The document also contains mean errors by class, with which a user can find the classes with the largest errors.
 """
 
 import dataclasses
@@ -34,7 +34,9 @@ LISTED_CLASSES = 10  # number of worst classes in the document
 
 
 class ClassErrors:
-    """Sums of the pixel errors of each pipeline, for each combination of class features. All CFA sites are summed.
+    """Sums of the pixel errors of each pipeline, for each combination of class features.
+
+    The pixels of all CFA sites are added up.
 
     The features are level, contrast, kind (chroma or saturation case) and optional features such as direction.
     """
@@ -61,7 +63,10 @@ class ClassErrors:
             self._sums[name] += rule.by_feature(np.bincount(within, weights=error.ravel(), minlength=classes))[0]
 
     def by_feature(self, figure: str) -> dict[str, list[dict[str, Any]]]:
-        """Return the mean error for each value of each class feature. The key of the mean error is `figure`."""
+        """Return the mean error of each pipeline for each value of each class feature, with the number of pixels.
+
+        The key of the mean error is `figure`. Values of a feature that occur in no pixel are left out.
+        """
         table, rule = self._table, self._rule
         entries_of: dict[str, list[tuple[dict[str, Any], Any]]] = {
             "level": [(level.entry(table, index), np.s_[index]) for index in range(rule.levels)],
@@ -80,7 +85,10 @@ class ClassErrors:
         return {name: [entry for entry in entries if entry["pixels"]] for name, entries in every.items()}
 
     def worst(self, figure: str, pipeline: str) -> list[dict[str, Any]]:
-        """Return the classes in which a pipeline has the largest mean error. Classes with few pixels are omitted."""
+        """Return the LISTED_CLASSES classes in which a pipeline has the largest mean errors, the worst class first.
+
+        Classes with a smaller fraction of all pixels than MIN_PIXEL_FRACTION are left out.
+        """
         pixels = np.maximum(self._pixels, 1)
         seen = self._pixels >= max(MIN_PIXEL_FRACTION * self._pixels.sum(), 1)
         mean = np.where(seen, self._sums[pipeline] / pixels, -1.0)
@@ -114,7 +122,7 @@ MAX_OUTPUT_CD_PER_M2 = 1e24  # cd/m²; largest accepted output of a table, so th
 class Evaluation:
     """Metrics of a table and of other pipelines on the frames of a training set.
 
-    Frames are added one by one, and no pictures stay in memory.
+    Frames are added one by one. Their pictures are not kept in memory.
 
     Parameters
     ----------
@@ -227,7 +235,15 @@ class Evaluation:
         return self.developed(frame, outputs) | estimated | shown
 
     def developed(self, frame: TrainingPair, outputs: Array) -> dict[str, Array]:
-        """Return the planes of the table and of the baselines, without estimators and rivals, for a frame of any size."""
+        """Return the planes of the table and of the baselines for a frame of any size, in the unit of the target.
+
+        The frame is demosaicked with each baseline here. Estimators and rivals are not included.
+
+        Raises
+        ------
+        InputFileError
+            If the white of the frame has no luminance, or if `outputs` are not finite.
+        """
         if self._pictures and not frame.white[1] > 0:
             raise InputFileError(f"the white of frame {frame.scene} has no luminance; simulate the training set again")
         with np.errstate(over="ignore"):
@@ -243,9 +259,10 @@ class Evaluation:
         return {name: self._as_shown(of, frame) for name, of in planes.items()}
 
     def wanted(self, frame: TrainingPair) -> TrainingPair:
-        """Return the frame, with a grey target if the pictures of the table are grey.
+        """Return the frame with the target for the comparison.
 
-        A camera with one channel cannot distinguish colours. Its pictures are compared with a grey of the same luminance.
+        This is the target of the frame, unless the table makes grey pictures. A camera with one channel cannot distinguish
+        colours, so its pictures are compared with a grey of the same luminance.
         """
         return dataclasses.replace(frame, target=self._as_shown(frame.target, frame))
 
@@ -421,9 +438,9 @@ def _counted(frame: TrainingPair, border: int) -> NDArray[np.bool_] | None:
 
 
 def _octave(level: float) -> tuple[float, float]:
-    """Return the range, from one half octave below a power of two to one half octave above, that contains a level.
+    """Return the bounds of the octave that contains a level. Octaves are centred on powers of two.
 
-    All levels below 2^-12 are in the same range.
+    All levels below 2^-12 are in the same octave.
     """
     power = np.rint(np.log2(max(level, 2.0**-12)))
     return float(2.0 ** (power - 0.5)), float(2.0 ** (power + 0.5))
@@ -436,7 +453,8 @@ def require_cfa(table: TransformTable, camera: CameraModel) -> None:
 
 
 def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
-    """Convert the frame with the number `index` of a training set to a raw frame of the camera.
+    """Convert frame number `index` of a training set to a raw frame of the camera, with the dark signal that is to be
+    subtracted.
 
     Raises InputFileError if the raw values or levels are invalid.
     """
@@ -449,7 +467,10 @@ def raw_of(frame: TrainingPair, index: int, camera: CameraModel) -> RawFrame:
 
 
 def white_of(frame: TrainingPair) -> NDArray[np.floating]:
-    """Return XYZ (3) of the frame's illuminant. If the spectrum is unknown, return XYZ of the target's white."""
+    """Return XYZ (3) of the frame's illuminant.
+
+    If its spectrum is not stored with the frame, return XYZ of the target's white.
+    """
     if frame.light is None:
         return frame.white[:3]
     return spectra.xyz_weights(frame.light.wavelength) @ frame.light.radiance

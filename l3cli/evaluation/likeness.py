@@ -1,4 +1,6 @@
-"""Checks whether frames come from the camera of a table. The cameras' signals are compared, not their names or digests.
+"""Checks whether frames were taken by the camera of a table.
+
+It compares the signals of the cameras, not their names or digests.
 
 A table converts fractions of full scale to colours. Two cameras are therefore compared by three properties: the colours of
 measured surfaces, the exposure that saturates a pixel (sensitivity), and the noise. The limits are wide enough for two
@@ -31,7 +33,7 @@ NOISE_SIGNALS = (0.0, 0.01, 0.1, 0.5)  # fractions of full scale at which noise 
 
 
 def unlike(known: TransformTable | CameraModel, camera: CameraModel) -> str:
-    """List the differences between two cameras that are too large for frames of one and the same camera.
+    """Describe the differences between two cameras that are too large for two calibrations of the same camera.
 
     Parameters
     ----------
@@ -89,7 +91,9 @@ def _colour_difference(one: CameraModel, other: CameraModel, light: LightSpectru
 
 
 def noise_ratio(one: CameraModel, other: CameraModel) -> float:
-    """Return the noise of `other` divided by the noise of `one`, at the signal at which the ratio differs most from 1.
+    """Return the noise of `other` divided by the noise of `one`.
+
+    The ratio depends on the signal. The ratio farthest from 1 is returned.
 
     Noise and signal are fractions of full scale.
     """

@@ -12,7 +12,7 @@ from l3cli.physics.display import displayed, displayed_delta_e, scene_xyz, srgb_
 Array = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 Region = tuple[slice, slice]  # rows and columns of a patch
-INNER = 0.5  # fraction of a patch's side that is evaluated; the lens blurs the edges of a patch into the surroundings
+INNER = 0.5  # fraction of a patch's side that is evaluated, because the lens blurs the edges of a patch
 MAX_PATCH_SIGMA = 0.01  # largest standard deviation of the target within a chart patch, as a fraction of white
 MAX_PATCH_ERROR = 0.02  # largest difference between the mean and the nominal value of a chart patch, as a fraction of white
 ERROR_WHITE = 10.0  # ΔE00 that is white in an error map; 0 is black
@@ -45,8 +45,8 @@ def frame_pictures(frame: TrainingPair, planes: dict[str, Array]) -> dict[str, P
 def planes_of(picture: Array, frame: TrainingPair) -> Array:
     """Convert a rival's picture of a frame to XYZ planes (3, row, col) in the unit of the target.
 
-    The picture (row, col, 3) is linear sRGB of any brightness. It is scaled so that its luminance fits the luminance of the
-    target in the least-squares sense, over all pixels that do not clip.
+    The picture (row, col, 3) is linear sRGB of any brightness. It is multiplied by a factor, which is fitted by least
+    squares so that the luminance of all pixels that do not clip agrees best with the luminance of the target.
     """
     planes = scene_xyz(picture, frame.white, 1.0)
     shown, wanted = (of[1][picture.max(axis=2) < 1.0] for of in (planes, frame.target))

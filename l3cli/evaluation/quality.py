@@ -20,7 +20,9 @@ PATCH_MARGIN_PIXELS = 6  # pixels; a patch excludes this margin, because nearby 
 MAX_UNIFORM_RANGE = 1.0  # a window is uniform if L*, a* and b* of the target each vary by no more than this
 MIN_PATCH_AREA_PIXELS = 24 * 24  # pixels; area of the smallest patch
 MAX_PATCHES = 64  # if a frame has more patches, only the largest are evaluated
-# A patch is dark below the first L*, and white above the second L* unless it is coloured. It is coloured from this C*ab.
+# A patch is dark if its L* is below DARK_LIGHTNESS, and coloured if its C*ab is at least GREY_CHROMA. A patch that is
+# neither is
+# white if its L* is at least WHITE_LIGHTNESS, otherwise grey.
 DARK_LIGHTNESS, WHITE_LIGHTNESS, GREY_CHROMA = 30.0, 85.0, 10.0
 HUES = ((-30.0, "red"), (60.0, "yellow"), (120.0, "green"), (200.0, "blue"))  # hue angle in degrees at which each hue begins
 # Weights of the standard deviations of L*, a* and b*. ISO 15739:2013 defines the weights for L*, u* and v*.
@@ -77,10 +79,10 @@ class PlainPatches:
         return np.array(found)
 
     def visual_noise(self, seen: Array, wanted: Array) -> float | None:
-        """Return the visual noise: a weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
+        """Return the visual noise: the weighted sum of the standard deviations of L*, a* and b*, averaged over the patches.
 
-        `seen` and `wanted` (row, col, 3) are the CIELAB of picture and target, blurred like the image in the eye. The result
-        is None if there are no patches.
+        `seen` and `wanted` (row, col, 3) are the CIELAB values of picture and target after a blur that imitates the eye. The
+        result is None if there are no patches.
         """
         errors = [(seen[place] - wanted[place])[inside] for place, inside in self._patches]
         return float(np.mean([VISUAL @ each.std(axis=0) for each in errors])) if errors else None
@@ -106,7 +108,7 @@ MIN_SQUARE_ERROR = 1e-12  # lower limit of the mean square error, so that the PS
 WINDOW_SIGMA, WINDOW_REACH = 1.5, 5  # pixels; σ and half width of the 11 × 11 Gaussian window of SSIM
 MIN_NORM = float(np.finfo(np.float32).eps)  # spectra with a smaller norm, as a fraction of the largest, are rounding errors
 STABILISERS = (0.01**2, 0.03**2)  # C1 and C2 of SSIM for values from 0 to 1
-VIEWING = 50.0  # samples per degree of visual angle; corresponds to a monitor of 110 dots per inch at 66 cm
+VIEWING = 50.0  # samples per degree of visual angle, for a monitor of 110 dots per inch at a distance of 66 cm
 VIEWED = 2, 1000  # samples per degree; range in which the S-CIELAB filters are valid
 OPPONENT_FROM_XYZ = np.array(
     [[0.2885613, 0.6597617, -0.1305654], [-0.4648864, 0.3262702, 0.0624200], [0.0798787, -0.5547976, 0.4814746]]
@@ -165,7 +167,7 @@ class SingleQuality:
 
 
 class Target:
-    """Target of an XYZ frame, with everything that comparisons with several pictures share.
+    """Target of an XYZ frame, with the values that are computed once for comparisons with several pictures.
 
     Parameters
     ----------
@@ -192,7 +194,7 @@ class Target:
         self._white, self._border, self._viewing = white, border, viewing
         self._scale = white_luminance(of_counted(target[1], counted))
         self._counted = None if counted is None else cropped(counted, border)
-        # Under deep red light, Z of white is 0. The white's Y then replaces it.
+        # Under deep red light, Z of white is 0 and cannot be used as the peak. Y of white is then used instead.
         self._peaks = self._scale * np.where(white > 0, white, white[1])[:, None, None] / white[1]
         self._target = cropped(target, border)
         linear = displayed(self._target, white, self._scale)
@@ -247,7 +249,7 @@ class Target:
 
 
 def quality(rendered: Array, target: Array, white: Array, border: int = 0, viewing: float = VIEWING) -> Quality:
-    """Return the metrics of XYZ planes (3, row, col). The parameters after `rendered` are the parameters of `Target`."""
+    """Return the metrics of XYZ planes (3, row, col), compared with a target. `Target` describes the other parameters."""
     return Target(target, white, border, viewing).judge(rendered)[0]
 
 
@@ -325,7 +327,7 @@ def band_quality(rendered: Array, target: Array, white: Array, border: int = 0) 
 def band_figures(
     rendered: Array, target: Array, white: Array, border: int = 0, counted: NDArray[np.bool_] | None = None
 ) -> list[dict[str, float]]:
-    """Return psnr, output_psnr and ssim of each single output. BandQuality defines these metrics.
+    """Return psnr, output_psnr and ssim of each output separately. BandQuality defines these metrics.
 
     The parameters are the same as for `judge_bands`.
     """

@@ -1,6 +1,6 @@
 """Metrics of reflectances, as spectra and as colours under several illuminants (docs/measurement.md#reflectances).
 
-The module also contains two linear estimators, "wiener" and "pinv", the baselines for tables whose outputs are spectra.
+The module also contains the linear estimators "wiener" and "pinv", which are the baselines for tables with spectral outputs.
 """
 
 import functools

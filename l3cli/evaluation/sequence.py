@@ -1,7 +1,8 @@
-"""Metrics of rendered sequences: flicker, and differences from the ideal sequence (docs/method.md#quality-of-sequences).
+"""Metrics of rendered sequences: noise over time, flicker, and differences from the ideal sequence
+(docs/method.md#quality-of-sequences).
 
-Unknown motion between two ideal frames is estimated by window matching on an image pyramid. Pictures are linear sRGB
-(row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
+If the motion between two ideal frames is not known, it is estimated by window matching on an image pyramid. Pictures are
+linear sRGB (row, col, 3), where 1 is display white. Lightness is CIE L*, from 0 to 100.
 """
 
 import itertools
@@ -106,7 +107,10 @@ def _exact(frame: Array, before: Array, motion: Array) -> Array:
 
 
 def _without_outliers(plane: Array) -> Array:
-    """Return the median of a plane over a window, computed at every GRID_PIXELS-th pixel, repeated and smoothed."""
+    """Replace outliers by a median over a window, and smooth the result.
+
+    To save time, the median is computed at every GRID_PIXELS-th pixel and repeated.
+    """
     side = -(-WINDOW // GRID_PIXELS) | 1
     whole = (
         median_filter(plane[::GRID_PIXELS, ::GRID_PIXELS], side, mode="nearest")
@@ -117,7 +121,7 @@ def _without_outliers(plane: Array) -> Array:
 
 
 def _seen(light: Array, last: Array, motion: Array) -> NDArray[np.bool_]:
-    """Return a mask (row, col) that is true where the frame matches the previous frame, displaced by the motion."""
+    """Return a mask (row, col) of the pixels whose origin is inside the previous frame and shows the same object."""
     source = np.indices(light.shape) - motion
     inside = np.logical_and.reduce(
         [
@@ -148,8 +152,9 @@ STILL = 0.5  # L*; largest range of a still pixel over the ideal sequence, about
 # These constants find still patches in sequences without an ideal.
 DRIFT = 1.0  # L*; largest change of the mean of a still patch between the two halves of a sequence
 UNCERTAIN = 3.0  # standard deviations; a smaller change between the halves may be noise
-# The fraction QUIETEST of the patches, which change least, is assumed to show only noise. A patch is not still if its change
-# exceeds their change by the factor RESTLESS.
+# The patches that change least (a fraction QUIETEST of all patches) are assumed to show only noise. A patch is not still
+# if it
+# changes more than RESTLESS times as much as these patches.
 QUIETEST, RESTLESS = 0.1, 3.0
 ROUNDING = 0.1  # L*; change of a pixel that rounding can cause
 
@@ -320,8 +325,9 @@ class SequenceEvaluation:
 def _warped_error(error: Array, last: Array, motion: Array, border: int) -> float | None:
     """Return the RMS change of the error (row, col) along the motion, or None if no pixel is visible in both frames.
 
-    Warping is linear, so the error can be warped instead of the rendered and the ideal picture. Interpolation artefacts at
-    edges, which occur in both pictures, cancel in the error.
+    The error of the previous frame is displaced by the motion, and subtracted from the error of this frame. Displacing the
+    errors is equivalent to displacing both pictures, because displacement is linear. Interpolation artefacts at edges, which
+    occur in both pictures, cancel in the error.
     """
     row, col = np.indices(error.shape)
     seen = cropped(motion[2], border) > 0

@@ -1,7 +1,7 @@
-"""Metrics from standards: sharpness of slanted edges, and SNR of a grey as a function of illuminance (docs/measurement.md).
+"""Metrics from standards: the sharpness of slanted edges, and the SNR of a grey at each illuminance (docs/measurement.md).
 
-Each metric is measured in pictures. The expected value is computed in closed form from the lens, the pixel and the noise of
-the camera.
+The metrics are measured in pictures. The values to expect are computed in closed form from the lens, the pixel and the noise
+of the camera.
 """
 
 import dataclasses
@@ -118,9 +118,9 @@ SNR = 10.0  # signal-to-noise ratio that defines SNR10
 OCTAVES = np.arange(-6.0, 3.0)  # illuminances of the grey, in octaves from the illuminance SNR10 of the camera
 RAW_SIDE, GREY_SIDE = 400, 160  # pixels; side of a raw frame of the grey, and side of the part that is rendered
 KNOWN = "lens and pixel"  # name of the MTF curve that is computed for a diffraction-limited lens and the pixel aperture
-# Number of random cameras, correlation length in nm of the errors of their curves, and half width in standard deviations of
-# a 95 % band
-DRAWN, CORRELATED, SIGMAS_95 = 8, 30.0, 1.96
+DRAWN = 8  # number of random cameras
+CORRELATED = 30.0  # correlation length of the errors of their responsivity curves, in nm
+SIGMAS_95 = 1.96  # half width of a 95 % band, in standard deviations
 PATCHES = 4, 6  # rows and columns of the chart that the random cameras photograph
 MARGIN_PIXELS = 24  # pixels; width of the margin of a frame that is not evaluated
 
@@ -175,7 +175,10 @@ class GreyNoise:
 
 
 def measured_snr(plane: Array) -> float:
-    """Return the signal-to-noise ratio of a picture of a uniform grey, at least 0: mean divided by standard deviation."""
+    """Return the signal-to-noise ratio of a picture of a uniform grey, which is its mean divided by its standard deviation.
+
+    If the mean is negative, the result is 0.
+    """
     return max(float(plane.mean() / max(plane.std(), 1e-30)), 0.0)
 
 
@@ -194,7 +197,8 @@ def crossing(lux: Array, snr: Array) -> float | None:
 def known_sharpness(camera: CameraModel, wavelength: Array, weights: Array) -> Sharpness:
     """Compute the MTF of diffraction and pixel aperture across an edge with the slant ANGLE.
 
-    The MTF is a weighted mean over wavelengths in nm. `weights` contains one weight per wavelength.
+    The lens is free of aberrations. The MTF of the lens is a weighted mean over wavelengths in nm. `weights` contains one
+    weight per wavelength.
     """
     lens = diffraction_transfer(FREQUENCIES / camera.pixel_pitch, wavelength, camera.optics.f_number)
     pixel = np.sinc(FREQUENCIES * np.cos(np.radians(ANGLE))) * np.sinc(FREQUENCIES * np.sin(np.radians(ANGLE)))
@@ -222,8 +226,8 @@ def edge_document(planes: dict[str, Array], known: tuple[CameraModel, Array, Arr
     Returns
     -------
     dict
-        Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). The latter two have an entry for each pipeline and
-        for "lens and pixel", which is None if no edge can be measured.
+        Keys "frequency" (cycles/pixel), "mtf" and "mtf50" (cycles/pixel). "mtf" and "mtf50" have an entry for each pipeline
+        and for "lens and pixel". The entry is None if no edge can be measured.
     """
     curves: dict[str, Sharpness | None] = {KNOWN: known_sharpness(*known)}
     for name, plane in planes.items():
