@@ -99,6 +99,11 @@ def lit_library(light: LightSpectrum) -> tuple[Array, Array]:
         A perfect white, followed by the measured surfaces.
     radiance : ndarray, (wavelength)
         Radiance of the perfect white, scaled to a luminance of 1 cd/m².
+
+    Raises
+    ------
+    InputFileError
+        If the illuminant emits no visible light.
     """
     radiance = light.radiance.astype(np.float64)
     if not spectra.xyz_weights(light.wavelength)[1] @ radiance > 0:

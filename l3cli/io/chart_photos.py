@@ -123,7 +123,10 @@ def capture_of(
 
 
 def _frame(path: Path, stated: RawContent, body: Body, levels: Levels) -> RawFrame:
-    """Convert the content of a raw file to a frame, with the levels that the file states."""
+    """Convert the content of a raw file to a frame, with the levels that the file states.
+
+    Raises InputFileError if the black level is unknown, or if the frame does not fit the sensor.
+    """
     content: Mapping[str, Any] = {**levels, **stated}
     if "black_level" not in content:
         raise InputFileError(f'{path} states no black level; add a "dark" frame or a [datasheet] to the measurement file')

@@ -48,8 +48,9 @@ def read_sweep(path: Path, photodiode: Path, channels: Sequence[str], column: in
 
     Parameters
     ----------
+    path : Path
         Table with these columns, in this order or with these names: wavelength, mean of each channel with light, mean of
-        each channel in the dark, reading of the photodiode with light, its reading in the dark.
+        each channel in the dark, reading of the photodiode with light, reading of the photodiode in the dark.
     photodiode : Path
         Table with the response of the photodiode per energy.
     channels : sequence of str
@@ -99,9 +100,20 @@ def read_finished(
         CSV file with the wavelength in nm and one column per channel, or JSON file.
     channels : sequence of str
         Names of the channels.
+    per_energy : bool
         Whether the curves are per energy rather than per photon.
     columns : mapping, optional
         Channel → name of its column, if they differ.
+
+    Returns
+    -------
+    FinishedCurves
+        The curves per photon. Small negative values, which noise explains, are set to zero.
+
+    Raises
+    ------
+    InputFileError
+        If a channel has no column, or if the curves are not plausible.
     """
     table = (_read_json(path) if path.suffix.lower() == ".json" else read_table(path)).channel_columns(channels, columns)
     grid, curves = table.wavelength, without_noise(table.responses(per_energy, "per_energy"))
@@ -114,7 +126,10 @@ def read_finished(
 
 
 def _read_json(path: Path) -> CurveTable:
-    """Return the curves of a rawtoaces file, with the names in its index."""
+    """Return the curves of a rawtoaces file, with the names in its index.
+
+    Raises InputFileError if the file has another structure, or if the wavelengths are not in nm.
+    """
     try:
         content = json.loads(read_bounded(path, "use curves in CSV or rawtoaces JSON"))["spectral_data"]
         rows, names = content["data"]["main"], content.get("index", {}).get("main")

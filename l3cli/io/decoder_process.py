@@ -1,6 +1,6 @@
-"""The process that decodes untrusted files for isolated.py. It starts a confined worker for each file.
+"""The process that decodes untrusted files for isolated.py. It starts a worker process with restricted rights for each file.
 
-Three measures confine a worker:
+Three measures restrict a worker:
 
 * Resource limits restrict processor time, address space and file size.
 * Landlock, a security module of Linux (man 7 landlock), restricts file access. A worker can read only its input file, the
@@ -38,7 +38,7 @@ except (ImportError, RuntimeError):  # RuntimeError: libseccomp.so.2 is missing
 ABI, SECCOMP = "Landlock ABI ", "seccomp"  # names of the measures; the version number follows the first name
 SET_NO_NEW_PRIVILEGES = 38  # option of prctl
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # Landlock system calls; the numbers are the same on all machines
-ASK_FOR_VERSION = 1  # flag of CREATE_RULESET that requests the version of Landlock
+ASK_FOR_VERSION = 1  # flag of CREATE_RULESET, with which the call returns the version of Landlock
 PATH_BENEATH = 1  # type of rule: rights for a file, or for everything below a folder
 FILE_RIGHTS, ADDED_IN = 13, (2, 3, 5)  # number of file rights in version 1, and the later versions that added one right each
 READ_FILE, READ_FOLDER = 1 << 2, 1 << 3
@@ -46,7 +46,7 @@ TCP, TCP_SINCE = 0b11, 4  # the rights to bind and to connect, and the version o
 SCOPES, SCOPES_SINCE = 0b11, 6  # restrictions for abstract Unix sockets and signals, and the version that added them
 SYSTEM = ("/usr", "/lib", "/lib64", "/etc/ld.so.cache", "/etc/localtime")
 PACKAGES = ("site-packages", "dist-packages")
-MAX_WORKERS = 8  # number of workers that stay alive, because the frames of several files may be read alternately
+MAX_WORKERS = 8  # number of workers that are kept for further requests, because several files may be read alternately
 
 DENIED = {  # denied system calls, by what they affect outside the process
     "sockets": "socket socketpair connect bind listen accept accept4",
@@ -65,13 +65,14 @@ DENIED = {  # denied system calls, by what they affect outside the process
 }
 CLONE_THREAD = 0x10000  # flag of the system call clone
 
-_measures: tuple[str, ...] = ()  # measures that confine this process, besides resource limits
+_measures: tuple[str, ...] = ()  # measures that restrict this process, in addition to resource limits
 
 
 def confine(files: Iterable[Path]) -> tuple[str, ...]:
-    """Confine this process to reading `files`. The process must have only one thread. The confinement is permanent.
+    """Restrict this process permanently, so that it can only read `files` and the Python installation.
 
-    Returns the names of the measures that are now active, such as ("Landlock ABI 7", "seccomp").
+    The process must have only one thread. Returns the names of the measures that are now active, such as ("Landlock ABI 7",
+    "seccomp"). A measure that the system does not support is left out.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(SET_NO_NEW_PRIVILEGES, *map(ctypes.c_ulong, (1, 0, 0, 0))):
@@ -137,12 +138,12 @@ def _filter_system_calls() -> bool:
 
 @isolated()
 def measures(path: Path) -> tuple[str, ...]:
-    """Return the measures that confine the worker of a file, besides resource limits. See `confine`."""
+    """Return the measures that restrict the worker of a file, in addition to resource limits. `confine` describes them."""
     return _measures
 
 
 def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: int) -> None:
-    """Answer decoding requests until the caller closes the connection. Each file is decoded by its own worker process.
+    """Process decoding requests until the caller closes the connection. A separate worker process decodes each file.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def serve(socket_descriptor: int, arrays: int, cpu_seconds: float, max_bytes: in
 
 
 def _import(module: str, name: str) -> None:
-    """Import a decoder and its libraries before workers are forked, so that not every worker must import them."""
+    """Import a decoder and its libraries, so that forked workers need not import them again."""
     with contextlib.suppress(Exception):  # the worker imports the decoder again and reports the error
         for library in getattr(importlib.import_module(module), name).libraries:
             importlib.import_module(library)
@@ -194,7 +195,7 @@ class _Worker:
     """A forked process that decodes one file and cannot read any other input."""
 
     def __init__(self, path: Path, arrays: int, cpu_seconds: float, inherited: list[socket.socket]) -> None:
-        """Fork the worker. It closes the `inherited` sockets. Raises OSError if the process cannot be started."""
+        """Fork the worker, which closes the `inherited` sockets. Raises OSError if the process cannot be started."""
         self.socket, theirs = socket.socketpair()
         with theirs:
             try:
@@ -231,7 +232,7 @@ class _Worker:
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
-    """Confine this process to one file, answer requests for this file until the connection closes, then exit."""
+    """Restrict this process to one file, process requests for this file until the connection closes, then exit."""
     global _measures
     _measures = confine([path])
     while True:

@@ -1,6 +1,6 @@
-"""Where pictures are written: to a file, to its pages, to a folder, to numbered files, to a video or to a stream.
+"""Destinations of rendered pictures: a file, the pages of a file, a folder, numbered files, a video or a stream.
 
-The module determines the destination, checks whether files exist there, and opens the writer of frames.
+The module determines the destination from the name of the output, checks for existing files, and opens the writer of frames.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ PICTURE_WRITERS = 2  # number of threads that compress picture files
 
 @dataclass(frozen=True)
 class Destination:
-    """Where pictures are written.
+    """The place where pictures are written.
 
     `kind` is "stream" (y4m on stdout), "video", "pattern" (numbered files), "folder", "file" (a single picture) or "pages"
     (of a single TIFF file).
@@ -77,7 +77,7 @@ class Destination:
 
     @property
     def checkpoint(self) -> Path:
-        """The checkpoint file. It is in the output folder, or in the folder of the output files."""
+        """The checkpoint file, which is in the folder of the pictures. Each shard has its own checkpoint file."""
         ending = f"{self._of_shard}{UNFINISHED}"
         if self.kind == "folder":
             return self.path / ending
@@ -186,7 +186,7 @@ def refuse_outputs(
 
 
 def _existing(destination: Destination, sequence: FrameSequence) -> list[Path]:
-    """Return the existing pictures that the frames of a stream would replace. The stream may be endless."""
+    """Return the existing pictures that the frames of a stream would replace, without reading the stream."""
     if sequence.wanted is None:
         return _pictures(destination)
     wanted = sequence.wanted if sequence.part is None else sequence.wanted[sequence.part.start : sequence.part.stop]
@@ -209,10 +209,17 @@ def sink_of(
     destination: Destination, sequence: FrameSequence, choice: VideoChoice, pacing: Pacing,
     before_rename: Callable[[Path, Path, FrameReference | None], None],
 ) -> Iterator[tuple[Callable[[tuple[FrameReference, Any]], None], int]]:  # fmt: skip
-    """Open the writer of frames. Yields the writer, and the number of threads that may call it at the same time.
+    """Context manager that opens the writer of frames.
 
     Before each temporary file is renamed, `before_rename` is called with the final file, the temporary file and the frame.
     The frame is None if the file contains all frames.
+
+    Yields
+    ------
+    callable
+        Function that writes a frame. Its argument is a tuple of the FrameReference and the picture.
+    int
+        Number of threads that may call this function at the same time.
     """
     path = destination.path
 

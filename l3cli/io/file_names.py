@@ -16,7 +16,7 @@ from l3cli.system.files import STDIN
 
 RAW, IDEAL, MOTION = "_raw.tif", "_ideal.png", "_motion.exr"  # endings of the files of a simulated sequence
 MOST_WILD = 4  # maximum number of path components with wildcards; each multiplies the number of folders to search
-MOST_DIGITS = 18  # maximum number of digits, sufficient for a time in microseconds and within 64 bits
+MOST_DIGITS = 18  # maximum number of digits of a frame number, which may be a time in microseconds and must fit in 64 bits
 PATTERN = re.compile(r"%(0[0-9]{1,2})?d|#{1,99}")  # placeholder of a number
 DIGITS = re.compile(r"[0-9]+")  # ASCII digits only, because Python cannot convert every digit that \d matches
 
@@ -64,7 +64,7 @@ def is_glob(path: Path) -> bool:
 
 
 def globbed(path: Path) -> list[Path]:
-    """Return the files that a glob matches, in natural order, without hidden files."""
+    """Return the files that match a glob, in natural order, without hidden files."""
     matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
     return sorted((each for each in matches if each.name[0] != "." and each.is_file()), key=natural_order)
 
@@ -128,8 +128,8 @@ WILD = re.compile(r"\[[^]]*\]|[*?]")
 def name_of(source: Path) -> str:
     """Return the output name of a clip.
 
-    A clip in a file or folder has the name of that file or folder. A clip that is specified by a pattern or glob has the
-    name of the pattern without placeholders or, if nothing remains, the name of the folder.
+    If the clip is an existing file or folder, the result is its name. If the clip is a pattern or glob, the result is the
+    pattern without placeholders or, if nothing remains, the name of its folder.
     """
     if source.exists():
         name = source.resolve().name if source.is_dir() else source.stem
@@ -176,7 +176,7 @@ def clips_in(folder: Path, sensor: Callable[[], Sensor], known: RawOverrides, wa
     longer = [path for path in paths if path.name not in frames and _is_clip(path)]
     several = None
     for path in map(folder.joinpath, sorted(frames)):
-        with contextlib.suppress(L3Error):  # skip a damaged file and try the next
+        with contextlib.suppress(L3Error):  # a damaged file is skipped, and the next file is tried
             if path.is_file():
                 several = holds_several(path, sensor, known)
                 break

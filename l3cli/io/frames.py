@@ -36,7 +36,7 @@ RAW_FILE = "use a raw file from the camera (DNG, CR2, NEF, ARW…)"
 PICTURES = (".tif", ".png")  # formats whose bit depth is checked before pixels are read
 MOST_FILES, DEEPEST = 20_000, 8  # maximum number of files, and maximum depth of nested folders, that are searched
 DEVELOPED = tuple(suffix for each in UNREAD if each.instead == unread.DEVELOPED for suffix in each.suffixes)
-PROSE = (".txt", ".asc", ".xml")  # suffixes of text files that often contain something other than a table
+PROSE = (".txt", ".asc", ".xml")  # suffixes of text files, which often contain no table
 FIGURES = re.compile(rb"^\s*[\d.]+[\s,;]+[\d.]", re.MULTILINE)  # beginning of a line of numbers in a table
 
 
@@ -62,7 +62,7 @@ def raw_content(path: Path, answered: Container[str] = ()) -> RawContent:
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The frames in a list of files. Each iteration reads the frames again, one by one."""
+    """The frames in a list of files, which are read one by one during each iteration."""
 
     paths: tuple[Path, ...]
     shape: tuple[int, int]
@@ -81,7 +81,10 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class WholeFrames:
-    """Raw files with full frames of a known camera. Each iteration reads the files again, one by one."""
+    """Raw files with full frames of a known camera, which are read one by one during each iteration.
+
+    A frame with another size, another phase or values beyond the bit depth raises InputFileError.
+    """
 
     paths: tuple[Path, ...]
     camera: CameraModel
@@ -306,7 +309,7 @@ def read_spectra(folder: CaptureFolder, notes: list[str]) -> list[tuple[str, Cur
 
 
 def _has_numbers(path: Path) -> bool:
-    """Whether a text file contains several lines of numbers. The user may then expect that l3 reads it as a table."""
+    """Whether a text file contains at least three lines of numbers, so that a user may expect l3 to read it as a table."""
     try:
         with open(path, "rb") as stream:
             return len(FIGURES.findall(stream.read(65536))) >= 3

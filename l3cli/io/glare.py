@@ -1,4 +1,4 @@
-"""Write the glare that calibration found in photos of charts as dark frames (docs/method.md#charts-in-photographs)."""
+"""Dark frames with the glare that the calibration found in photos of charts (docs/method.md#charts-in-photographs)."""
 
 import io
 from pathlib import Path
@@ -10,11 +10,13 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.physics.mosaic import shifted_cfa, tiled
 
 LARGEST_DN = 65535  # largest 16-bit value
-PAGES = 2  # number of identical pages; from their difference, `l3 render` concludes that the dark frame has no noise
+# Number of identical pages. `l3 render` estimates the noise of dark frames from differences between pages, which are zero
+# here.
+PAGES = 2
 
 
 def glare_files(camera: CameraModel) -> dict[str, bytes]:
-    """Return a dark frame for each photo of a chart that the camera was calibrated from.
+    """Return a dark frame for each photo of a chart from which the camera was calibrated.
 
     A dark frame contains the black level and the glare of each channel. `l3 render --dark` subtracts it from the photo, or
     from another picture taken in the same place.

@@ -45,7 +45,8 @@ def picture_size(path: Path) -> tuple[int, int]:
 def mono_of(path: Path, source: Any, spec: Any) -> tuple[NDArray[Any], float | None]:
     """Return the values (row, col) of a single-channel picture as stored, and its exposure time in s.
 
-    Values of 8 or 16 bits are returned as uint16. The exposure time is None if the file does not state it.
+    Values of 8 or 16 bits are returned as uint16. The exposure time is None if the file does not state it. Raises
+    InputFileError if the picture has several channels.
     """
     if spec.nchannels != 1:
         raise InputFileError(
@@ -119,7 +120,10 @@ def require_whole_stack(path: Path, spec: Any, pages: int) -> None:
 
 
 def pixels_of(path: Path, source: Any, spec: Any) -> NDArray:
-    """Read the pixels (row, col, channel) of an open picture."""
+    """Read the pixels (row, col, channel) of an open picture.
+
+    Raises InputFileError if the file is truncated or damaged.
+    """
     pixels = source.read_image(spec.format)
     if pixels is None:
         raise InputFileError(f"{path} is truncated or damaged ({_reason(source.geterror(), str(path))}); copy it again")

@@ -1,9 +1,9 @@
 """Decode untrusted files in an isolated process with limited time and memory.
 
-If a third-party decoder crashes, it can end only the isolated process, never this process. The isolated process is started
-when the first file is read. It forks a worker for each file (decoder_process.py). A worker decodes its file and can access
-nothing else, as far as the kernel supports that. If a worker dies, the isolated process also ends, and the next file is
-decoded by a new process.
+If a third-party decoder crashes, only the isolated process ends, and this process continues. The isolated process is started
+when the first file is read. It forks a worker process for each file (decoder_process.py). A worker can only read its file,
+as far as the kernel can restrict it. If a worker dies, the isolated process also ends, and a new process decodes the next
+file.
 
 Requests and replies are JSON. Arrays are passed through a memory file and copied after their sizes have been checked, so
 that no data from a worker are executed or trusted. Users who trust their files (`--trust`, or L3_TRUST=1) can have them
@@ -34,7 +34,7 @@ from l3cli.system.locks import ThreadLock
 
 WALL_PER_CPU_TIME = 5  # limit of the wall-clock time as a multiple of the CPU time, which allows for slow disks
 PROGRAM_BYTES = 1 << 30  # address space for the interpreter, the libraries and their buffers
-COPIES = 2  # further address space, as a multiple of the maximum content of a file
+COPIES = 2  # additional address space, as a multiple of the maximum content of a file
 MORE_MEMORY = "free some memory, or raise the memory limit of the shell (ulimit -v)"
 READY = b"ready"  # first message of the process
 MAX_REPLY = 64 << 20  # bytes, maximum size of a reply without its arrays
@@ -60,9 +60,9 @@ def isolated(*libraries: str) -> Callable[[F], F]:
 
     Notes
     -----
-    The function must be at module level. Its parameters are a path, then text, numbers or None. It returns arrays of
-    numbers, text, numbers or None, or tuples, lists and dictionaries of these. It may read no other file. Exceptions that
-    are not L3Error become an InputFileError that names the file.
+    The function must be at module level. Its first parameter is a path. The other parameters are text, numbers or None. It
+    returns arrays of numbers, text, numbers or None, or tuples, lists and dictionaries of such values. It can read only this
+    file. Exceptions that are not L3Error become an InputFileError whose message contains the file name.
     """
 
     def made(function: F) -> F:
@@ -97,7 +97,10 @@ def _require_utf8(path: Path) -> None:
 
 
 def _decoded(function: Callable[..., Any], path: Path, *plain: Any) -> Any:
-    """Call the decoder in this process, and convert exceptions of third-party libraries to InputFileError."""
+    """Call the decoder in this process.
+
+    Exceptions of third-party libraries become an InputFileError. If a library cannot be imported, L3Error is raised instead.
+    """
     try:
         return function(path, *plain)
     except L3Error:
@@ -162,7 +165,11 @@ class _Child:
         self._arrays.close()
 
     def ask(self, path: Path, module: str, name: str, plain: tuple[Any, ...]) -> Any:
-        """Return the result of the function `name` in `module` for a file."""
+        """Run the function `name` in `module` on a file in the isolated process, and return its result.
+
+        Errors of the function are raised again. If the process takes too long, crashes or returns an invalid reply, it is
+        killed and InputFileError is raised.
+        """
         try:
             self._await_beginning()
             request = [os.getcwd(), stamp(path), module, name, str(path), *plain]
@@ -188,7 +195,7 @@ class _Child:
             raise
 
     def _await_beginning(self) -> None:
-        """Wait until the process is ready. Raises L3Error if the process ends first, because then no file is the cause."""
+        """Wait until the process is ready. Raises L3Error if the process cannot be started."""
         if self._ready:
             return
         try:
@@ -253,7 +260,7 @@ def arrays_back(answer: Any, file: BinaryIO) -> Any:
 
 
 def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
-    """Return the array that a reply describes."""
+    """Return the array that a reply describes. Raises ValueError if the description does not fit the memory file."""
     kind, shape, offset = description
     dtype = np.dtype(kind)
     if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in (*shape, offset)):
@@ -265,7 +272,10 @@ def _array(description: list[Any], file: BinaryIO) -> np.ndarray:
 
 
 def plain_of(value: Any, file: BinaryIO) -> Any:
-    """Convert a value to JSON types. Arrays are written to `file`."""
+    """Convert a value to JSON types. Arrays are written to `file`.
+
+    Raises TypeError if the value has a type that cannot be converted.
+    """
     if isinstance(value, np.ndarray):
         offset = file.tell()
         np.ascontiguousarray(value).tofile(file)
@@ -286,7 +296,11 @@ def send(connection: socket.socket, text: bytes) -> None:
 
 
 def receive(connection: socket.socket, until: float | None = None) -> bytes:
-    """Receive a message. Raises TimeoutError if it is not complete at the time `until` of time.monotonic()."""
+    """Receive a message.
+
+    Raises TimeoutError if the message is not complete at the time `until` of time.monotonic(), EOFError if the connection is
+    closed first, and ValueError if the message is too long.
+    """
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size, until))
     if length > MAX_REPLY:
         raise ValueError("the message exceeds the maximum size")

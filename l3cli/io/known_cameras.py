@@ -21,7 +21,8 @@ ARRAYS = {  # each array in one phase; raw files may have any phase
     "bayer": ("r g", "g b"),
     "xtrans": ("g b g g r g", "r g r b g b", "g b g g r g", "g r g g b g", "b g b r g r", "g r g g b g"),
 }
-COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}  # words in makers' names that are ignored
+# Words in the names of manufacturers that are ignored when names are compared
+COMPANY = {"corporation", "corp", "company", "co", "ltd", "inc", "imaging"}
 
 
 class KnownCamera(Recipe):

@@ -24,7 +24,11 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
 
 
 def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Summarise the sections of a measurement file: their captures, frames and exposures."""
+    """Read all files of a measurement file except frames, and return a summary and an empty list of faults.
+
+    The summary contains the array, the channels, and the captures, frames and exposures of each section. Raises an error if
+    a photo or another file cannot be used.
+    """
     measured = measurements_of(recipe, source.path)
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]

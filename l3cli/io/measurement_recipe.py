@@ -38,8 +38,10 @@ from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
 CAPTURES = ("mono", "band", "chart", "white", "dark")  # sections whose entries list frames
-MOST_UNREFERENCED = 2.0  # a reading without a reference counts as a ratio if it or its inverse does not exceed this
-MOST_MONITOR = 10.0  # maximum ratio of lamp readings, or of its inverse; a larger change indicates a different lamp
+# A monitor reading without a reference must be a ratio. It counts as a ratio if neither it nor its inverse exceeds this
+# value.
+MOST_UNREFERENCED = 2.0
+MOST_MONITOR = 10.0  # maximum ratio of two lamp readings, and of its inverse; a larger change indicates a different lamp
 Below1 = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 Names = Annotated[list[str], msgspec.Meta(min_length=1)]
 Corners = Annotated[list[tuple[float, float]], msgspec.Meta(min_length=4, max_length=4)]
@@ -81,9 +83,9 @@ class CaptureRecipe(Recipe, kw_only=True):
 
 
 class SensorCaptureRecipe(CaptureRecipe, kw_only=True):
-    """Dark or white frames at an ISO speed. The lowest speed determines the gain, and other speeds further gains."""
+    """Dark or white frames at an ISO speed. The gain of the camera is the gain at the lowest ISO speed."""
 
-    iso: float | None = None  # either all such captures state it, or none
+    iso: float | None = None  # must be set for all dark and white captures or for none
 
 
 class MonoRecipe(CaptureRecipe, kw_only=True):

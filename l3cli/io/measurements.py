@@ -277,7 +277,10 @@ def read_contents(recipe: AnyRecipe, path: Path, at: At = _raised) -> Contents:
 
 
 def _mono_lights(steps: Sequence[MonoRecipe], path: Path, read: ReadTable, at: At) -> tuple[MonoLight, ...]:
-    """Return the light of each monochromator step."""
+    """Return the light of each monochromator step.
+
+    Raises RecipeError if a column does not exist, and InputFileError if a spectrum is unsuitable.
+    """
     lights = []
     for number, step in enumerate(steps):
         with at(("mono", number, "spectrum"), ("mono", number, "column")):
@@ -365,7 +368,10 @@ def _reading(table: CurveTable, column: int | str, nm: float) -> tuple[float, di
 def _patch_radiances(
     section: str, captures: Sequence[ChartRecipe], folder: Path, read: ReadTable, at: At
 ) -> tuple[PatchRadiances, ...]:
-    """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker."""
+    """Return the radiances of the patches in each [[chart]] or [[band]] capture, in the order of the ColorChecker.
+
+    Raises InputFileError if the radiances are relative in a [[chart]] capture, or if a patch has no light.
+    """
     radiances = []
     for number, capture in enumerate(captures):
         with at((section, number, "radiance")):
@@ -384,7 +390,10 @@ def _patch_radiances(
 
 
 def patch_name(heading: str) -> str:
-    """Return the name of the patch in a heading: "patch 13", "13", "blue", "white 9.5 (.05 D)". Other headings are kept."""
+    """Return the name of the patch for a heading such as "patch 13", "13", "blue" or "white 9.5 (.05 D)".
+
+    Other headings are returned in lower case, without text in brackets at the end.
+    """
     number = re.fullmatch(r"(?:patch|p|no|#)?[ ._-]*0*(\d{1,2})", heading.strip(), re.IGNORECASE)
     if number and 1 <= int(number[1]) <= PATCHES:
         return PATCH_NAMES[int(number[1]) - 1]
@@ -509,7 +518,7 @@ def _by_speed(recipes: Sequence[SensorCaptureRecipe], body: Body, folder: Path) 
 
 
 def _frames(capture: CaptureRecipe, body: Body, folder: Path) -> dict[str, Any]:
-    """Return the keyword arguments that all types of captures need. The frames are read later."""
+    """Return the keyword arguments for a capture of any type. The frames are read later."""
     files = FrameFiles(tuple(folder / name for name in capture.frames), (body.rows, body.cols), body.bits, body)
     return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
 

@@ -1,7 +1,7 @@
 """Find the numbered frames of a sequence: a folder, pattern, glob, stack, headerless stream or video.
 
-The module also finds sequences of finished pictures for evaluation. Frames are listed without being read. Memory therefore
-does not grow with the number of frames, and frames can be read in advance.
+The module also finds sequences of finished pictures for evaluation. It lists the frames without reading them, so memory does
+not grow with the number of frames.
 """
 
 import contextlib
@@ -58,7 +58,7 @@ class FrameReference:
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """Frames in order. A stream ends at the first frame for which `read` returns None."""
+    """The frames of an input in order. A stream ends at the first frame for which `Frames.read` returns None."""
 
     what: str  # name of the input in messages
     frames: "Frames"  # existing frames, or possible frames of a stream
@@ -83,7 +83,7 @@ class FrameSequence:
         return self.count if self.part is None else len(self.part)
 
     def renders(self, place: int) -> bool:
-        """Whether the frame at a position is rendered. Other frames are only read because rendered frames depend on them."""
+        """Whether the frame at a position is rendered. If not, it may still be read, because other frames depend on it."""
         return self.part is None or place in self.part
 
     def absent(self, numbers: range) -> InputFileError:
@@ -99,7 +99,7 @@ class FrameSequence:
 
 @dataclass(frozen=True)
 class _Series:
-    """An input: its frame numbers, and a function that reads the frame with a given number."""
+    """The frame numbers of an input, and a function that reads the frame with a given number."""
 
     what: str  # name of the input in messages
     numbers: Collection[int] | None  # frame numbers in order; None for a stream
@@ -182,7 +182,11 @@ def _divided(wanted: range, numbers: Collection[int]) -> tuple[Sequence[int], li
 
 
 def read_dark(sequence: FrameSequence) -> DarkFrame:
-    """Return the mean of dark frames. Raises InputFileError if a frame is missing or damaged, or if sizes differ."""
+    """Return the mean of dark frames.
+
+    Raises InputFileError if a frame is missing or damaged, or if the frames differ in size. Raises RecipeError if the frames
+    come from stdin.
+    """
     if sequence.what == STDIN_NAME:
         raise RecipeError("dark frames cannot be read from stdin; save them in files")
     # The number of frames in a video is known only at its end.
@@ -197,7 +201,7 @@ def _until_none(frames: Iterable[RawFrame | None]) -> Iterator[RawFrame]:
 
 
 def frame_files(path: Path) -> list[Path]:
-    """Return the files of an input of any kind. Raises InputFileError if there are no files."""
+    """Return the files of a folder, a pattern, a glob or a single file. Raises InputFileError if there are no files."""
     if path.is_dir():
         return _in_folder(path)
     if not path.exists() and PATTERN.search(path.name):
@@ -313,7 +317,10 @@ def _series_of_pattern(pattern: Path, table: TransformTable, known: RawOverrides
 
 
 def _series_of_stack(what: str, stem: str, stack: MultiFrameFile, table: TransformTable, known: RawOverrides) -> _Series:
-    """Return the frames of a file or of stdin. Output names consist of `stem`, unless it is empty, and the frame number."""
+    """Return the frames of a file or of stdin. Output names consist of `stem`, unless it is empty, and the frame number.
+
+    Raises InputFileError if there are no frames.
+    """
     if stack.count == 0:
         raise InputFileError(f"{what} contains no frames; use a file with frames × rows × columns")
 
@@ -432,6 +439,7 @@ def read_motion(path: Path, shape: tuple[int, int]) -> Linear:
     """Read the motion of a frame since the previous frame, as an array (3, row, col).
 
     The three planes are the downward motion in pixels, the motion to the right in pixels, and 1 where the motion is known.
+    Raises InputFileError if the file does not contain the motion of frames of this size.
     """
     planes, names = read_image(path)
     if names != KNOWN_MOTION or planes.shape[:2] != shape or not np.isfinite(planes).all():

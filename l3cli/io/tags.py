@@ -15,7 +15,7 @@ import numpy as np
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import Shot
 
-BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of value types
+BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 10, 12  # codes of the types of tag values
 FRACTIONS = (RATIONAL, SRATIONAL)
 COLOUR_FILTER_ARRAY, LINEAR_RAW = 32803, 34892  # values of PhotometricInterpretation
 REDUCED, ONE_OF_MANY = 1, 2  # bits of NewSubfileType: a smaller copy of another image; one page of several
@@ -23,7 +23,7 @@ RECTANGULAR = 1  # value of CFALayout
 UNSIGNED = 1  # value of SampleFormat
 UPRIGHT = 1  # value of Orientation
 LIBRAW_FLIP = (0, 0, 1, 3, 2, 4, 6, 7, 5)  # flip codes for the values 0…8 of Orientation
-# exceptions that damaged tags may cause
+# exceptions that can occur when damaged tags are read
 BROKEN = (ValueError, TypeError, KeyError, IndexError, AttributeError, ZeroDivisionError, OverflowError, struct.error)
 LONGEST_NAME = 80  # maximum length of a camera name; longer names are cut
 MAX_DENOMINATOR = 10**9
@@ -56,9 +56,9 @@ def numbers(page: Any, name: str, default: Any) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Convert the value of an Exif tag to a number: two numbers are a fraction, of more numbers the first is used.
+    """Convert the value of an Exif tag to a number, or return None if it is not a number.
 
-    Returns None if the value is not a number.
+    Two numbers are numerator and denominator of a fraction. Of more than two numbers, the first is used.
     """
     if isinstance(value, tuple | list | np.ndarray) and len(value):
         value = value[0] / value[1] if len(value) == 2 and value[1] else value[0]

@@ -1,7 +1,7 @@
 """Write and read videos with PyAV (FFmpeg).
 
-The module writes videos and y4m streams, decodes videos frame by frame, and reads and assigns the times of frames. Functions
-that decode are only called in the isolated process. Raw videos are read by raw/video.py.
+The module writes videos and y4m streams, decodes videos frame by frame, and determines the times of frames. The functions
+that decode must be called only in the isolated process. The module raw/video.py reads raw videos.
 
 Written pictures are sRGB, and every video is labelled accordingly: BT.709 primaries, sRGB transfer function (BT.709 for
 ProRes, which cannot label sRGB), and the BT.709 matrix in limited range if colours are stored as luma and chroma.
@@ -58,7 +58,7 @@ def pyav() -> Any:
 
 @dataclass(frozen=True)
 class Encoding:
-    """How to encode pictures as a video: FFmpeg's encoder, its pixel format for each bit depth, and the file suffixes."""
+    """Settings for encoding pictures as a video: FFmpeg's encoder, its pixel formats by bit depth, and the file suffixes."""
 
     encoder: str
     formats: dict[int, str]
@@ -183,10 +183,10 @@ class _Converter:
 
 
 def _widen(picture: NDArray[np.uint8], buffer: NDArray[np.uint8]) -> None:
-    """Copy pixels of three bytes into pixels of four bytes.
+    """Copy pixels of three bytes into pixels of four bytes, because FFmpeg converts them to luma and chroma faster.
 
-    FFmpeg converts pixels of four bytes to luma and chroma faster. Copy and conversion take four fifths of the time.
-    FFmpeg ignores the fourth byte. It is the first byte of the next pixel, because pixels are copied as 32-bit integers.
+    Copying and converting together take four fifths of the time that converting pixels of three bytes takes. FFmpeg ignores
+    the fourth byte, which is the first byte of the next pixel, because pixels are copied as 32-bit integers.
     """
     pixels = picture.size // 3
     buffer.reshape(-1).view("<u4")[: pixels - 1] = np.ndarray(pixels - 1, "<u4", picture.data, strides=(3,))
@@ -279,10 +279,10 @@ class VideoWriter:
 def new_video(
     path: Path, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[VideoWriter]:
-    """Yield a new video for writing.
+    """Context manager that yields a new video for writing.
 
-    The file is written under a temporary name. When the caller has written all pictures, `finished` is called with the
-    temporary file, and then the file gets its name `path`.
+    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
+    then the file is renamed to `path`. Raises L3Error if FFmpeg cannot write the video.
     """
     av = pyav()
     form = {".mp4": "mp4", ".mov": "mov", ".mkv": "matroska"}[path.suffix.lower()]
@@ -331,10 +331,10 @@ def _write_all(stream: BinaryIO, content: Any) -> None:
 def new_y4m(
     path: Path | None, choice: VideoChoice, finished: Callable[[Path], None] = lambda temporary: None
 ) -> Iterator[Y4mWriter]:
-    """Yield a new y4m file for writing, or stdout if `path` is None.
+    """Context manager that yields a new y4m file for writing, or a stream on stdout if `path` is None.
 
-    The file is written under a temporary name. When the caller has written all pictures, `finished` is called with the
-    temporary file, and then the file gets its name `path`.
+    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
+    then the file is renamed to `path`.
     """
     if path is None:
         # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
@@ -427,7 +427,7 @@ class DecodedVideo:
     def times(self, most: int) -> list[int | None]:
         """Return the times in ticks of at most `most` following frames, in file order.
 
-        The time of a frame is None if the file does not state it.
+        The time of a frame is None if the file does not state it. Raises InputFileError if the file is damaged.
         """
         try:
             packets = list(itertools.islice((packet for packet in self._packets if packet.size), most))
@@ -452,7 +452,11 @@ class InTurn:
         return self.video(path, number).following()
 
     def video(self, path: Path, number: int) -> DecodedVideo:
-        """Return the video, positioned before frame `number`."""
+        """Return the video, positioned before frame `number`.
+
+        If `number` is 0, the video is opened again. Raises InputFileError if the frames are not read in order, which happens
+        after a frame has crashed the decoder.
+        """
         if number == 0:
             if self._video is not None:
                 self._video.close()
@@ -477,7 +481,7 @@ class StatedTimes:
 
     @property
     def are_even(self) -> bool:
-        """Whether all frames have the same duration, apart from rounding."""
+        """Whether all frames have the same duration, within the resolution of times in Matroska files."""
         steps = np.diff(self.ticks)
         return steps.size == 0 or int(steps.max() - steps.min()) * self.tick <= JITTER
 
@@ -488,10 +492,10 @@ class StatedTimes:
 
 
 def unit_of(numbers: Sequence[int]) -> int | None:
-    """Return the step between consecutive frame numbers, or None if the numbers are irregular, as in time stamps.
+    """Return the step between consecutive frame numbers, or None if the numbers are irregular, for example time stamps.
 
-    The step is the smallest difference between consecutive numbers. Numbers are irregular unless at least half of the
-    differences are equal to the step, and every difference is a multiple of the step.
+    The step is the smallest difference between consecutive numbers. The numbers are regular if at least half of the
+    differences are equal to the step, and if every difference is a multiple of the step.
     """
     steps = Counter(after - before for before, after in pairwise(numbers))
     unit = min(steps, default=1)
@@ -509,7 +513,7 @@ class Pacing:
     stated : StatedTimes, optional
         Times to use instead of the frame numbers.
     step : int
-        Only every `step`-th frame is used. It is shown for the duration of one frame.
+        Only every `step`-th frame is used. The times are divided by `step`, so that each frame has its original duration.
     """
 
     def __init__(self, unit: int | None, stated: StatedTimes | None = None, step: int = 1) -> None:

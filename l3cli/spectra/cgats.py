@@ -90,7 +90,7 @@ def read_cgats(text: str, path: Path) -> Spectra:
 
 
 def _tables(text: str, path: Path) -> list[CgatsTable]:
-    """Split a file into its tables."""
+    """Split a file into its tables. Raises InputFileError if a row is incomplete."""
     tables, inside = [CgatsTable()], ""
     for line in text.splitlines():
         plain = COMMENT.sub(r"\1", line)
@@ -171,7 +171,10 @@ def _spectra(table: CgatsTable, identifier: str, path: Path) -> Spectra:
 
 
 def _grid(table: CgatsTable, named: list[float], count: int, path: Path) -> NDArray[np.float64]:
-    """Return the wavelengths in nm, from the keywords if they exist, otherwise from the names of the fields."""
+    """Return the wavelengths in nm, from the keywords if they exist, otherwise from the names of the fields.
+
+    Raises InputFileError if the keywords contradict the fields.
+    """
     keys = ("SPECTRAL_BANDS", "SPECTRAL_START_NM", "SPECTRAL_END_NM")
     if not all(key in table.keywords for key in keys):
         return np.array(named)

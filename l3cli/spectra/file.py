@@ -44,7 +44,8 @@ UNIT_KEY = re.compile(
     r"^(?:y[- ]?(?:axis|unit)|(?:spectral |radiometric |measurement )?units?)\b[^:;=,\t]*[:;=,\t]\s*(.+)$", re.I
 )
 QUALITY = re.compile(r"\d{5}")  # code that Photo Research instruments write before a measurement
-SIDEWAYS, LIGHT = 10, (150.0, 5000.0)  # a table is transposed if a row has this many wavelengths within this range (nm)
+# A table is transposed if one of its rows contains at least SIDEWAYS wavelengths in nm, all within the range LIGHT.
+SIDEWAYS, LIGHT = 10, (150.0, 5000.0)
 WAVELENGTH = ("wavelength", "wavelengths", "lambda", "λ", "wl", "wave", "wvl", "wellenlänge")
 JAZ = {"d", "r", "s", "p"}  # columns of Ocean Optics' Jaz spectrometer: dark, reference, sample, processed result
 SEPARATORS = r"[\s_()\[\]/,]+"
@@ -96,7 +97,7 @@ def _text_table(text: str, path: Path) -> TextTable:
 
 
 def _text(path: Path) -> str:
-    """Read a text file in any encoding that instruments use."""
+    """Read a text file in any encoding that instruments use. Raises InputFileError if the file is not text."""
     try:
         content = read_bounded(path, CURE)
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -114,7 +115,10 @@ def _text(path: Path) -> str:
 
 
 def _separator(lines: Sequence[str]) -> tuple[str | None, bool]:
-    """Return the column separator (None for blanks), and whether a comma is a decimal point."""
+    """Return the column separator (None for blanks), and whether a comma is a decimal point.
+
+    Both are determined from the last line that begins with a number.
+    """
     last = next((line for line in reversed(lines) if re.match(r"[-+.]?\d", line)), lines[-1] if lines else "")
     for separator in ";\t":
         if separator in last:
@@ -296,7 +300,10 @@ def _is_grid(values: Sequence[float]) -> bool:
 
 
 def _heading(before: list[Cells], columns: int, decimal_comma: bool, path: Path) -> Cells | None:
-    """Return the column names, or None if there is no heading. Units in the line below the names are appended to them."""
+    """Return the column names, or None if there is no heading. Units in the line below the names are appended to them.
+
+    Raises InputFileError if the heading and the rows have different numbers of columns.
+    """
     if not before:
         return None
     if len(before) == 1 and not QUALITY.fullmatch(before[0][0]) and not MARKER.match(before[0][0]):
@@ -430,7 +437,10 @@ def _jcamp(content: str, path: Path) -> CurveTable:
 
 
 def _over_wavelengths(path: Path, wavelength: Array, values: Array, names: tuple[str, ...], unit: str | None) -> CurveTable:
-    """Return curves (column, wavelength) with a common unit, sorted by wavelength."""
+    """Check curves (column, wavelength) with a common unit, and return them sorted by wavelength.
+
+    Raises InputFileError if a value is not finite, or if the wavelengths are implausible in nm.
+    """
     _require_light(path, wavelength, values)
     if other := other_unit(float(wavelength.min()), float(wavelength.max())):
         raise InputFileError(f"{path}: {other[0]}; export wavelengths in nm")
@@ -460,7 +470,7 @@ def _result(table: CurveTable) -> CurveTable:
 
 
 def _text_curves(content: str, path: Path) -> CurveTable:
-    """Read the curves of a text table."""
+    """Read the curves of a text table. Raises InputFileError if the wavelengths are implausible in the stated unit."""
     text = _text_table(content, path)
     if text.pairs:
         return _digitised(text.pairs, text.faults, path)
@@ -526,7 +536,10 @@ def _curve_faults(name: str, line: Array, grid: Array) -> Iterator[str]:
 
 
 def _spdx(_: str, path: Path) -> CurveTable:
-    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit."""
+    """Read the spectrum in an IES TM-27-14 file. The spectral quantity in the file determines the unit.
+
+    Raises InputFileError if the file is not valid.
+    """
     read_bounded(path, CURE)
     colour = colour_science()
     try:
@@ -544,9 +557,9 @@ def _spdx(_: str, path: Path) -> CurveTable:
 
 
 def _require_light(path: Path, wavelength: Array, values: Array, column: str = "") -> None:
-    """Raise InputFileError unless the wavelengths are sorted and plausible and all values are finite.
+    """Raise InputFileError unless the wavelengths are sorted and plausible in nm, and all values are finite.
 
-    `column` describes the wavelength column in the message.
+    `column` is the description of the wavelength column in the message.
     """
     steps = np.diff(wavelength)
     if not (np.abs(values) <= MAX_NUMBER).all() or not ((steps > 0).all() or (steps < 0).all()):
@@ -581,7 +594,10 @@ def other_unit(first: float, last: float) -> tuple[str, str] | None:
 
 
 def _wavelength_column(heading: Sequence[str], path: Path) -> tuple[int, float | None]:
-    """Return the index of the wavelength column and the size of its unit in nm, or None if its heading has no unit."""
+    """Return the index of the wavelength column and the size of its unit in nm, or None if its heading has no unit.
+
+    Raises InputFileError if no column or several columns contain wavelengths.
+    """
     named = [number for number, cell in enumerate(heading) if is_wavelength(cell)] or ([0] if not heading[0] else [])
     if len(named) != 1:
         which = " and ".join(f'"{heading[number][:40]}"' for number in named[:2]) or f'none of "{", ".join(heading)[:60]}"'

@@ -150,7 +150,10 @@ def _figure(block: Block, label: str, comma: bool, path: Path, default: float | 
 
 
 def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and ordinates of XYDATA."""
+    """Return the abscissae and ordinates of XYDATA.
+
+    Raises InputFileError if values are missing, or if their number contradicts the records.
+    """
     lines = [line.replace(",", ".") if comma else line for line in block.lines]
     if any("?" in line for line in lines):
         raise InputFileError(f'{path}: some values are missing ("?"); measure the spectrum again')
@@ -164,7 +167,11 @@ def _ordinates(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float6
 
 
 def _unpacked(lines: list[str], path: Path) -> list[float]:
-    """Return the ordinates in lines of packed or plain numbers."""
+    """Return the ordinates in lines of packed or plain numbers.
+
+    If the last ordinate of a line is a difference, the first ordinate of the next line repeats its value as a check, and is
+    left out. Raises InputFileError if the two differ.
+    """
     values: list[float] = []
     by_difference = False  # whether the previous number was a difference
     for line in lines:
@@ -201,7 +208,10 @@ def _signed(digit: int, digits: str) -> float:
 
 
 def _pairs(block: Block, comma: bool, path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the abscissae and ordinates of XYPOINTS."""
+    """Return the abscissae and ordinates of XYPOINTS.
+
+    Raises InputFileError if the number of pairs contradicts the records.
+    """
     lines = [re.sub(r"(?<=\d),(?=\d)", ".", line) if comma else line for line in block.lines]
     numbers = [float(each) for line in lines for each in AFFN.findall(line)]
     count = int(_figure(block, "NPOINTS", comma, path, len(numbers) / 2))

@@ -13,7 +13,8 @@ from l3cli.errors import InputFileError, suggestion
 from l3cli.physics import spectra
 from l3cli.spectra import units
 
-DIMMEST, BRIGHTEST = 1e6, 1e24  # photons/s/sr/m²/nm; range from the least that a pixel detects to the most that a lamp emits
+# Plausible radiances in photons/s/sr/m²/nm, from the smallest that a pixel can detect to the largest that a lamp can emit
+DIMMEST, BRIGHTEST = 1e6, 1e24
 RELATIVE = ("relative", "relative photons", "relative power")  # "units" of radiances with an unknown scale
 AMPERES_PER_WATT = {"A": 1, "J": -1, "s": 1}  # powers of the unit A/W
 VISIBLE = 400.0, 700.0  # nm
@@ -51,7 +52,9 @@ class CurveTable:
         return self
 
     def ordered(self, wanted: Sequence[str], known_as: Callable[[str], str] | None = None) -> "CurveTable":
-        """Return the columns in the order of `wanted`. If the file has a heading, they are found by name.
+        """Return the columns in the order of `wanted`.
+
+        The columns are found by name. A file without a heading and a file with a single column are returned unchanged.
 
         Parameters
         ----------
@@ -92,7 +95,7 @@ class CurveTable:
         -------
         CurveTable
             The selected columns. If the file has no heading, all columns are returned in their order, and there must be one
-            column per channel.
+            column per channel. If there is one channel and one column, the column may have any name.
 
         Raises
         ------
@@ -190,7 +193,7 @@ class CurveTable:
             return
         peak = peak if peak < DIMMEST else float(peaks.max())
         if not np.isfinite(peak):
-            return  # there is no light at all, which is checked by callers that need light
+            return  # all values are zero; callers that need light check for this
         cure = "correct the stated unit" if stated else f'if the values are watts, set unit = "{units.POWER_RADIANCE}"'
         raise InputFileError(
             f"{self.path}: a radiance of {peak:.3g} {units.PHOTON_RADIANCE} is outside the plausible range of "
@@ -198,7 +201,11 @@ class CurveTable:
         )
 
     def powers(self) -> Array:
-        """Return the columns as relative power per nm. Columns in photons, according to the heading, are converted."""
+        """Return the columns as relative power per nm.
+
+        Columns whose unit in the heading contains photons are converted. Small negative values, which noise explains, become
+        zero. Raises InputFileError if a unit is not proportional to power or to photons.
+        """
         rows = []
         for values, heading in zip(self.values, self.units, strict=True):
             unit = units.parse(heading) if heading is not None else None
@@ -213,10 +220,10 @@ class CurveTable:
         return without_noise(np.array(rows))
 
     def shares(self) -> Array:
-        """Convert the columns to transmittances or reflectances, 0…1. Columns with "(%)" in the heading are divided by 100.
+        """Convert the columns to transmittances or reflectances from 0 to 1. Columns in percent are divided by 100.
 
-        Values slightly below 0 or above 1 are clipped, because noise explains them. Raises InputFileError if other values
-        are out of range.
+        Values that are less than NOISE below 0 or above 1 are clipped. Raises InputFileError if other values are out of
+        range, or if the heading contains another unit.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -236,10 +243,11 @@ class CurveTable:
         return shares
 
     def responses(self, per_energy: bool, key: str) -> Array:
-        """Return the columns as responsivities per energy or per photon.
+        """Return the columns as responsivities, per energy if `per_energy` is True, otherwise per photon.
 
-        Raises InputFileError if the heading contradicts `per_energy`. Messages name `key`, the recipe key that sets
-        `per_energy`.
+        Values in percent are converted to fractions. Other values are not converted. Raises InputFileError if the unit in
+        the heading is not a responsivity, or if it contradicts `per_energy`. The message contains `key`, which is the key of
+        the recipe from which `per_energy` comes.
         """
         for heading in filter(None, self.units):
             unit = units.parse(heading)
@@ -260,8 +268,8 @@ class CurveTable:
     def efficiencies(self, per_energy: bool) -> Array:
         """Convert the columns to quantum efficiencies in e-/photon.
 
-        Columns without a unit are assumed to be efficiencies if `per_energy` is False. Raises InputFileError if the columns
-        are relative, or if their unit contradicts `per_energy`.
+        If `per_energy` is True, the unit must be A/W. If it is False, columns without a unit are assumed to be efficiencies.
+        Raises InputFileError if the columns are relative, or if their unit contradicts `per_energy`.
         """
         rows = []
         for values, heading in zip(self.responses(per_energy, "per_energy"), self.units, strict=True):
@@ -384,9 +392,9 @@ def _plain(name: str) -> str:
 
 
 def _place(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column with the given name, or None. "red" and "r" are treated as the same name.
+    """Return the index of the column with the given name, or None if there is no such column or more than one.
 
-    Letter case matters only if two names differ in nothing else.
+    "red" and "r" are treated as the same name. Letter case matters only if two names differ in nothing else.
     """
     folded = [each.casefold() for each in names]
     other = OTHER_NAMES.get(name.casefold(), name.casefold())

@@ -33,7 +33,7 @@ SPELLINGS = {
     "−": "-",
 }
 TOKEN = re.compile(r"\s*(?:(?P<name>e-(?!\d)|[A-Za-z]+|%|(?<![\w^])1(?!\d))|(?P<power>\^?-?\d)|(?P<sign>[()/]))\s*")
-# Units of raw readings. Such readings include the response of the instrument.
+# Units of raw readings, which include the response of the instrument
 RAW = re.compile(r"(?:counts?|cts|adu|dn|dbm?|[mu]?v)(?:/(?:s|ms|us|nm))?", re.I)
 RAW_LAST = re.compile(r"(?:^|[\s_,])(counts?|cts|adu|dbm?|mv)$", re.I)  # such a unit at the end of a name, without brackets
 FRACTION_UNITS = ("reflectance", "transmittance")  # "units" of columns that contain fractions, 0…1
@@ -82,9 +82,9 @@ def below_one_slash(text: str) -> str | None:
 
 
 def _product(tokens: list[re.Match[str]]) -> tuple[Unit, list[re.Match[str]]]:
-    """Parse tokens up to a closing bracket. Returns the unit and the remaining tokens.
+    """Parse tokens up to a closing bracket, and return the unit and the remaining tokens.
 
-    A slash applies only to the factor that follows it.
+    A slash applies only to the next factor. Raises KeyError or IndexError if the tokens are not a unit.
     """
     scale, powers = 1.0, dict[str, int]()
     while tokens and tokens[0]["sign"] != ")":

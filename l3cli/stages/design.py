@@ -407,6 +407,7 @@ def design(recipe: Path, output: Path, options: DesignOptions) -> tuple[Design, 
         The design. If `resume` is set and the output is finished, it is read from the output.
     FilesUsed
         The files that were read and written.
+
     Raises
     ------
     RecipeError, InputFileError

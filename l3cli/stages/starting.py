@@ -364,7 +364,10 @@ def _camera_line(place: Path, camera: PhotoCamera) -> str:
 
 
 def _raw_files(photo: Path) -> list[Path]:
-    """Return the raw files of a folder, or the file itself."""
+    """Return the raw files of a folder, or the file itself.
+
+    Raises InputFileError if there are no raw files, or if the file contains no metadata about the camera.
+    """
     if not photo.is_dir():
         if photo.exists() and photo.suffix.lower() in BY_SUFFIX and not is_photo(photo):
             raise InputFileError(
@@ -381,7 +384,8 @@ def _raw_files(photo: Path) -> list[Path]:
 def _sorted_by_camera(files: Sequence[Path], listed: set[Path], console: Console) -> dict[str, list[tuple[Path, Stated]]]:
     """Group raw files by camera.
 
-    A file from a folder (`listed`) that is not a raw file is reported and skipped. Any other such file is an error.
+    A file from a folder (`listed`) that is not a raw file is reported and skipped. Any other such file is an error. Raises
+    InputFileError if no file can be read.
     """
     cameras: dict[str, list[tuple[Path, Stated]]] = {}
     for path in dict.fromkeys(files):
@@ -473,7 +477,8 @@ def _measurements(path: Path, options: InitOptions) -> Measurements:
     """Read a raw file. Values in the options replace values in the file.
 
     If the black level of the file is doubtful, the user is warned. If the pixels contradict the CFA of the file and the
-    options do not specify a CFA, InputFileError is raised.
+    options do not specify a CFA, InputFileError is raised. Raises RecipeError if the black level in the options is not below
+    the white level.
     """
     try:
         answers = {name: value for name in RAW_OVERRIDES if (value := getattr(options, name)) is not None}

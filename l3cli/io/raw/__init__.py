@@ -13,7 +13,7 @@ from l3cli.io.video import Stated
 
 
 class RawContent(TypedDict):
-    """One raw frame as stored in a file. Facts that the file does not state come from the transform table."""
+    """One raw frame as stored in a file. Keys are missing if the file does not state the value."""
 
     values: NDArray[Any]  # (row, col) DN without masked borders; types other than 16-bit integers may have another scale
     black_level: NotRequired[float]  # DN
@@ -26,7 +26,7 @@ class RawContent(TypedDict):
     camera: NotRequired[list[str]]  # make, model and other names of the camera
     shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
     gain: NotRequired[NDArray[np.float32]]  # (row, col) factor by which readers should multiply values above black
-    notes: NotRequired[tuple[str, ...]]  # warnings about requests in the file that l3 ignores
+    notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
     # faults and unsupported requests: parameter that resolves the fault → message
     faults: NotRequired[dict[str, str]]
     exchangeable: NotRequired[bool]  # whether the file would also fit if the given numbers of rows and columns were swapped

@@ -1,7 +1,8 @@
 """Determine which axes of an array are frames, rows and columns. Pictures with several channels are rejected.
 
-If the file names the axes, the names decide. Otherwise the order is (frame, row, col), unless the lengths contradict it: a
-last axis of 4 or less contains channels, and a last axis that is far shorter than both others probably counts frames.
+If the file contains the names of the axes, the names determine their order. Otherwise the order is (frame, row, col). Two
+lengths contradict this order and cause an error: a last axis of at most 4 probably contains channels, and a last axis that
+is far shorter than both others probably counts frames.
 """
 
 import re
@@ -12,7 +13,7 @@ from l3cli.errors import InputFileError
 from l3cli.system.text import counted
 
 MOST_CHANNELS = 4  # maximum number of channels of a picture; no frame has so few columns
-FRAMES_LAST = 16  # if both other axes are at least this many times longer, the last axis counts frames
+FRAMES_LAST = 16  # the last axis counts frames if both other axes are at least this many times longer
 MEANINGS = {
     "frame": ("f", "frame", "frames", "t", "time", "n", "number", "index", "i", "z", "page", "pages", "image", "images"),
     "row": ("r", "row", "rows", "y", "height", "line", "lines"),

@@ -1,4 +1,4 @@
-"""Colour codes of colour filter arrays in raw files (TIFF/EP), and the phase of a file: the site at which it begins."""
+"""Colour codes of colour filter arrays in raw files (TIFF/EP), and the phase of a file, which is its first CFA site."""
 
 import itertools
 from collections.abc import Sequence

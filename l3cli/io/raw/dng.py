@@ -1,8 +1,8 @@
 """Read DNG files, including CinemaDNG (Adobe DNG 1.7, TIFF/EP).
 
-LibRaw unpacks the pixels, whatever their packing and compression, and applies the linearisation table. But LibRaw treats
-every CFA as 2 × 2 or 6 × 6, and the black level as four numbers. l3 therefore reads the meaning of the pixels from the tags.
-It rejects unsupported tags that change pixels, or warns about them (docs/raw-files.md#tags-of-a-dng).
+LibRaw unpacks and decompresses the pixels, and applies the linearisation table. However, LibRaw supports only CFAs of 2 × 2
+or 6 × 6 sites, and only four black levels. l3 therefore reads the CFA, the levels and other properties from the tags. If a
+tag that l3 does not support changes pixels, l3 rejects the file or warns (docs/raw-files.md#tags-of-a-dng).
 """
 
 from collections.abc import Iterator, Sequence
@@ -88,7 +88,10 @@ class Mosaic:
 
 @isolated("rawpy", "tifffile")
 def read(path: Path) -> RawContent:
-    """Read the frame of a DNG file within its default crop."""
+    """Read the frame of a DNG file within its default crop.
+
+    Raises InputFileError if the file cannot be read, or if its tags are damaged or unsupported.
+    """
     mosaic = _read_tags(path)  # before LibRaw, whose messages about invalid tags are less clear
     with opened(path) as raw:
         if raw.raw_image.shape != mosaic.shape:
@@ -171,7 +174,10 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
 def _changed(
     path: Path, mosaic: Mosaic, pixels: NDArray[np.uint16], bad: NDArray[np.bool_]
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32] | None]:
-    """Correct the bad pixels that opcodes list. Returns the pixels, and the gain per pixel that opcodes request."""
+    """Correct the bad pixels that opcodes list. Returns the pixels, and the gain per pixel that opcodes request.
+
+    Raises InputFileError if the gains are implausible.
+    """
     if bad.any():
         pixels = plan_correction(bad, mosaic.pattern).corrected(pixels)
     if not mosaic.opcodes.gains:
@@ -231,7 +237,10 @@ def _read_tags(path: Path) -> Mosaic:
 
 
 def _raw_page(path: Path, file: Any) -> Any:
-    """Return the largest raw image among the pages and subpages, without previews, masks and enhanced images."""
+    """Return the largest raw image among the pages and subpages, without previews, masks and enhanced images.
+
+    Raises InputFileError if the file contains no raw image.
+    """
     pages = [each for page in file.pages for each in (page, *(page.pages or ()))]
     kinds = (tags.COLOUR_FILTER_ARRAY, tags.LINEAR_RAW)
     raw = [page for page in pages if page.tags.valueof("PhotometricInterpretation") in kinds]
@@ -351,7 +360,10 @@ def _repeating_black(raw: Any, cfa_shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 def _fields(raw: Any) -> tuple[int, int]:
-    """Return the numbers of interleaved fields of rows and of columns."""
+    """Return the numbers of interleaved fields of rows and of columns.
+
+    Raises ValueError if a number is smaller than 1.
+    """
     rows, cols = (int(tags.numbers(raw, tag, (1,))[0]) for tag in ("RowInterleaveFactor", "ColumnInterleaveFactor"))
     if min(rows, cols) < 1:
         raise ValueError(f"invalid numbers of fields {rows}×{cols}")
@@ -404,7 +416,7 @@ def _pattern(path: Path, raw: Any) -> NDArray[np.int64]:
 
 
 def _repeating(values: Sequence[float], shape: Sequence[int]) -> NDArray:
-    """Reshape the values of a repeating pattern to (row, col)."""
+    """Reshape the values of a repeating pattern to (row, col). Raises ValueError if the shape does not fit the values."""
     if min(shape) < 1:
         raise ValueError(f"invalid pattern size {shape}")
     return np.reshape(values, tuple(shape))

@@ -97,6 +97,7 @@ def temperature(x: float, y: float) -> float:
     """Return the correlated colour temperature (K) of a chromaticity.
 
     This is the temperature of the black body that is nearest in CIE 1960 u, v.
+
     References
     ----------
     M. Krystek, An algorithm to calculate correlated colour temperature, Color Research & Application 10 (1985) 38-40:

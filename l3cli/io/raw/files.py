@@ -4,8 +4,8 @@ To add a format, write a module in this folder, and add the format to FORMATS. E
 If the entry in FORMATS sets `stackable`, `has_rate` or `has_plain`, the module must also define `stack`, `rate` or
 `is_plain`, respectively. l3 imports the module when the first file in this format is read.
 
-The colour filter array is that of the table. Pixels, levels, crop and orientation are read from the file. If the file
-specifies an array, the phase is also read from the file, and l3 rejects the file unless the arrays agree.
+l3 reads pixels, levels, crop and orientation from the file, and the colour filter array from the table. If the file also
+specifies an array, l3 rejects the file unless the two arrays agree, and reads the phase from the file.
 """
 
 import importlib
@@ -288,6 +288,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
     """Convert the contents of a file to a frame.
 
     Values in `known` take precedence over values in the file. Values in the file take precedence over values in the table.
+    The corrections in `known` are applied to the frame. Raises InputFileError if the array, the levels or the colour filter
+    array cannot be used.
     """
     values, pattern = content["values"], content.get("pattern")
     if values.size == 0:
@@ -330,12 +332,12 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
 
 
 def _misread(content: RawContent, table: Sensor, phase: tuple[int, int]) -> str:
-    """Return the option that would decode the bytes to a far smoother frame, or "" if the current decoding is plausible."""
+    """Return the option with which the bytes decode to a far smoother frame, or "" if there is no such option."""
     return smoother_reading(content["readings"](), shifted_cfa(table.cfa, phase)) if "readings" in content else ""
 
 
 def _displaced(content: RawContent, table: Sensor, phase: tuple[int, int]) -> tuple[str, ...]:
-    """Return a note if a frame has the size of the sensor, but its packing specifies a phase different from the table."""
+    """Return a note if a frame has the size of the whole sensor, but the phase in its packing is not (0, 0)."""
     if "readings" not in content or phase == (0, 0) or content["values"].shape != (table.rows, table.cols):
         return ()
     begins = f"according to its packing, it begins at row {phase[0]}, column {phase[1]} of the table's array"
@@ -346,7 +348,8 @@ def _corrected(frame: RawFrame, table: Sensor, known: RawOverrides) -> RawFrame:
     """Return a corrected frame that records phase, exposure time, gain and dark signal.
 
     The overrides in `known` replace the values in the file. The dark signal is recorded, but not subtracted. The pixel
-    values change only by the dark frame, the correction and the hot-pixel test in `known`.
+    values change only by the dark frame, the correction and the hot-pixel test in `known`. Raises InputFileError if the dark
+    signal alone reaches the white level.
     """
     phase = frame.phase if known.phase is None else known.phase
     rows, cols = table.cfa.shape

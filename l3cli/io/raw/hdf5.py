@@ -61,7 +61,10 @@ def find_stack(path: Path, dataset: str | None) -> tuple[str, int]:
 
 @isolated("h5py", "hdf5plugin")  # hdf5plugin, if installed, adds compression filters to h5py
 def stack_frame(path: Path, name: str, number: int) -> NDArray:
-    """Read a frame (row, col) of a dataset that `find_stack` has found."""
+    """Read a frame (row, col) of a dataset that `find_stack` has found.
+
+    Raises InputFileError if the frame is damaged, or if a compression filter is not installed.
+    """
     frames = _open(path, name)[name]
     axes = _axes(path, frames)
     _require_frames(path, frames, axes)
@@ -81,7 +84,10 @@ def stack_frame(path: Path, name: str, number: int) -> NDArray:
 
 
 def _axes(path: Path, frames: Any) -> Axes:
-    """Return the axes of a dataset, from their names in the file or by the convention of the program that wrote it."""
+    """Return the axes of a dataset, from their names in the file or by the convention of the program that wrote it.
+
+    Raises InputFileError if the dataset is a picture with several channels.
+    """
     name = f"{path}: {frames.name}"
     if _text(frames.attrs.get("IMAGE_SUBCLASS")) == TRUE_COLOUR:
         raise InputFileError(f"{name} is marked as a picture with three channels (IMAGE_SUBCLASS); use the raw mosaic")
@@ -98,8 +104,8 @@ def _axes(path: Path, frames: Any) -> Axes:
 def _axis_names(frames: Any) -> list[str]:
     """Return the names of the axes of a dataset, or [] if the file states none.
 
-    They are the labels or scales of dimensions (HDF5), the attribute `axes` of the dataset or of the group whose signal is
-    the dataset (NeXus), or the attribute _ARRAY_DIMENSIONS (xarray).
+    The names come from the labels or scales of the dimensions (HDF5), from the attribute `axes` of the dataset or of its
+    group (NeXus), or from the attribute _ARRAY_DIMENSIONS (xarray).
     """
     stated = [frames.attrs.get("axes"), frames.attrs.get("_ARRAY_DIMENSIONS")]
     group = frames.parent.attrs
@@ -141,7 +147,10 @@ def missing_filters(dataset: Any) -> list[str]:
 
 
 def _open(path: Path, stack: str | None = None) -> Any:
-    """Return the HDF5 file, which stays open for further frames. `stack` is the dataset for which the cache is sized."""
+    """Return the HDF5 file, which stays open for further frames. `stack` is the dataset for which the cache is sized.
+
+    Raises InputFileError if the file is not an HDF5 file.
+    """
     import h5py
 
     key = (str(path), *stamp(path), stack)
@@ -169,7 +178,10 @@ def chunks_of_a_frame(frames: Any, axes: Axes = STACK) -> int:
 
 
 def _only_stack(path: Path, members: dict[str, Any]) -> str:
-    """Return the only dataset (frame, row, col) of uint8 or uint16 or, if there is none, of any numbers."""
+    """Return the only dataset (frame, row, col) of uint8 or uint16 or, if there is none, of any numbers.
+
+    Raises InputFileError if there is no such dataset, or more than one.
+    """
     stacks = sorted(name for name, member in members.items() if _is_stack(member) and member.ndim == 3)
     counts = [name for name in stacks if members[name].dtype.kind == "u" and members[name].dtype.itemsize <= 2]
     chosen = counts or ([] if _is_artifact(path) else stacks)

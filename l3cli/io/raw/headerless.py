@@ -1,6 +1,6 @@
 """Read headerless files, which contain only the values of frames.
 
-The caller or the table states the layout of the values (frames/packings.py).
+The layout of the values comes from the user's options and from the table (frames/packings.py).
 """
 
 from collections.abc import Iterator
@@ -45,9 +45,10 @@ class Layout:
 
     @property
     def _lines(self) -> tuple[int, int]:
-        """Number of runs of pixels that begin at a byte boundary, and number of pixels per run.
+        """Number of pixel groups that begin at a byte boundary, and number of pixels per group.
 
-        Usually each row is a run. If an unpadded row of a bit stream would end within a byte, the whole frame is one run.
+        Usually each row is a group. If an unpadded row of a bit stream would end within a byte, the whole frame is one
+        group.
         """
         run_on = 8 * self.cols * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
@@ -87,7 +88,7 @@ class Layout:
         return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels]).reshape(self.rows, self.cols)
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
-        """Yield the other layouts with the same number of bytes per frame, each with the option that selects it."""
+        """Yield all other layouts with the same number of bytes per frame, each with the option that selects the layout."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
         for other in PACKINGS.values():
@@ -158,7 +159,10 @@ def layout_of(
 
 
 def read(path: Path, layout: Layout) -> RawContent:
-    """Read the frame of a file that contains a single frame."""
+    """Read the frame of a file that contains a single frame.
+
+    Raises InputFileError if the size of the file does not fit the layout.
+    """
     size = path.stat().st_size - layout.skip
     if size != layout.frame_bytes:
         raise InputFileError(
@@ -221,7 +225,10 @@ def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
-    """Return the frames on stdin, read one by one."""
+    """Return the frames on stdin, read one by one.
+
+    Reading raises InputFileError if stdin ends in the middle of a frame.
+    """
     # Unbuffered, because a thread that waits in a buffered stream would prevent the interpreter from exiting.
     pipe = open(0, "rb", buffering=0, closefd=False)  # noqa: SIM115
     to_skip = layout.skip

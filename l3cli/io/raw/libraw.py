@@ -1,7 +1,7 @@
 """Read camera raws with LibRaw: pixels, black and white levels, and colours.
 
-The module also reads metadata about the camera: names, colour matrices, noise and lens. Sources are the tags of DNG 1.7 and
-Exif, and LibRaw.
+The module also reads metadata about the camera: names, colour matrices, noise and lens. The metadata come from the tags of
+DNG 1.7 and Exif or, if a tag is missing, from LibRaw.
 """
 
 import contextlib
@@ -57,7 +57,11 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _visible(path: Path, raw: Any) -> RawContent:
-    """Return the frame without masked borders. Black and white levels may differ between colours."""
+    """Return the frame without masked borders. Black and white levels may differ between colours.
+
+    If the black levels of the colours differ, values are shifted to a common black level. Raises InputFileError if the
+    colours or levels are invalid.
+    """
     colours, letters = raw.raw_colors_visible, raw.color_desc.decode("ascii", "replace")
     if raw.num_colors == 1:  # for a monochrome sensor, LibRaw returns the colour 6, which does not exist
         colours, letters = np.zeros_like(colours), "W"

@@ -87,7 +87,10 @@ def _axes(path: Path, name: str, shape: tuple[int, ...], of_python: bool) -> Axe
 
 
 def _only_variable(path: Path, variables: dict[str, tuple[tuple[int, ...], str]]) -> str:
-    """Return the name of the only array of uint8 or uint16 or, if there is none, of the only array of other numbers."""
+    """Return the name of the only array of uint8 or uint16 or, if there is none, of the only array of other numbers.
+
+    Raises InputFileError if there is no such array, or more than one.
+    """
     arrays = sorted(name for name, (shape, kind) in variables.items() if kind in NUMBERS and _is_stack(shape))
     chosen = [name for name in arrays if variables[name][1] in COUNTS] or arrays
     if len(chosen) != 1:

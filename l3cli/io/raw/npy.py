@@ -33,7 +33,10 @@ def map_array(path: Path) -> NDArray[Any]:
 
 
 def read(path: Path) -> RawContent:
-    """Read the frame of a file that contains a single frame."""
+    """Read the frame of a file that contains a single frame.
+
+    Raises InputFileError if the file contains several frames.
+    """
     shape = map_array(path).shape
     if len(shape) == 3:
         raise InputFileError(f"{path} contains {shape[0]} frames; pass it alone, or use files with one frame each")

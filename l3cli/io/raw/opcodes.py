@@ -121,7 +121,10 @@ def _listed(page: Any) -> list[Opcode]:
 
 
 def _bad_rects(opcode: Opcode) -> NDArray[np.int64]:
-    """Return rectangles and single points of bad pixels (rect, 5): index of the list, then top, left, bottom, right."""
+    """Return rectangles and single points of bad pixels (rect, 5): index of the list, then top, left, bottom, right.
+
+    Raises ValueError if the list has the wrong length.
+    """
     _, points, rects = struct.unpack_from(">III", opcode.content)
     if len(opcode.content) != 12 + 8 * points + 16 * rects:
         raise ValueError("a list of bad pixels has the wrong length")

@@ -47,7 +47,10 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _header(path: Path) -> tuple[Layout, NDArray[np.int64] | None, int]:
-    """Return the layout of the frames, the colours of the CFA (None for a monochrome camera), and the number of frames."""
+    """Return the layout of the frames, the colours of the CFA (None for a monochrome camera), and the number of frames.
+
+    Raises InputFileError if the header is damaged or describes colour frames.
+    """
     with open_regular(path) as stream:
         stored = stream.read(HEADER_BYTES)
     if len(stored) < HEADER_BYTES or not stored.startswith(MAGIC):

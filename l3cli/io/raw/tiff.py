@@ -1,7 +1,7 @@
 """Read raw frames from single-channel pictures: TIFF and PNG.
 
-A TIFF file with several pages is a stack. l3 rejects it unless all pages have the same size and type. Mosaics with the file
-layout that l3 writes are read in this process, all other files by OpenImageIO in the isolated process.
+A TIFF file with several pages is a stack. l3 rejects a stack unless all pages have the same size and type. Mosaics in the
+file layout that l3 writes are read in this process. OpenImageIO reads all other files in the isolated process.
 """
 
 import contextlib
@@ -103,7 +103,10 @@ def _require_frames(path: Path, spec: Any, count: int) -> None:
 
 
 def _page(path: Path, number: int) -> Any:
-    """Return OpenImageIO's ImageInput, which stays open for further pages, positioned at a page."""
+    """Return OpenImageIO's ImageInput, which stays open for further pages, positioned at a page.
+
+    Raises InputFileError if the page is damaged.
+    """
     key = (str(path), *stamp(path))
     if key not in _opened:
         for other in _opened.values():
@@ -168,7 +171,8 @@ def _check_tags(path: Path, page: Any) -> None:
 
 
 # ------------------------------------------------------------------------------------------------- plain mosaics
-# For a still, importing tifffile would take a tenth of the time, and starting the decoding process a quarter.
+# Reading these files without tifffile and without the decoding process shortens the rendering of a still. Importing tifffile
+# would take a tenth of the time, and starting the decoding process a quarter.
 
 ENTRY = np.dtype([("tag", "<u2"), ("type", "<u2"), ("count", "<u4"), ("content", "V4")])
 MAX_TAGS, MAX_STRIPS = 20, 1 << 20

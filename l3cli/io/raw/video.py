@@ -34,9 +34,9 @@ def stack(path: Path) -> MultiFrameFile:
 
 
 def _times(path: Path) -> StatedTimes | None:
-    """Return the times of the frames up to the first damaged frame, or None if some frames have no time.
+    """Return the times of the frames, or None if some frames have no time.
 
-    The whole file is read, but no frame is decoded.
+    The file is read up to its end or up to the first damaged frame. No frame is decoded.
     """
     ticks: list[int | None] = []
     tick = (1, 1)
@@ -79,7 +79,10 @@ def _frame(path: Path, number: int) -> NDArray[np.uint16] | None:
 
 
 def _of_palette(path: Path, pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the indices of a palette image if the palette (colour, ARGB) is grey, so that each index is a raw value."""
+    """Return the indices of a palette image as raw values.
+
+    Raises InputFileError if the palette (colour, ARGB) contains colours, because the indices are then not raw values.
+    """
     if not (palette[:, 1:] == np.arange(256)[:, None]).all():
         raise InputFileError(
             f"{path} has a colour palette; record a raw video with one channel (pixel format gray, gray12le…)"

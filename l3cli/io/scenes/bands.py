@@ -85,7 +85,10 @@ def _named(names: list[str] | tuple[str, ...]) -> tuple[list[int], NDArray[np.fl
 
 
 def _stacked(pictures: list[Path]) -> NDArray:
-    """Return the first channel of each picture as a cube (row, col, band)."""
+    """Return the first channel of each picture as a cube (row, col, band).
+
+    Raises InputFileError if the pictures differ in size or bit depth.
+    """
     cube: NDArray | None = None
     for band, picture in enumerate(pictures):
         pixels = read_image(picture)[0][..., 0]
@@ -132,7 +135,8 @@ def _tiff_size(path: Path) -> tuple[int, int]:
 def _read_tiff(path: Path) -> tuple[NDArray, list[str], dict[str, Any]]:
     """Return the bands of a TIFF file (row, col, band), their names, and metadata from tags.
 
-    The metadata are the wavelengths, the value of pixels without data, and the scales and offsets that GDAL writes.
+    The metadata are the wavelengths, the value of pixels without data, and the scales and offsets that GDAL writes. Raises
+    InputFileError if a page is damaged.
     """
     import tifffile
 

@@ -144,6 +144,7 @@ def _wavelengths(path: Path, cube: str, lists: Lists, attributes: dict[str, dict
     """Return the wavelengths in nm, or None if the file states none.
 
     The unit is the attribute "units" of the list or the last word of its name. Otherwise it is inferred from the numbers.
+    Raises InputFileError if the file contains several different lists of wavelengths.
     """
     found = []
     for group, name in _nearest(cube, lists, NAMES):

@@ -236,7 +236,10 @@ def unknown(path: Path) -> list[str]:
 
 
 def _fields(path: Path) -> dict[str, str]:
-    """Return the fields of a header, with names in lower case and values without braces and comments."""
+    """Return the fields of a header, with names in lower case and values without braces and comments.
+
+    Raises InputFileError if the file is not an ENVI header.
+    """
     with open_regular(path, "use the .hdr file") as stream:  # a data file may exceed the size limit of text files
         if b"ENVI" not in stream.read(64):
             raise InputFileError(f"{path} is not an ENVI header; use the .hdr file of the cube")
@@ -328,7 +331,10 @@ def _frame_offsets(header: Header, name: str) -> tuple[int, int]:
 
 
 def _wavelengths(header: Header) -> NDArray[np.float64] | None:
-    """Return the wavelength of each band in nm, from the field "wavelength" or otherwise from the names of the bands."""
+    """Return the wavelength of each band in nm, from the field "wavelength" or otherwise from the names of the bands.
+
+    If neither states wavelengths, return None. Raises InputFileError if the field or its unit is invalid.
+    """
     bands = header.whole("bands", 1)
     if (listed := header.numbers("wavelength", bands)) is not None:
         try:

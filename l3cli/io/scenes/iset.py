@@ -95,7 +95,7 @@ def _illuminant(stored: Any, wavelength: NDArray[np.float64], light: Curve | Non
     """Return the photons that a perfect white reflects, at each wavelength.
 
     They are read from ISET's new illuminant struct (photons) or its old struct (energy). If the file contains no struct,
-    `light` is used.
+    `light` is used. Raises KeyError if the file contains no illuminant.
     """
     if not isinstance(stored, dict):
         if light is None:

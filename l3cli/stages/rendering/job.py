@@ -179,7 +179,10 @@ def stated_overrides(options: RenderOptions) -> RawOverrides:
 
 
 def _gains_in(path: Path) -> tuple[float, ...]:
-    """Read a text file that contains the analog gain of each frame, separated by blanks or line ends."""
+    """Read a text file that contains the analog gain of each frame, separated by blanks or line ends.
+
+    Raises InputFileError if the file is empty, or if a gain is not a valid number.
+    """
     gains, give = [], "use a text file that contains the gain of each frame, one per line"
     for number, text in enumerate(read_bounded(path, give).decode(errors="replace").split(), 1):
         try:
@@ -277,7 +280,10 @@ def _with_corrections(
 def _frames(
     inputs: tuple[Path, ...], table: TransformTable, overrides: RawOverrides, options: RenderOptions
 ) -> FrameSequence:
-    """Return the frames of the inputs, or the part of the frames that a shard renders."""
+    """Return the frames of the inputs, or the part of the frames that a shard renders.
+
+    Raises InputFileError if a shard is set and the input does not exist.
+    """
     sequence = find_frames(inputs, table, overrides, options.frames, options.dataset)
     if options.shard is None:
         return sequence
@@ -417,7 +423,8 @@ def light_mix_of_given(white: str | None, table: TransformTable, choice: Choice,
 def _rendition(destination: Destination, white: str | None, table: TransformTable, options: RenderOptions) -> Rendition:
     """Return the settings with which outputs become pictures.
 
-    If the user has set a white, check it and send warnings to the console.
+    If the user has set a white, check it and send warnings to the console. Raises RecipeError if an option for pictures is
+    invalid.
     """
     if not has_display(destination, options):
         return outputs_as_they_are(table)

@@ -67,7 +67,10 @@ def _is_finished(job: Job, look: Look, tally: Tally) -> bool:
 
 
 def _render_frames(job: Job, look: Look, makers: LocalPictures | RemotePictures, tally: Tally) -> None:
-    """Render and write all frames, count them in the tally, and report warnings about them."""
+    """Render and write all frames, count them in the tally, and report warnings about them.
+
+    Raises InputFileError if no frame can be read.
+    """
     start = time.monotonic()
     sequence, options, console = look.sequence, job.options, job.options.console
     meter = FrameMeter(look.table, look.rendition, look.white_source, look.video.rate if job.in_order else None)
