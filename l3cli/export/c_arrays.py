@@ -31,8 +31,9 @@ TYPES = {  # C types
 }
 PER_LINE = 20  # numbers per line of an array
 PER_STRING = 4000  # bytes per string literal; C99 guarantees that 4095 are possible
-# Every byte in a string literal: printable ASCII as it is, other bytes in octal. "?" is also in octal, because two question
-# marks begin a trigraph.
+# The text of each byte in a string literal. Printable ASCII characters are unchanged, and other bytes are written in
+# octal. "?"
+# is also written in octal, because two question marks begin a trigraph.
 CHARACTERS = tuple(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in range(256))
 SHORT_TOP = 2**15 - 1
 
@@ -44,8 +45,8 @@ class Array:
     name: str
     values: NDArray
     axes: str  # comment above the array, with the axes in parentheses
-    # whether the array is written as string literals that contain its bytes, flattened to one axis; used for long arrays,
-    # because compilers parse strings fifty times as fast as numbers
+    # Whether the array is flattened to one axis and written as string literals that contain its bytes. This is used for long
+    # arrays, because compilers parse strings fifty times as fast as numbers.
     packed: bool = False
 
     @property
@@ -65,7 +66,7 @@ class Array:
 
     @property
     def alias(self) -> list[str]:
-        """Macro that gives the values of a packed array the name of the array."""
+        """Macro that makes the values of a packed array available under the name of the array. Empty for other arrays."""
         return [f"#define {self.name} {self.name}_data.value"] if self.packed else []
 
     def public(self) -> list[str]:

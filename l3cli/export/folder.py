@@ -1,4 +1,4 @@
-"""A table as plain arrays: one little-endian file per array, and table.json, which describes the arrays."""
+"""Export of a table as a folder of arrays: one little-endian file per array, and table.json, which describes the arrays."""
 
 import json
 from typing import Any
@@ -122,7 +122,10 @@ CHROMA_DOC = (
 
 
 def folder_files(table: TransformTable) -> dict[str, bytes]:
-    """Return the contents of all files of a table, by file name."""
+    """Return the contents of all files of an exported table, by file name.
+
+    Raises InputFileError if the table has layers that the export does not support.
+    """
     require_known_layers(table)
     arrays = _Arrays()
     content: dict[str, Any] = {
@@ -182,7 +185,10 @@ class _Arrays:
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.entries: list[dict[str, Any]] = []
-        self.prefix = ""  # prefix for the arrays of an additional set; arrays equal to an array without prefix are omitted
+        # Prefix of the names of arrays that belong to an additional set of transforms. An array that is equal to
+        # the array of
+        # the main set is left out.
+        self.prefix = ""
 
     def add(self, name: str, values: NDArray, axes: tuple[str, ...], unit: str, doc: str) -> None:
         little = values.astype(values.dtype.newbyteorder("<"))
@@ -217,7 +223,7 @@ def _file(name: str) -> str:
 
 
 def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
-    """Add the arrays of a layer and of its class rule, and return the scalars."""
+    """Add the arrays of a layer and of its class rule, and return the scalars of both for table.json."""
     prefix, rule = f"layer{number}/", layer.rule
     kind = next(iter(rule_fields(rule))) if number else "mosaic"
     entry: dict[str, Any] = {"reads": "planes" if number else "mosaic", "rule": kind}
@@ -238,7 +244,7 @@ def _layer(arrays: _Arrays, number: int, layer: Any) -> dict[str, Any]:
 
 
 def _derived(arrays: _Arrays, table: TransformTable) -> None:
-    """Add the arrays that l3 derives from a table before rendering."""
+    """Add the arrays that l3 computes from a table before rendering, such as the number of taps of each channel."""
     neighbours = neighbourhoods(table.cfa, table.first.rule.patch, len(table.channels))
     for name, values, doc in (
         ("count", neighbours.count, "number of taps of each channel in the patch of a site"),

@@ -1,4 +1,4 @@
-"""Exports a camera model to other software (docs/method.md#colour-matrices).
+"""Export of a camera model for other software (docs/method.md#colour-matrices).
 
 The exported files are responsivity curves as CSV and as JSON for rawtoaces, a DCP profile in the JSON format of dcamprof,
 tuning files for libcamera, and a data sheet as CSV.
@@ -29,7 +29,7 @@ VISIBLE = (380.0, 780.0)  # nm
 # Smallest permitted response of a channel to grey, as a fraction of the response of the most sensitive channel. Channels
 # with a smaller response contain almost only noise.
 DIMMEST = 1e-4
-TYPICAL = 0.2  # fraction of the signal of white at which noise and colour errors are weighed against each other
+TYPICAL = 0.2  # signal for which the matrices balance noise against colour errors, as a fraction of the signal of white
 DIGITS = 5  # decimals of matrices in files
 BLACK_BODIES = (2200, 2500, 2856, 3200, 3600)  # K
 DAYLIGHTS = (4500, 5000, 5500, 6500, 7500, 8600)  # K
@@ -54,9 +54,7 @@ DCP, RASPBERRY_PI, PI_5, SIMPLE = "dcp.json", "libcamera_rpi.json", "libcamera_p
 ILLUMINANTS = {"A": "StdA", "D65": "D65"}  # illuminants of the matrices in a DCP, in the order of their temperature
 SIMPLE_DARKEST = 2**15 - 1  # highest black level that a tuning file for the simple pipeline can contain
 RAWTOACES = np.arange(380.0, 781.0, 5.0)  # nm, wavelengths of the curves in rawtoaces
-ALSC_TEMPERATURE = (
-    5000  # K; if a tuning file has shading tables for a single temperature, libcamera uses them for all lights
-)
+ALSC_TEMPERATURE = 5000  # K; libcamera uses shading tables for a single temperature under all illuminants
 SMOOTHNESS = 0.003  # weight of the second differences of a shading table, relative to the errors
 Array = NDArray[np.floating]
 
@@ -94,7 +92,8 @@ class LightMatrices:
 def light_matrices(camera: CameraModel, light: str) -> LightMatrices | None:
     """Fit the colour matrices of a camera for a named illuminant.
 
-    The result is None if the camera has fewer than three channels, or if a channel hardly responds to the illuminant.
+    The result is None if the camera has fewer than three channels, or if a channel responds to grey with less than DIMMEST
+    of the most sensitive channel.
     """
     neutral, balanced = _responses(camera, light)
     if len(neutral) < MIN_CHANNELS or neutral.min() < DIMMEST:
@@ -241,9 +240,9 @@ def shading_tables(field: FlatField, order: tuple[int, int, int], target: Target
     """Fit the shading tables of a Raspberry Pi to a flat field.
 
     The image signal processor (ISP) assigns the values of a table to the centres of the cells, extends the outermost values
-    to the edge of the frame, and interpolates. If the tables contained the gains at the centres, an error of 4 % would
-    remain in the corners of a lens that halves the light there. The tables are therefore smooth least-squares fits, which
-    take the interpolation of the ISP into account.
+    to the edge of the frame, and interpolates. If the tables contained the gains at the centres of the cells, the corrected
+    corners of a lens that halves the light there would have an error of 4 %. The tables are therefore smooth least-squares
+    fits, which take the interpolation of the ISP into account.
 
     Parameters
     ----------
@@ -352,7 +351,11 @@ class Exported(NamedTuple):
 
 
 def export(camera: CameraModel) -> Exported:
-    """Return all files of a camera for other software."""
+    """Return all files of a camera for other software.
+
+    Colour matrices need at least three channels, and tuning files need a Bayer array. If the camera cannot have these files,
+    the note says why.
+    """
     camera = replace(camera, name=printable(camera.name))  # the name may contain unprintable bytes
     files = {**_curves(camera), DATASHEET: _datasheet_csv(camera)}
     lights = {name: light_matrices(camera, name) for name in TEMPERATURES}

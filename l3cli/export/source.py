@@ -1,7 +1,7 @@
-"""A table as C99 source.
+"""Export of a table as C99 source.
 
-The code is joined from the files in c/. The numbers of the table become macros and constant arrays. Code for optional class
-features comes from their OpenCL snippets, which are valid C once the types are renamed.
+The source consists of files in c/, and of macros and constant arrays with the numbers of the table. The code of optional
+class features is their OpenCL code, which becomes valid C when the types are renamed.
 """
 
 import json
@@ -55,7 +55,7 @@ Words = Literal["float32", "int16"]  # type of the outputs, and of the last laye
 PREFIX = "l3"  # default prefix of symbols
 MIN_BLOCK = 128  # smallest number of pixels that a loop processes at a time
 CODES = 256  # number of values of a picture
-LINEAR_BINS = 4096  # number of bins of linear values; sRGB is so flat that no bin contains two thresholds
+LINEAR_BINS = 4096  # number of bins of linear values; so large that no bin contains the limits of two 8-bit sRGB values
 DATA = (
     "/* The arrays of a transform table. l3_table.h declares them. Long arrays are strings of their bytes. */",
     '#include "l3_table.h"',

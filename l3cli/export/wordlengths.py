@@ -5,7 +5,7 @@
 `whole` is a signed integer with a given number of bits. F is the largest number of fractional bits with which the largest
 weight of a class, or of the whole table, still fits.
 
-Intercepts do not change. Layers before the last always use 16-bit weights (docs/method.md#planes).
+Intercepts are not converted. All layers before the last layer always use 16-bit weights (docs/method.md#planes).
 """
 
 import dataclasses
@@ -32,11 +32,12 @@ VECTOR_SEED = 3
 OUTPUT_FRACTION = 12  # fractional bits of a 16-bit output, whose range is ±8
 OUTPUT_TOP = 2**15 - 1
 HIGH_BITS = 12  # bits of the high part of a value, including the sign
-# Largest weight before rounding, and largest sum of products before the low part and the rounding constant are added
+# MAX_WEIGHT: largest weight before rounding. MAX_SUM: largest sum of products, to which the low part of the value and the
+# rounding constant are still added.
 MAX_WEIGHT, MAX_SUM = 2.0**15 - 8, 2.0**31 - 2**26
 MAX_FRACTION = 24
-# Assumed correlation R of the values of two taps. It decays with the distance of the taps, to 1/e over REACH pixels. Between
-# channels it is multiplied by OTHER. NOISE is added on the diagonal.
+# Assumed correlation R of the values of two taps: exp(−distance / REACH), with the distance in pixels. For taps of different
+# channels, R is multiplied by OTHER. For a tap and itself, NOISE is added.
 REACH, OTHER, NOISE = 8.0, 0.8, 0.2
 LENGTHS = (8, 10, 12, 14, 16)  # bits; word lengths whose accuracy is measured
 SHAPE, SEED = (64, 256), 4  # rows, columns and seed of the mosaic for which the accuracy is measured
@@ -75,7 +76,7 @@ def drawn_mosaic(table: TransformTable, shape: tuple[int, int], seed: int) -> ND
 
 
 def make_vector(table: TransformTable) -> Vector:
-    """Make the test vector of a table. Its CFA phase is not (0, 0), so that errors in the handling of phases show."""
+    """Make the test vector of a table. Its CFA phase is not (0, 0), so that the test also detects errors with phases."""
     phase = (1 % table.cfa.shape[0], 1 % table.cfa.shape[1])
     raw = drawn_mosaic(table, VECTOR_SHAPE, VECTOR_SEED)
     frame = RawFrame("test vector", raw, table.black_level, table.white_level, phase)
@@ -88,9 +89,8 @@ def make_vector(table: TransformTable) -> Vector:
 class ShortWords:
     """Transforms of the last layer as 16-bit words. The taps are in the order of the table."""
 
-    whole: NDArray[
-        np.int32
-    ]  # (class, output, tap) within 16 bits, except that the largest weight of a window may exceed them
+    # (class, output, tap) All weights have at most 16 bits, except that the largest weight of a window may have more.
+    whole: NDArray[np.int32]
     intercept: NDArray[np.int32]  # (class, output)
     fraction: NDArray[np.uint8]  # (class, output) number of fractional bits of a weight, minus `split`
     split: int  # number of bits in the low part of a value
@@ -230,7 +230,10 @@ def in_words(weights: NDArray[np.float32], bits: int, scale: Scale) -> Words:
 
 
 def word_costs(table: TransformTable) -> tuple[Cost, ...]:
-    """Measure the accuracy of every word length, with one binary point per class and with one for the whole table."""
+    """Measure the accuracy of each word length in LENGTHS, with one binary point per class and with one for the whole table.
+
+    The outputs of a random mosaic are compared with the outputs of float weights.
+    """
     weights = table.layers[-1].weights
     outputs = _outputs(table)
     expected = outputs(weights)
@@ -275,9 +278,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
 
 
 def chosen_words(table: TransformTable, costs: tuple[Cost, ...]) -> Words:
-    """Choose the shortest word length whose PSNR reaches ENOUGH_PSNR_DB, with one binary point per class.
+    """Convert the weights of the last layer to the shortest word length whose PSNR reaches ENOUGH_PSNR_DB.
 
-    If no length reaches it, the longest is chosen.
+    Each class has its own binary point. If no word length reaches this PSNR, the longest word length is used.
     """
     enough = [cost.bits for cost in costs if cost.scale == "class" and cost.psnr >= ENOUGH_PSNR_DB]
     return in_words(table.layers[-1].weights, min(enough, default=LENGTHS[-1]), "class")

@@ -1,9 +1,9 @@
 """Write DNG 1.4 files for raw converters.
 
-Rendered frames are written as linear files that raw converters treat like files from a camera. Such a file has either three
-channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are the primaries of
-Rec. 2020, and a white object has equal values in all channels. The values are not scaled for exposure. The tag
-BaselineExposure states the exposure that l3 would use.
+Rendered frames are written as linear DNG files, which raw converters treat like files from a camera. Such a file has either
+three channels per pixel, or one channel per pixel in a Bayer mosaic (docs/method.md#display). The channels are red, green
+and blue of Rec. 2020, and a white object has equal values in all channels. The values are not scaled for display. Instead,
+the tag BaselineExposure contains the exposure that l3 would use.
 
 Raw mosaics may have any colour filter array and any number of channels.
 """
@@ -103,7 +103,8 @@ CAMERA = "linear Rec. 2020"
 
 
 def raw_values(linear: NDArray[np.floating], mosaic: str | None) -> NDArray[np.uint16]:
-    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3) or, if `mosaic` is given, to a mosaic (row, col)."""
+    """Convert linear Rec. 2020 values (row, col, 3) to DN (row, col, 3) or, if `mosaic` is not None, to a mosaic
+    (row, col)."""
     if mosaic is not None:
         linear = np.take_along_axis(linear, tiled(RGGB, linear.shape)[..., None], axis=2)[..., 0]
     return np.clip(np.rint(linear * (WHITE_LEVEL / HEADROOM)), BLACK_LEVEL, WHITE_LEVEL).astype(np.uint16)
@@ -152,7 +153,7 @@ def write_dng(
     neutral: NDArray[np.floating] | None,
     exposure: float,
 ) -> None:
-    """Write a raw mosaic as a DNG file, atomically.
+    """Write a raw mosaic as a DNG file. The file appears under its name only when it is complete.
 
     Parameters
     ----------

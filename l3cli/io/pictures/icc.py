@@ -14,7 +14,7 @@ from l3cli.physics.spaces import Curve, Space, adaptation_matrix
 
 D50 = np.array([0.9642, 1.0, 0.8249])  # XYZ of the profile connection space, rounded as in ICC.1
 VERSION = 0x04400000
-DATE = (2000, 1, 1, 0, 0, 0)  # a profile must have a date; a constant date keeps its bytes the same
+DATE = (2000, 1, 1, 0, 0, 0)  # a profile must contain a date; the date is constant, so that equal profiles have equal bytes
 POWER, SRGB_LIKE = 0, 3  # function types of parametricCurveType
 ID = slice(84, 100)  # position of the profile ID, an MD5 digest, in the header
 NOT_HASHED = (slice(44, 48), slice(64, 68), ID)  # flags, rendering intent and the digest itself

@@ -128,10 +128,10 @@ def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
 
 @held_back_in  # if a signal interrupted the libraries, they would print their own messages
 def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
-    """Encode pixels in the format of the suffix of `name`, and return the bytes. Raises L3Error if that fails.
+    """Encode pixels in memory, in the format for the suffix of `name`, and return the bytes of the file.
 
-    The file is encoded in memory. On a full disk, the JPEG library would abort the whole program, and the PNG library would
-    not report an error.
+    Files are not written directly, because on a full disk the JPEG library would abort the whole program, and the PNG
+    library would not report an error. Raises L3Error if the pixels cannot be encoded.
     """
     spec.attribute("DateTime", "")  # prevents a timestamp, because equal inputs must give equal bytes
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
@@ -186,7 +186,7 @@ class Pages:
                 contiguous=False,
             )
         except OSError as error:
-            # If the disk is full, numpy only reports how much of the array it has written.
+            # If the disk is full, the error of numpy has no error number, so the error number of a full disk is added.
             raise OSError(error.errno or errno.ENOSPC, os.strerror(error.errno or errno.ENOSPC)) from error
 
     def close(self) -> None:
@@ -196,10 +196,10 @@ class Pages:
 
 @contextlib.contextmanager
 def new_pages(path: Path, count: int | None, finished: Callable[[Path], None] = lambda temporary: None) -> Iterator[Pages]:
-    """Yield a new TIFF file to which pages can be written.
+    """Context manager that yields a new TIFF file to which pages can be written.
 
-    The file is written under a temporary name. When the caller has written all pages, `finished` is called with the
-    temporary file, and then the file gets its name `path`.
+    The file is written under a temporary name. At the end of the block, `finished` is called with the temporary file, and
+    then the file is renamed to `path`.
     """
     with atomic_output(path) as temporary:
         with contextlib.closing(Pages(temporary, count)) as pages:

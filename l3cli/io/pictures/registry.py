@@ -23,7 +23,7 @@ UNADAPTED_XYZ = replace(XYZ, title="CIE XYZ", neutral=None)
 
 @dataclass(frozen=True)
 class Label:
-    """Metadata for the file of a rendered frame: settings of the shot, and the files from which the picture was made."""
+    """Metadata of a rendered frame: the settings of the shot, the transform table and the raw frame."""
 
     shot: Shot = Shot()
     exposure: float | None = None  # s

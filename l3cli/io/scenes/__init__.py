@@ -1,8 +1,9 @@
 """Formats of scene files. The `source` in a recipe and the suffix of a file determine which module reads the file.
 
-To add a format, write a module in this folder and add a line to FORMATS. A new source also needs keys in
-simulation/sources.py. The module defines the functions `read` and `size`, and also `files` and `unknown` if its line in
-FORMATS says so. l3 imports the module when it reads the first scene in this format.
+To add a format, write a module in this folder and add an entry to FORMATS. A new source also needs keys in
+simulation/sources.py. The module must define the functions `read` and `size`. If the entry sets `has_files` or
+`names_unknown`, the module must also define `files` or `unknown`, respectively. l3 imports the module when it reads the
+first scene in this format.
 """
 
 import importlib

@@ -1,8 +1,8 @@
-"""Read spectral cubes from MATLAB, HDF5 and .npy files. (A .npy file cannot state wavelengths.)
+"""Read spectral cubes from MATLAB, HDF5 and .npy files. A .npy file cannot contain wavelengths.
 
-MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. The attributes of an HDF5 dataset say how its
-values are stored. l3 reads the attributes of the CF conventions (scale_factor, add_offset, _FillValue, missing_value) and of
-NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
+MATLAB and HDF5 files of any version are read as nested dictionaries of arrays. The attributes of an HDF5 dataset describe
+the scale of its values. l3 reads the attributes of the CF conventions (scale_factor, add_offset, _FillValue, missing_value)
+and of NEON (Scale_Factor, by which values are divided, and Data_Ignore_Value).
 """
 
 from collections.abc import Iterator
@@ -47,8 +47,9 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 
     Notes
     -----
-    A list of wavelengths has one number per band, and its name is in `wavelengths.NAMES`. l3 searches for it among the
-    attributes of the cube, then in the group or struct of the cube, then in the enclosing groups, and finally anywhere.
+    A list of wavelengths has one number per band, and its name is in `wavelengths.NAMES`. l3 searches for the list among the
+    attributes of the cube, then in the group or struct of the cube, then in the enclosing groups, and finally in the whole
+    file.
     """
     content = {"values": map_array(path)} if path.suffix.lower() == NPY else read_content(path)
     arrays = dict(_arrays(content))
@@ -75,7 +76,10 @@ def read(path: Path, variable: str | None, axes: str) -> SpectralCube:
 def _as_stored(
     values: NDArray, wavelength: NDArray[np.float64] | None, good: NDArray[np.bool_] | None, attributes: dict[str, Any]
 ) -> SpectralCube:
-    """Make a cube from stored values (row, col, band), scaled and masked as the attributes of its dataset say."""
+    """Make a cube from stored values (row, col, band).
+
+    The attributes of the dataset define the scale and the missing pixels.
+    """
     ignored = None
     for mark in (attributes[name] for name in MISSING if name in attributes):
         found = missing(values, float(np.ravel(mark)[0]), good)

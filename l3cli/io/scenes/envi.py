@@ -1,8 +1,8 @@
 """Read ENVI cubes, which consist of a text header and a data file in the same folder.
 
-FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and says
-how l3 treats it. Manufacturers add their own fields, which l3 ignores. `unknown` returns the names of ignored fields that
-may affect the values.
+FIELDS lists every field of the format (NV5 Geospatial, "ENVI Header Files", and the frame offsets of ENVI Classic) and
+describes how l3 uses the field. l3 ignores the additional fields of manufacturers. The function `unknown` returns the names
+of ignored fields that may affect the values.
 """
 
 import math

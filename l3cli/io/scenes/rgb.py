@@ -1,4 +1,5 @@
-"""Read RGB pictures as scenes. Their values are colours, which l3 converts to spectra, or signals of camera channels."""
+"""Read RGB pictures as scenes. The values are either colours, which l3 converts to spectra, or signals of camera
+channels."""
 
 from pathlib import Path
 

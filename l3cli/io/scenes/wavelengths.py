@@ -1,4 +1,4 @@
-"""Parse wavelengths in scene files, which state them in lists or in the names of bands, pages, files and arrays."""
+"""Parse wavelengths in scene files. They are in lists, or in the names of bands, pages, files and arrays."""
 
 import re
 from collections.abc import Sequence
@@ -66,8 +66,8 @@ def in_nm(values: Sequence[float] | NDArray, unit: str) -> NDArray[np.float64] |
 def in_name(name: str) -> float | None:
     """Return the wavelength in nm that the name of a band or file states, such as "red (650.5 nm)", or None.
 
-    A comma is a decimal point, as in "S0.450,5nm". A period is a decimal point unless the number would be below 100 nm, as
-    in "S0.450nm".
+    A comma is a decimal point, as in "S0.450,5nm". A period is also a decimal point. However, if the number would then be
+    below 100 nm, the period separates the number from the text before it, as in "S0.450nm".
     """
     found = IN_NAME.search(name)
     if found is None:
