@@ -44,7 +44,10 @@ def calibrate(measurements: Path | None, output: Path, options: DraftOptions) ->
 
 
 def _draft(folder: Path, measurements: Path | None, output: Path, options: DraftOptions) -> Result:
-    """Write a draft measurement file. Raises UsageError if a calibration option or a measurement file is also given."""
+    """Write a draft measurement file.
+
+    Raises UsageError if a measurement file or an option that is only for calibration was also specified.
+    """
     from l3cli.stages.calibration import draft
 
     given = [name for name in ("photos", "light", "truth", "accept") if getattr(options, name)]

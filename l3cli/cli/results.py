@@ -64,8 +64,10 @@ class Record:
         self.error = {"kind": ERROR_KINDS.get(code, "failure"), "message": with_options(message)}
 
     def show(self, result: Result | None, code: int) -> None:
-        """Print the document as JSON, with the record of the command under "run". After an interruption, digests are
-        left out.
+        """Print the document as JSON, with the record of the command under "run".
+
+        The record contains the SHA-256 of all inputs and outputs. It lists no files if the command was interrupted or has no
+        result.
         """
         seconds, console = time.monotonic() - self.start, Recorded(self.console, self)
         is_whole = result is not None and (result.fault is None or isinstance(result.fault, L3Error))

@@ -324,7 +324,7 @@ def gaussian(wavelength: Curves, centre: float, sigma: float, peak: float, floor
 
 
 def is_design(path: Path) -> bool:
-    """Whether a file is a design recipe."""
+    """Whether a file is a TOML file with a top-level key that only design recipes have."""
     keys = KIND_KEYS[DesignRecipe.title]
     return path.suffix == ".toml" and any(key in parse_toml(read_text(path), str(path)) for key in keys)
 

@@ -93,7 +93,7 @@ def arrangements(counts: Sequence[int]) -> Iterator[list[int]]:
 def every_array(
     shape: tuple[int, int], filters: Sequence[int], counts: Sequence[int] | None, allowed: Allowed
 ) -> list[Cfa] | None:
-    """Return all distinct arrays of a shape, or None if the number of arrays is too large.
+    """Return all distinct arrays of a shape that consist of allowed filters, or None if there are too many arrays.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def every_array(
     filters : sequence of int
         Filters that the arrays may contain.
     counts : sequence of int, optional
-        Number of sites of each filter. By default, any number.
+        Number of sites of each filter. [default: any number]
     allowed : callable
         Function that returns whether an array may consist of a set of filters.
     """
@@ -154,6 +154,11 @@ def anneal(
         Source of random numbers.
     steps : int
         Number of steps.
+
+    Returns
+    -------
+    ndarray, (row, col)
+        The best array that the search has reached.
     """
     known: dict[bytes, float] = {}
 

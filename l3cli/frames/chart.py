@@ -231,8 +231,9 @@ def _robust_variance(values: Array) -> float:
 def photon_transfer(values: Sequence[PatchValues]) -> tuple[float, float] | None:
     """Estimate the conversion gain (DN/e-) and the dark noise (DN) with a photon transfer line.
 
-    The line is fitted to all patches and channels in `values`. Return None if the line has too few points, or if the slope
-    is not positive, for example because the files were processed or contain almost no noise.
+    The line is fitted to all patches and channels in `values`. The dark noise does not include the quantisation noise.
+    Return None if the line has too few points, or if the slope is not positive, for example because the files were processed
+    or contain almost no noise.
     """
     mean = np.concatenate([each.mean[each.used] for each in values])
     variance = np.concatenate([each.variance[each.used] for each in values])

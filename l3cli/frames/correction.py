@@ -47,7 +47,11 @@ class BadPixelCorrection:
     source: NDArray[np.int64]  # (defect, NEIGHBOURS) flat indices of good pixels
 
     def corrected(self, values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return values (row, col) with bad pixels replaced by the mean of their two middle neighbours, rounded up."""
+        """Return values (row, col) in which each bad pixel is replaced by the mean of the two middle values of its four
+        neighbours.
+
+        The mean is rounded up.
+        """
         result = values.copy()
         neighbours = values.ravel()[self.source].astype(np.int32)
         result.ravel()[self.target] = (neighbours.sum(axis=1) - neighbours.max(axis=1) - neighbours.min(axis=1) + 1) >> 1
@@ -386,13 +390,19 @@ def correction_in(file: CameraFile, table: "TransformTable") -> Correction:
 
 @functools.lru_cache(1)
 def correction_again(file: CameraFile) -> Correction:
-    """Read the corrections in a worker process. The result is cached for the frames of a run."""
+    """Read the corrections in a worker process. The result is cached for the frames of a run.
+
+    Raises InputFileError if the file differs from the file of the main process.
+    """
     require_same(file.path, file.digest)
     return correction_of(_camera_of(file))
 
 
 def _camera_of(file: CameraFile) -> CameraModel:
-    """Load the camera model from a file that is either a camera model or a transform table."""
+    """Load the camera model from a file that is either a camera model or a transform table.
+
+    Raises InputFileError if the file is a table that does not contain its camera model.
+    """
     with open_artifact(file.path, CameraModel, TransformTable) as root:
         kind = str(root.attrs["kind"])
     if kind == CameraModel.kind:

@@ -222,7 +222,7 @@ def _most_likely(plain: _Plain, camera: CameraModel, gain: float, excess: float 
 
     Fisher scoring starts from the given gain and excess. Measured variances are assumed to be gamma distributed about the
     predicted variances. The excess is assumed to be normal with a standard deviation of 1. If `excess` is None, the excess
-    is fixed at 0.
+    is fixed at 0. Otherwise, ValueError is raised if the noise does not depend on the gain, because all pixels are black.
     """
     free, excess = excess is not None, excess or 0.0
     for _ in range(MAX_SCORING_STEPS):

@@ -200,7 +200,10 @@ def _super_pixels(means: NDArray[np.float64], period: tuple[int, ...]) -> NDArra
 
 
 def _factors(blocks: NDArray[np.float64], along: tuple[int, int]) -> NDArray[np.float64]:
-    """Return a factor for each line of super-pixels relative to the mean super-pixel; `along` gives axes of a line."""
+    """Return a factor for each line of super-pixels: the mean of the line, relative to the mean of all lines.
+
+    `along` contains the axes over which a line is averaged: (2, 3) for rows, and (0, 1) for columns.
+    """
     lines = blocks.mean(axis=along, keepdims=True)
     mean = lines.mean(axis=0 if along == (2, 3) else 2, keepdims=True)
     return np.asarray(lines / np.maximum(mean, MIN_SIGNAL))

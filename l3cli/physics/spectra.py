@@ -194,7 +194,7 @@ REFLECTANCES, RADIANCES = (tuple(f"{kind}.{each:g}nm" for each in SAMPLED) for k
 def colour_matching_functions(wavelength: Array, observer: str = "CIE 1931") -> Array:
     """Return the colour-matching functions x̄ ȳ z̄ (3, wavelength) of an observer, which is a key of OBSERVERS.
 
-    The functions are interpolated linearly from tables with steps of 1 nm.
+    The functions are interpolated linearly from tables with steps of 1 nm. Raises RecipeError if the observer is unknown.
     """
     if observer not in OBSERVERS:
         raise RecipeError(f'observer "{observer}" is unknown; {suggestion(observer, OBSERVERS)}')

@@ -227,5 +227,6 @@ def _extinctions(camera: Path) -> list[Path]:
 
 
 def _named(camera: Path) -> list[Path]:
-    """Return the files that a camera recipe refers to: the recipe on which it is based, and its curves."""
+    """Return the files that a camera recipe refers to: the recipe on which it is based, its curves, and its
+    extinction ratios."""
     return [path for path in (_base(camera), curves_of(camera), *_extinctions(camera)) if path is not None]

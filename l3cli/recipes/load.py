@@ -34,7 +34,10 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
 
 
 def parse_recipe(text: str, recipe: type[R], name: str) -> R:
-    """Convert a TOML text to a recipe, in the same way as `load_recipe`. `name` is the name of the file for messages."""
+    """Convert a TOML text to a recipe, in the same way as `load_recipe`. `name` is the name of the file for messages.
+
+    Raises RecipeError if the text has a fault, or contains keys that only another type of recipe has.
+    """
     content = parse_toml(text, name)
     given = {kind for kind, keys in KIND_KEYS.items() if any(key in content for key in keys)}
     if given and recipe.title in KIND_KEYS and recipe.title not in given:

@@ -63,7 +63,10 @@ class Checkpoint:
         write_whole(self.path, "\n".join([self.key, *map(json.dumps, self.items.items())]))
 
     def add(self, name: str, facts: Any) -> None:
-        """Append a unit, from any process. The line is on disk when this method returns."""
+        """Append a unit, from any process. The line is on disk when this method returns.
+
+        Raises OSError if the disk is full.
+        """
         self.items[name] = facts
         line = f"\n{json.dumps([name, facts])}".encode()
         file = os.open(self.path, os.O_WRONLY | os.O_APPEND)

@@ -116,7 +116,8 @@ class Logged(Passing):
         Log file.
     command : str
         Name of the command.
-        Rewrites each message for the log.
+    wording : callable
+        Function that rewrites each message for the log. [default: messages are not changed]
 
     Raises
     ------

@@ -29,7 +29,8 @@ class FilesUsed:
     Attributes
     ----------
     read : dict
-        For each role, such as "table": the files, with their size and time before they were read, or None if not a file.
+        For each role, such as "table": the files, with their size and time before they were read, or None if they did not
+        exist.
     written : tuple of Path
         Finished output files.
     """
@@ -212,7 +213,10 @@ def _flush(path: Path) -> None:
 
 @contextlib.contextmanager
 def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[None]:
-    """Convert system errors to an L3Error that says that `path` cannot be written. `numbers` restricts the errors."""
+    """Convert system errors in the block to an L3Error that says that `path` cannot be written.
+
+    If `numbers` is set, only errors with these error numbers (errno) are converted.
+    """
     try:
         yield
     except OSError as error:
@@ -228,7 +232,7 @@ def blamed_on(path: Path, numbers: tuple[int, ...] | None = None) -> Iterator[No
 
 
 def open_quietly(path: Path) -> int:
-    """Open a regular file to lock it. Raises OSError if that is not possible.
+    """Open a regular file so that it can be locked, and return its descriptor. Raises OSError if that is not possible.
 
     Write access is only needed for locks over NFS, so a read-only file of another user is opened for reading.
     """
@@ -243,7 +247,11 @@ def open_quietly(path: Path) -> int:
 
 
 def sweep(folder: Path, output: Path | None = None) -> None:
-    """Remove temporary files in `folder` that no running process holds. If `output` is set, only temporary files for it."""
+    """Remove temporary files in `folder` that no running process has locked.
+
+    If `output` is set, only temporary files of this output are removed. Temporary files that are inputs of the command are
+    kept.
+    """
     wanted = None if output is None else _hidden_name(output)
     for name in os.listdir(folder) if folder.is_dir() else ():
         match = TEMPORARY.fullmatch(name)

@@ -99,7 +99,10 @@ def _busy(output: Path) -> L3Error:
 
 
 def _take(lock: Path, output: Path) -> int | None:
-    """Return the descriptor that holds the lock, or None if the storage does not support locks."""
+    """Create the lock file if necessary and lock it. Return its descriptor, or None if the storage does not support locks.
+
+    Raises L3Error if another run holds the lock.
+    """
     while True:
         with blamed_on(output):
             lock.parent.mkdir(parents=True, exist_ok=True)
@@ -143,6 +146,7 @@ def _existing(lock: Path) -> int | None:
 
 
 def _let_go(lock: Path, descriptor: int) -> None:
+    """Remove a lock file, and release the lock by closing its descriptor."""
     with contextlib.suppress(FileNotFoundError, PermissionError):  # only the owner may be allowed to remove the file
         lock.unlink()
     os.close(descriptor)

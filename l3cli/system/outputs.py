@@ -38,14 +38,26 @@ class OutputGuard(contextlib.ExitStack):
             _refuse_protected(path, globs)
 
     def guard_file(self, path: Path, force: bool, recipe: bool = False) -> None:
-        """Do the same as `hold_file`, and refuse an output that exists unless `force` is set."""
+        """Do the same as `hold_file`, and raise L3Error if the output exists and `force` is not set."""
         self.hold_file(path, recipe)  # before the check, because another run may be about to write the file
         refuse_existing(path, force)
 
     def hold_file(self, path: Path, recipe: bool = False) -> None:
         """Lock an output file until the end.
 
-        Refuses an output that is an input, not a file, not writable, or a .toml file that is not a `recipe`.
+        Parameters
+        ----------
+        path : Path
+            The output.
+        recipe : bool
+            Whether the output is a recipe. Only recipes may have the suffix ".toml".
+
+        Raises
+        ------
+        RecipeError
+            If the output has the suffix ".toml" but is not a recipe, or if it would replace an input or another output.
+        L3Error
+            If the output is a folder or a device, if its folder is not writable, or if another run is writing it.
         """
         if path.suffix == ".toml" and not recipe:
             raise RecipeError(f"{path}: .toml is for recipes; choose an output with another suffix")
@@ -55,14 +67,26 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_file(path), path)
 
     def guard_folder(self, path: Path, force: bool, *globs: str) -> None:
-        """Do the same as `hold_folder`, and refuse a folder that is not empty unless `force` is set."""
+        """Do the same as `hold_folder`, and raise L3Error if the folder is not empty and `force` is not set."""
         self.hold_folder(path, *globs)
         refuse_filled_folder(path, force)
 
     def hold_folder(self, path: Path, *globs: str) -> None:
         """Lock an output folder until the end.
 
-        Refuses a folder that is a file or not writable, or in which files that match `globs` are inputs.
+        Parameters
+        ----------
+        path : Path
+            The output.
+        *globs : str
+            Patterns of the files that l3 will write into the folder.
+
+        Raises
+        ------
+        RecipeError
+            If the folder is another output, or if an input in the folder matches a pattern.
+        L3Error
+            If the output is a file, if it is not writable, or if another run is writing into it.
         """
         refuse_filled_folder(path, force=True)  # refuses only files
         refuse_unwritable(path)
@@ -70,14 +94,18 @@ class OutputGuard(contextlib.ExitStack):
         self.hold(sole_writer_of_folder(path), path)
 
     def hold(self, lock: AbstractContextManager[bool], output: Path) -> None:
-        """Acquire a lock on an output, and keep it until the end."""
+        """Acquire a lock on an output, and keep it until the end. Warn if the storage of the output does not
+        support locks."""
         if not self.enter_context(lock):
             self._console.report(
                 f"warning: {output} is on storage without file locks; make sure that no other run writes to it"
             )
 
     def _remember(self, path: Path, *globs: str) -> None:
-        """Refuse an output that would replace an input or another output, and remember it for inputs added later."""
+        """Store an output, so that inputs that are added later cannot be replaced by this output.
+
+        Raises RecipeError if the output would replace an input or another output.
+        """
         _refuse_protected(path, globs)
         if any(path.resolve() == other.resolve() for other, _ in self._guarded):
             raise RecipeError(f"{path} is set as two outputs; choose a different path for each")
@@ -85,6 +113,7 @@ class OutputGuard(contextlib.ExitStack):
 
 
 def _refuse_protected(path: Path, globs: tuple[str, ...]) -> None:
+    """Raise RecipeError if an output, or a file in it that matches one of the patterns `globs`, is a protected input."""
     for file in itertools.chain([path], *(path.glob(each) for each in globs)):
         refuse_protected(file)
 

@@ -1,7 +1,7 @@
 """Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
 
-Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. Signals must not
-interrupt only two kinds of code:
+Outputs are temporary files that are renamed when they are complete, so an exception may occur at almost any time. Only two
+kinds of code must not be interrupted:
 
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
   complete although it is not.
