@@ -73,7 +73,7 @@ def read_raw(
     byte_order : {"little", "big"}, optional
         Headerless files only: byte order of 16-bit values. [default: "little"]
     opcodes : {"leave"}, optional
-        DNG files only: read a file even if it requires opcodes that l3 does not apply, such as a lens warp.
+        DNG files only: do not apply lens warps, and read a file even if it requires opcodes that l3 does not support.
 
     Returns
     -------

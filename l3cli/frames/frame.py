@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.lens_warp import LensWarp
 from l3cli.frames.shading import Shading, colour_corrected
 
 
@@ -58,6 +59,7 @@ class RawFrame:
     baseline_exposure: float = 0.0  # EV by which pictures should be brightened according to the file
     noise_share: float = 1.0  # fraction of the camera's noise variance; below 1 after a temporal filter
     noise_left: NoiseLeft | None = None  # the same fraction for each cell; None means 1 everywhere
+    warps: tuple[LensWarp, ...] = ()  # lens corrections to apply to the picture, in this order
     notes: tuple[str, ...] = ()  # warnings about processing that the file requests but l3 does not do
     exchangeable: bool = False  # whether the numbers of rows and columns may be swapped, because the file states no size
     misread: str = ""  # if the values look like noise: option that would decode the bytes to a plausible picture

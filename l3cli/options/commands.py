@@ -374,5 +374,5 @@ class InitOptions(ForceOptions):
         None, "Raw files only: white level, if the file states a wrong one.", LEVEL, metavar="DN"
     )
     opcodes: Literal["leave"] | None = option(
-        None, "DNG files only: ignore required opcodes that l3 does not support, such as a lens warp."
+        None, "DNG files only: ignore lens warps, and required opcodes that l3 does not support."
     )

@@ -223,7 +223,7 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
         metavar="ROW,COL",
     )
     opcodes: Literal["leave"] | None = option(
-        None, "DNG files only: ignore required opcodes that l3 does not support, such as a lens warp."
+        None, "DNG files only: ignore lens warps, and required opcodes that l3 does not support."
     )
     size: Given[PAIR | str | None, PAIR | None] = option(
         None,

@@ -57,6 +57,10 @@ class ReferenceRenderer:
         require_xyz(self.table.outputs)
         return encode(self.exact_outputs(frame), display)
 
+    def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
+        """Return a picture (row, col, 3) of outputs (output, row, col)."""
+        return encode(outputs, display)
+
     def pictures(self, frames: Iterable[tuple[RawFrame, Display]]) -> Iterator[NDArray]:
         """Yield the picture of each frame, in the order of the frames."""
         return (self.picture(frame, display) for frame, display in frames)

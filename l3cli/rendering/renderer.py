@@ -58,6 +58,12 @@ class Renderer(Protocol):
         While the caller uses a picture, the next picture may already be computed.
         """
 
+    def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
+        """Return a picture (row, col, 3) of outputs (output, row, col) that were changed after rendering.
+
+        Raises a RecipeError if the outputs of the table are not X, Y, Z or only Y.
+        """
+
 
 def make_ready(backend: str, **options: str | None) -> None:
     """Prepare a backend before the table is known: import modules, find the device, and start the compiler.
@@ -171,6 +177,9 @@ class NoiseRenderer:
         shared = ((self._noise(frame), (frame, display)) for frame, display in frames)
         for noise, run in itertools.groupby(shared, key=itemgetter(0)):
             yield from self._of(noise).pictures(each for _, each in run)
+
+    def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
+        return self._of((1.0, 1.0)).encoded(outputs, display)
 
 
 def _make_room(held: dict[Any, Any]) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from l3cli.artifacts.table import TransformTable
 from l3cli.errors import RecipeError, suggestion
 from l3cli.frames.frame import RawFrame, upright
+from l3cli.frames.lens_warp import warped
 from l3cli.physics.display import FLOAT_BITS, Tone
 from l3cli.physics.spaces import SPACES, SRGB, XYZ, Space, chromaticity_of
 from l3cli.rendering.display import Display, adapted_display, linear_matrix, require_xyz, shown_adaptation
@@ -175,11 +176,15 @@ def rendered(
     balance = balance or rendition.balance
     if balance is not None and not rendition.is_linear:
         balanced_frame, display = frame_and_display(renderer, frame, rendition, balance, scale)
+        if frame.warps:
+            moved = warped(renderer.outputs(balanced_frame), renderer.table.outputs, frame.warps)
+            return upright(renderer.encoded(moved, display), frame.orientation), scale
         return upright(renderer.picture(balanced_frame, display), frame.orientation), scale
     frame = frame if balance is None else balanced(frame, renderer.table, balance.gains)
-    planes = renderer.outputs(frame)
+    outputs = renderer.outputs(frame)
+    planes = warped(outputs, renderer.table.outputs, frame.warps)
     if balance is not None and rendition.space is not None:
-        scale = (scale * balance.luminance or still_scale(planes[1], frame, renderer.table)) * 2**rendition.stops
+        scale = (scale * balance.luminance or still_scale(outputs[1], frame, renderer.table)) * 2**rendition.stops
         adaptation = shown_adaptation(renderer.table, balance.adaptation)
         matrix = linear_matrix(adaptation, 1.0 if rendition.raw else scale, rendition.space)
         planes = np.einsum("po,orc->prc", matrix.astype(np.float32), planes)

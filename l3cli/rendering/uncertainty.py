@@ -124,6 +124,11 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     RecipeError
         If the table does not contain the noise model of its camera, or if the frame is too small.
     """
+    if frame.warps:
+        raise RecipeError(
+            f"{frame.name} requests a lens warp, whose effect on the noise l3 does not compute; render the frame without it "
+            "by ‹opcodes› leave"
+        )
     table = renderer.table
     require_known_noise(table)
     (outputs, labels), (rows, columns) = renderer.classified(frame), frame.values.shape

@@ -300,7 +300,7 @@ REFUSED: dict[str, tuple[Tags, str]] = {
     "SubTileBlockSize": ({50974: (LONG, [2, 2])}, "pixels in blocks"),
     "RowInterleaveFactor": ({50975: (LONG, [0])}, "has damaged tags"),
     "ColumnInterleaveFactor": ({52547: (LONG, [0])}, "has damaged tags"),
-    "OpcodeList3": ({51022: opcode_list((1, 0, b""))}, "WarpRectilinear"),
+    "OpcodeList3": ({51022: opcode_list((2, 0, b""))}, "WarpFisheye"),
 }
 OF_OTHERS = {  # tags that lie between those of DNG
     "RawImageSegmentation", "AliasLayerMetadata", "IJMetadataByteCounts", "IJMetadata", "RPCCoefficientTag", "SRawType",
@@ -330,7 +330,7 @@ HARMLESS = {  # they change no pixel of the mosaic: hints, colours, looks, previ
 }  # fmt: skip
 NOTED: dict[str, tuple[Tags, str]] = {
     "DefaultScale": ({50718: (RATIONAL, [2, 1, 1, 1])}, "its pixels are not square (DefaultScale 2, 1)"),
-    "OpcodeList3": ({51022: opcode_list((1, 1, b""))}, "WarpRectilinear"),
+    "OpcodeList3": ({51022: opcode_list((2, 1, b""))}, "WarpFisheye"),
     "DefaultUserCrop": ({51125: (RATIONAL, [1, 4, 0, 1, 1, 1, 1, 1])}, "(DefaultUserCrop) is not applied"),
 }
 
@@ -624,13 +624,13 @@ def test_radial_vignetting_is_a_gain_of_all_channels(tmp_path: Path, table: Tran
 def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformTable, l3: L3, refused: Refused) -> None:
     save(table, tmp_path / "table.h5")
     render = ("render", tmp_path / "table.h5", tmp_path / "a.dng", "-o", tmp_path / "a.png", "--backend", "reference")
-    warp = struct.pack(">I", 1) + struct.pack(">8d", 1, 0, 0, 0, 0, 0, 0.5, 0.5)
-    dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 0, warp))})
-    assert "a.dng requires the correction WarpRectilinear in OpcodeList3, which l3 does not support" in refused(3, *render)
-    dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((1, 1, warp), (77, 1, b""))})
+    fisheye = struct.pack(">I", 1) + struct.pack(">6d", 1, 0, 0, 0, 0.5, 0.5)
+    dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((2, 0, fisheye))})
+    assert "a.dng requires the correction WarpFisheye in OpcodeList3, which l3 does not support" in refused(3, *render)
+    dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: opcode_list((2, 1, fisheye), (77, 1, b""))})
     code, _, err = l3(*render)
     assert code == 0
-    assert "a.dng: the optional correction WarpRectilinear in OpcodeList3 is ignored" in err
+    assert "a.dng: the optional correction WarpFisheye in OpcodeList3 is ignored" in err
     assert "a.dng: the optional correction opcode 77 in OpcodeList3 is ignored" in err
     for stage, number in ((LIST_1, 9), (LIST_2, 4), (LIST_3, 5), (LIST_2, 8)):
         dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={stage: opcode_list((number, 0, b""))})
@@ -639,16 +639,18 @@ def test_what_moves_pixels_is_refused_or_noted(tmp_path: Path, table: TransformT
 
 
 def test_opcodes_are_left_out_where_that_is_asked_for(tmp_path: Path, table: TransformTable) -> None:
-    """Those that are carried out are; of each other one there is a note."""
-    vignette, warp = struct.pack(">7d", 0.5, 0, 0, 0, 0, 0.5, 0.5), struct.pack(">I8d", 1, 1, 0, 0, 0, 0, 0, 0.5, 0.5)
-    lists = opcode_list((3, 0, vignette), (1, 0, warp), (8, 0, b""))
+    """Corrections of brightness are applied. There is a note about each opcode that is not."""
+    vignette, warp = struct.pack(">7d", 0.5, 0, 0, 0, 0, 0.5, 0.5), struct.pack(">I8d", 1, 1, 0.1, 0, 0, 0, 0, 0.5, 0.5)
+    lists = opcode_list((3, 0, vignette), (2, 0, b""), (8, 0, b""), (1, 0, warp))
     path = dng_files.write_dng(tmp_path / "a.dng", stored(), PATTERN, 16, tags={LIST_3: lists})
-    with pytest.raises(InputFileError, match="WarpRectilinear in OpcodeList3"):
+    with pytest.raises(InputFileError, match="WarpFisheye in OpcodeList3"):
         read_raw(path, table)
     frame = read_raw(path, table, RawOverrides(opcodes="leave"))
     np.testing.assert_array_equal(frame.values, stored())
     assert frame.shading is not None
-    assert [note.split()[3] for note in frame.notes] == ["WarpRectilinear", "MapPolynomial"]
+    assert [note.split()[3] for note in frame.notes[:2]] == ["WarpFisheye", "MapPolynomial"]
+    assert len(frame.notes) == 3
+    assert frame.warps == ()
 
 
 @pytest.mark.parametrize(

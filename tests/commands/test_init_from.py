@@ -277,7 +277,7 @@ def test_a_black_level_that_cannot_be_told_is_given(
 
 
 def test_a_lens_warp_is_no_matter_of_the_camera_once_it_is_to_be_left(bayer: CameraModel, tmp_path: Path, l3: L3) -> None:
-    warp = {51022: dng_files.opcode_list((1, 0, b""))}
+    warp = {51022: dng_files.opcode_list((2, 0, b""))}
     dng_files.write_dng(tmp_path / "a.dng", scene(bayer), np.array([[0, 1], [1, 2]]), tags=warp)
     call = ("init", "--from", tmp_path / "a.dng", tmp_path / "mine")
     assert l3(*call)[0] == 3

@@ -26,6 +26,7 @@ class RawContent(TypedDict):
     camera: NotRequired[list[str]]  # make, model and other names of the camera
     shot: NotRequired[dict[str, str | float]]  # fields of Shot that the file states
     gain: NotRequired[NDArray[np.float32]]  # (row, col) factor by which readers should multiply values above black
+    warps: NotRequired[tuple[dict[str, Any], ...]]  # fields of each LensWarp, in the order of their application
     notes: NotRequired[tuple[str, ...]]  # warnings about properties of the file that l3 ignores
     # faults and unsupported requests: parameter that resolves the fault → message
     faults: NotRequired[dict[str, str]]

@@ -6,7 +6,7 @@ tag that l3 does not support changes pixels, l3 rejects the file or warns (docs/
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -168,6 +168,8 @@ def _described(path: Path, mosaic: Mosaic, stored: NDArray[np.uint16]) -> RawCon
         content["black_level"] = common
     if gain is not None:
         content["gain"] = gain
+    if mosaic.opcodes.warps:
+        content["warps"] = tuple(asdict(replace(warp, origin=(row, col))) for warp in mosaic.opcodes.warps)
     return content
 
 
@@ -302,6 +304,7 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
             f"{path}: the default crop {crop} exceeds the active area of {rows}×{cols} pixels; copy the file again"
         )
     pattern = _pattern(path, raw)
+    planes = tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2))
     black, fault = _stated_black(raw, pattern.shape, (rows, cols))
     return Mosaic(
         orientation=tags.flip_of(path, first.tags.valueof("Orientation", tags.UPRIGHT)),
@@ -318,8 +321,8 @@ def _mosaic(path: Path, first: Any, raw: Any) -> Mosaic:
         neutral=_neutral(first, raw),
         camera=tags.camera_names(first),
         shot=tags.shot_of_page(first),
-        opcodes=read_opcodes(raw),
-        planes=tuple(raw.tags.valueof("CFAPlaneColor") or (0, 1, 2)),
+        opcodes=read_opcodes(raw, planes, (rows, cols)),
+        planes=planes,
         shape=shape,
         fields=_fields(raw),
         notes=tuple(_notes(raw)),

@@ -20,6 +20,7 @@ import numpy as np
 from l3cli.errors import InputFileError
 from l3cli.frames.correction import Correction, DarkFrame, HotTest, without_dark
 from l3cli.frames.frame import RawFrame
+from l3cli.frames.lens_warp import LensWarp
 from l3cli.frames.raw_sanity import smoother_reading
 from l3cli.frames.shading import shading_of_gain
 from l3cli.io.raw import MultiFrameFile, RawContent, refuse_faults
@@ -191,7 +192,7 @@ class RawOverrides:
     hot: HotTest | None = None  # test for hot pixels; None to keep hot pixels
     skip: int = 0  # bytes before the first frame of a headerless file
     byte_order: str | None = None  # byte order of 16-bit values in a headerless file: "little", "big", or None for "little"
-    opcodes: str | None = None  # "leave" to ignore unsupported opcodes of a DNG; None to reject the file
+    opcodes: str | None = None  # "leave" to ignore lens warps and unsupported opcodes of a DNG; None to apply or reject them
 
     def of_frame(self, place: int) -> "RawOverrides":
         """Return the overrides for one frame of a sequence. `place` is the position of the frame, counted from 0.
@@ -310,7 +311,9 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
             f"must not exceed {TOP}; set ‹black_level› and ‹white_level›"
         )
     frame_phase = find_phase(name, pattern, table) if pattern is not None and known.phase is None else (0, 0)
-    gain = content.get("gain")
+    gain, warps = content.get("gain"), tuple(LensWarp(**each) for each in content.get("warps", ()))
+    leave = known.opcodes == "leave"
+    left = ("the lens warp that it requests is not applied",) if leave and warps else ()
     frame = RawFrame(
         name,
         np.ascontiguousarray(dn),
@@ -323,7 +326,8 @@ def frame_of(name: str, content: RawContent, table: Sensor, known: RawOverrides)
         taken_by=tuple(content.get("camera", ())),
         shot=believable_shot(content.get("shot", {})),
         shading=None if gain is None else shading_of_gain(gain, table.cfa.shape),
-        notes=(*content.get("notes", ()), *_displaced(content, table, frame_phase)),
+        warps=() if leave else warps,
+        notes=(*content.get("notes", ()), *left, *_displaced(content, table, frame_phase)),
         baseline_exposure=content.get("baseline_exposure", 0.0),
         exchangeable=content.get("exchangeable", False),
         misread=_misread(content, table, frame_phase if known.phase is None else known.phase),

@@ -1,8 +1,8 @@
 """Opcode lists of a DNG file (Adobe DNG 1.7, chapter 7): changes to the mosaic or to the picture that the file requests.
 
-l3 corrects bad pixels, and converts gain maps and radial vignetting to a gain per pixel. Other opcodes would move pixels or
-change values nonlinearly. If such an opcode is optional, l3 ignores it with a note. If it is mandatory, l3 rejects the file
-unless the user asks to ignore the opcode.
+l3 corrects bad pixels, converts gain maps and radial vignetting to a gain per pixel, and applies rectilinear lens warps to
+the picture. If another opcode is optional, l3 ignores it with a note. Otherwise l3 rejects the file, unless the user asks to
+ignore the opcode.
 """
 
 import struct
@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from l3cli.frames.lens_warp import BLUE, GREEN, RED, UNCHANGED, LensWarp, corrected_places
+
 LISTS = ("OpcodeList1", "OpcodeList2", "OpcodeList3")  # for stored, linear and demosaicked values, respectively
-FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 3, 4, 5, 9
-SUPPORTED = ((4, 5), (5, 3, 9), (3, 9))  # supported opcodes in each list
+WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL, FIX_BAD_PIXELS_CONSTANT, FIX_BAD_PIXELS_LIST, GAIN_MAP = 1, 3, 4, 5, 9
+SUPPORTED = ((4, 5), (5, 3, 9), (3, 9, 1))  # supported opcodes in each list
 NAMES = (
     "", "WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList", "TrimBounds",
     "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow", "ScalePerColumn",
@@ -25,6 +27,7 @@ OPTIONAL = 1  # bit of an opcode's flags that permits readers to ignore the opco
 MOST_OPCODES = 1000
 MOST_GAIN = 64.0
 MOST_PLANES = 16
+MOST_WARP = 10.0  # largest factor, and reciprocal of the smallest, by which a warp may change a distance from the centre
 HEAD = struct.Struct(">IIII")  # identifier, version, flags, bytes
 AREA = struct.Struct(">8I")  # top, left, bottom, right, first plane, planes, row pitch, column pitch
 MAP = struct.Struct(">2I4dI")  # points down and across, spacings, origins, planes
@@ -59,6 +62,7 @@ class Vignette:
 
     terms: tuple[float, ...]
     centre: tuple[float, float]  # down, across, in heights and widths of the image
+    warps: tuple[LensWarp, ...]  # the warps before this opcode, so that the gain refers to the warped picture
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class Opcodes:
     constants: tuple[int, ...] = ()  # stored values that mark bad pixels
     rects: tuple[NDArray[np.int64], ...] = ()  # (rect, 5) stage, top, left, bottom, right of bad pixels
     gains: tuple[GainMap | Vignette, ...] = ()
+    warps: tuple[LensWarp, ...] = ()  # for the picture of the active area
     notes: tuple[str, ...] = ()  # notes on ignored optional opcodes
     demanded: tuple[str, ...] = ()  # unsupported mandatory opcodes
 
@@ -78,25 +83,42 @@ class Opcodes:
 # ------------------------------------------------------------------------------------------------------------ reading
 
 
-def read_opcodes(page: Any) -> Opcodes:
-    """Return the opcodes of a page. Raises ValueError or struct.error if a list is damaged."""
-    found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "notes": [], "demanded": []}
+def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opcodes:
+    """Return the opcodes of a page.
+
+    Parameters
+    ----------
+    page : tifffile.TiffPage
+    planes : sequence of int
+        Colour code of each plane of the demosaicked picture.
+    area : tuple of int
+        Rows and columns of the active area.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If a list is damaged.
+    """
+    found: dict[str, list[Any]] = {"constants": [], "rects": [], "gains": [], "warps": [], "notes": [], "demanded": []}
     linearised = page.tags.valueof("LinearizationTable") is not None
     for each in _listed(page):
-        supported = each.number in SUPPORTED[each.stage]
+        supported = each.number in SUPPORTED[each.stage] and not (each.number == GAIN_MAP and found["warps"])
         if not supported or (each.number == FIX_BAD_PIXELS_CONSTANT and linearised):
             name = NAMES[each.number] if 0 < each.number < len(NAMES) else f"opcode {each.number}"
-            named = f"{name} in {LISTS[each.stage]}"
+            named = f"{name}{' after a lens warp' * bool(found['warps'])} in {LISTS[each.stage]}"
             if each.optional:
                 found["notes"].append(f"the optional correction {named} is ignored")
             else:
                 found["demanded"].append(named)
+        elif each.number == WARP_RECTILINEAR:
+            found["warps"].extend(_warps(each, planes, area))
         elif each.number == FIX_BAD_PIXELS_CONSTANT:
             found["constants"].append(struct.unpack(">II", each.content)[0])
         elif each.number == FIX_BAD_PIXELS_LIST:
             found["rects"].append(_bad_rects(each))
         else:
-            found["gains"].append(_vignette(each) if each.number == FIX_VIGNETTE_RADIAL else _gain_map(each))
+            after = tuple(found["warps"])
+            found["gains"].append(_vignette(each, after) if each.number == FIX_VIGNETTE_RADIAL else _gain_map(each))
     return Opcodes(**{name: tuple(values) for name, values in found.items()})
 
 
@@ -149,11 +171,28 @@ def _gain_map(opcode: Opcode) -> GainMap:
     return GainMap(opcode.stage, area, planes, spacing, origin, gains.reshape(rows, cols, map_planes))  # type: ignore[arg-type]
 
 
-def _vignette(opcode: Opcode) -> Vignette:
+def _vignette(opcode: Opcode, warps: tuple[LensWarp, ...]) -> Vignette:
     *terms, across, down = struct.unpack(">7d", opcode.content)
     if not np.isfinite((*terms, across, down)).all():
         raise ValueError("some vignetting terms are not finite")
-    return Vignette(tuple(terms), (down, across))
+    return Vignette(tuple(terms), (down, across), warps)
+
+
+def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list[LensWarp]:
+    """Return the warp of an opcode, or nothing if it leaves all pixels where they are."""
+    (count,) = struct.unpack_from(">I", opcode.content)
+    if count not in (1, len(planes)):
+        raise ValueError(f"a lens warp has terms for {count} colour planes instead of {len(planes)}")
+    *numbers, across, down = struct.unpack(f">{6 * count + 2}d", opcode.content[4:])
+    terms = np.reshape(numbers, (count, 6))
+    factors = np.polynomial.polynomial.polyval(np.linspace(0, 1, 65), terms[:, :4].T)
+    if not (0 <= down <= 1 and 0 <= across <= 1 and np.isfinite(terms).all() and np.abs(terms[:, 4:]).max() <= 1):
+        raise ValueError("a lens warp has invalid terms")
+    if not 1 / MOST_WARP <= factors.min() <= factors.max() <= MOST_WARP:
+        raise ValueError(f"a lens warp changes distances by {factors.min():.3g}…{factors.max():.3g}")
+    places = [planes.index(colour) if colour in planes else 0 for colour in (RED, GREEN, BLUE)]
+    red, green, blue = (tuple(terms[min(place, count - 1)].tolist()) for place in places)
+    return [] if {red, green, blue} == {UNCHANGED} else [LensWarp((red, green, blue), (down, across), area)]
 
 
 # -------------------------------------------------------------------------------------------------- applying opcodes
@@ -219,11 +258,14 @@ def _product(opcodes: Opcodes, pattern: NDArray[np.int64], planes: Sequence[int]
 
 
 def _radial(vignette: Vignette, shape: tuple[int, int]) -> Floats:
+    rows, cols = np.arange(shape[0], dtype=float)[:, None], np.arange(shape[1], dtype=float)
+    if vignette.warps:
+        rows, cols = corrected_places(vignette.warps, rows, cols)
     down, across = (
-        (np.arange(length) + 0.5) - middle * length for length, middle in zip(shape, vignette.centre, strict=True)
+        (places + 0.5) - middle * length for places, length, middle in zip((rows, cols), shape, vignette.centre, strict=True)
     )
     corners = [max(middle, 1 - middle) * length for length, middle in zip(shape, vignette.centre, strict=True)]
-    squared = (down[:, None] ** 2 + across**2) / (corners[0] ** 2 + corners[1] ** 2)
+    squared = (down**2 + across**2) / (corners[0] ** 2 + corners[1] ** 2)
     return np.asarray(np.polynomial.polynomial.polyval(squared, (1.0, *vignette.terms)))
 
 

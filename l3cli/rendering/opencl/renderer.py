@@ -114,6 +114,7 @@ class Unread:
 
 
 TRACKS = 2
+ENCODED_PIXELS = 1 << 22  # pixels that `encoded` copies to the device at once
 Labels = Mapping[int, NDArray]  # layer → array (row, col) to which the classes are written
 NO_LABELS: Labels = {}
 READ_AHEAD_BYTES = 16  # number of elements after the last pixel that vector loads may read
@@ -242,6 +243,18 @@ class OpenCLRenderer:
             work.end()
             yield picture
 
+    def encoded(self, outputs: NDArray[np.float32], display: Display) -> NDArray:
+        """Return a picture (row, col, 3) of outputs (output, row, col)."""
+        require_xyz(self.table.outputs)
+        rows, columns = outputs.shape[1:]
+        picture, self._unread = np.empty((rows, columns, 3), display.dtype), None
+        for first in range(0, rows, step := max(ENCODED_PIXELS // columns, 1)):
+            strip = slice(first, first + step)
+            with refusals(self.device):
+                buffer = self._constant(outputs[:, strip], np.float32)
+            self._start_encoding(buffer, self._tracks[0], display, display.matrix, picture[strip]).end()
+        return picture
+
     def stage_times(self, frame: RawFrame, display: Display | None) -> dict[str, float]:
         """Measure the time that the device spends in each of `stages`, in ms.
 
@@ -281,7 +294,8 @@ class OpenCLRenderer:
         require_xyz(self.table.outputs)
         picture = np.empty((*frame.values.shape, 3), display.dtype)
         if self._unread is not None and self._unread.are_of(frame):
-            return picture, self._start_encoding(self._unread, display, picture)
+            matrix = display.matrix * frame.light_share
+            return picture, self._start_encoding(self._unread.result, self._unread.track, display, matrix, picture)
         matrix = display.matrix * frame.light_share
         return picture, self._start(frame, [picture], layout.display_macros(display), matrix, borrow=borrow)
 
@@ -343,17 +357,17 @@ class OpenCLRenderer:
                     work.fetch(track.queue, classes, [array[band.rows]], offset)
         return work
 
-    def _start_encoding(self, unread: Unread, display: Display, picture: NDArray) -> Work:
-        """Enqueue the encoding of outputs that are still on the device."""
-        work, track = Work(self.device, self.stages), unread.track
+    def _start_encoding(self, outputs: Any, track: Track, display: Display, matrix: NDArray, picture: NDArray) -> Work:
+        """Enqueue the encoding of a buffer with outputs. `matrix` converts them to linear values of the picture."""
+        work = Work(self.device, self.stages)
         with refusals(self.device):
             kernel = self._programs.encoder(layout.display_macros(display))
-            matrix = self._constant(display.matrix * unread.frame.light_share, np.float32)
             target = (
                 work.in_place(track.queue, picture, written=True) if self._in_place else self._scratch(None, picture.nbytes)
             )
             shape, cut = (picture.shape[0], picture.shape[1]), self._programs.encoder_cut
-            work.add("encode", self._run(kernel, track, shape, unread.result, matrix, target, cut=cut))
+            converts = self._constant(matrix, np.float32)
+            work.add("encode", self._run(kernel, track, shape, outputs, converts, target, cut=cut))
             work.fetch(track.queue, target, [picture])
         return work
 

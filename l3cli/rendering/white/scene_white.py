@@ -17,6 +17,7 @@ from l3cli.artifacts.table import TransformTable
 from l3cli.classes.tree import BORDER_PIXELS
 from l3cli.errors import InputFileError
 from l3cli.frames.frame import RawFrame
+from l3cli.frames.lens_warp import GREEN, source_places
 from l3cli.physics import spectra
 from l3cli.physics.correlated_lights import CorrelatedLight, light_of, light_of_neutral, light_of_white, temperature, uv
 from l3cli.physics.display import adaptation_matrix, display_white, fit_through
@@ -67,6 +68,11 @@ class Square:
         top, left = (left, top) if turned else (top, left)
         top = rows - top - self.size if frame.orientation & 2 else top
         left = cols - left - self.size if frame.orientation & 1 else left
+        if frame.warps:  # the picture shows pixels at other places than the raw frame
+            half = (self.size - 1) / 2
+            middle = source_places(frame.warps, np.array(top + half), np.array(left + half), GREEN)
+            moved = [round(float(place) - half) for place in middle]
+            top, left = (int(np.clip(at, 0, length - self.size)) for at, length in zip(moved, (rows, cols), strict=True))
         where = slice(top, top + self.size), slice(left, left + self.size)
         return Grey(f"{frame.name}: the square at {self.row},{self.col}", where)
 

@@ -5,6 +5,7 @@ also reads the raw file.
 """
 
 import functools
+import itertools
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ from l3cli.rendering.conditions import Mix, mixed
 from l3cli.rendering.display import Display
 from l3cli.rendering.renderer import NoiseRenderer, Renderer
 from l3cli.rendering.rendition import Rendition, frame_and_display, rendered
+from l3cli.rendering.white.scene_white import WhiteBalance
 from l3cli.stages.rendering.job import Job
 from l3cli.stages.rendering.look import Look
 from l3cli.stages.rendering.reading import FrameTask
@@ -73,17 +75,23 @@ class PictureMaker:
         """
         rendition = self._setup.rendition
         usual = rendition.balance
-        if usual is None or rendition.is_linear:
-            for task in tasks:
-                pixels, scale = rendered(self._renderer, _frame(task), rendition, task.scale, task.balance)
-                yield task, self._picture(task, pixels, scale)
-            return
+        for warps, run in itertools.groupby(tasks, key=lambda task: bool(_frame(task).warps)):
+            if usual is None or rendition.is_linear or warps:
+                for task in run:
+                    pixels, scale = rendered(self._renderer, _frame(task), rendition, task.scale, task.balance)
+                    yield task, self._picture(task, pixels, scale)
+            else:
+                yield from self._displayed(run, usual)
+
+    def _displayed(self, tasks: Iterable[FrameTask], usual: WhiteBalance) -> Iterator[tuple[FrameTask, Picture]]:
+        """Yield each frame with its encoded picture. The white balance is `usual` for frames that have none of their own."""
         started: deque[FrameTask] = deque()
 
         def displayed() -> Iterator[tuple[RawFrame, Display]]:
             for task in tasks:
                 started.append(task)
-                yield frame_and_display(self._renderer, _frame(task), rendition, task.balance or usual, task.scale)
+                balance = task.balance or usual
+                yield frame_and_display(self._renderer, _frame(task), self._setup.rendition, balance, task.scale)
 
         for pixels in self._renderer.pictures(displayed()):
             task = started.popleft()
