@@ -17,6 +17,7 @@ def load_recipe(path: Path, recipe: type[R]) -> R:
     Parameters
     ----------
     path : Path
+        The file.
     recipe : type
         Structure of the recipe.
 

@@ -53,6 +53,7 @@ def read_text(path: Path, title: str = Recipe.title) -> str:
     Parameters
     ----------
     path : Path
+        The file.
     title : str
         Name of the expected type of file, for messages.
 

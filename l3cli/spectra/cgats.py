@@ -32,7 +32,7 @@ MEAS_TYPE_UNITS = {  # value of MEAS_TYPE → unit; all other values mean a ligh
 
 @dataclass
 class CgatsTable:
-    """One table of a CGATS file."""
+    """One table of a CGATS file: its keywords with their values, the names of its columns, and its rows of texts."""
 
     keywords: dict[str, str] = field(default_factory=dict)
     fields: list[str] = field(default_factory=list)

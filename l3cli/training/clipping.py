@@ -27,6 +27,7 @@ def learned_clipping(camera: CameraModel, light: LightSpectrum | None, white: Ar
     Parameters
     ----------
     camera : CameraModel
+        Camera whose channels clip.
     light : LightSpectrum or None
         Mean illuminant of the training, or None if it is unknown.
     white : ndarray, (output)

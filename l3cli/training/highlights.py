@@ -47,13 +47,16 @@ def grey_patches(
 ) -> dict[int, Array]:
     """Return the moments of uniform greys for the saturated classes of the lowest contrast.
 
-    The moments of a class are the mean over the greys that belong to the class, times the number of greys per patch. For the
-    case in which every channel clips, only greys that are clipped in every channel are used.
+    The moments of a class are the mean over the greys that belong to the class, times the number of greys per patch. Each
+    grey also belongs to the classes of the next darker and the next brighter level. For the case in which every channel
+    clips, only greys that are clipped in every channel are used.
 
     Parameters
     ----------
     sums : ClassSums
+        Sums of all classes of a site.
     rule : ClassRule
+        Class rule of the first layer.
     window : ndarray, (tap)
         Channel of each tap.
     white : ndarray, (output)
@@ -116,6 +119,7 @@ def steps_back(
     clipping : ndarray, (class)
         Numbers of the saturated classes.
     rule : ClassRule
+        Class rule of the first layer.
     signal : ndarray, (channel)
         Signals of white under the training illuminant.
     black_level, white_level : float
@@ -159,7 +163,9 @@ def white_channels(
     Parameters
     ----------
     sums : ClassSums
+        Sums of all classes of a site.
     rule : ClassRule
+        Class rule of the first layer.
     window : ndarray, (tap)
         Channel of each tap.
     white : ndarray, (output)

@@ -76,6 +76,7 @@ def false_colours(camera: CameraModel, wavelength: Array, photons: Array) -> Arr
     Parameters
     ----------
     camera : CameraModel
+        Camera with the CFA and the responsivities.
     wavelength : ndarray, (wavelength)
         Wavelengths in nm.
     photons : ndarray, (wavelength)
@@ -181,6 +182,7 @@ class PlainSurfaces:
         Parameters
         ----------
         rule : ClassRule
+            Class rule of the first layer.
         window : ndarray, (tap)
             Channel of each tap.
 
@@ -257,6 +259,7 @@ def plain_surfaces(camera: CameraModel, light: LightSpectrum, target: LightSpect
     Parameters
     ----------
     camera : CameraModel
+        Camera with the responsivities.
     light : LightSpectrum
         Illuminant of the scene.
     target : LightSpectrum

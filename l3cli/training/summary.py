@@ -30,6 +30,7 @@ def insight(table: TransformTable) -> dict[str, Any]:
     Parameters
     ----------
     table : TransformTable
+        Table to summarise.
 
     Returns
     -------
@@ -106,7 +107,9 @@ def refinement_layer(layer: PlaneLayer, outputs: tuple[str, ...]) -> dict[str, A
     Parameters
     ----------
     layer : PlaneLayer
+        Layer to summarise.
     outputs : tuple of str
+        Names of the outputs of the table.
 
     Returns
     -------
@@ -260,6 +263,7 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     Parameters
     ----------
     recipe : TrainingRecipe
+        Recipe to summarise.
     camera : CameraModel or None
         If given, the size of a table for this camera is added.
 

@@ -46,6 +46,7 @@ def solve_within(equations: Equations, ridge: float, member: Array, integers: In
     Parameters
     ----------
     equations : Equations
+        Equations of the classes.
     ridge : float
         Smallest ridge, relative to the mean power of a tap.
     member : ndarray, (channel, tap)
@@ -85,6 +86,7 @@ def fits(transforms: Array, white: Array, integers: Integers) -> NDArray[np.bool
     white : ndarray, (output)
         Outputs of a perfect white.
     integers : Integers
+        Parameters of the integer formats.
 
     Returns
     -------
@@ -132,6 +134,7 @@ def solve_positive(system: Array, right: Array) -> tuple[Array, float]:
     Parameters
     ----------
     system : ndarray, (row, row)
+        Matrix of the system.
     right : ndarray, (row, column)
         Right-hand sides.
 

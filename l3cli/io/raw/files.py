@@ -255,9 +255,11 @@ def holds_several(path: Path, sensor: Callable[[], Sensor], known: RawOverrides)
     Parameters
     ----------
     path : Path
+        The file.
     sensor : callable
         Returns the table or camera. `sensor` is only called for headerless files, to determine the size of the frames.
     known : RawOverrides
+        Options that replace the metadata of raw files.
 
     Raises
     ------

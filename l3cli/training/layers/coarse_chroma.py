@@ -76,6 +76,7 @@ def rising_terms(luminance: Array, variances: Array) -> Array:
     Parameters
     ----------
     luminance : ndarray, (grey)
+        Luminance of each grey, relative to a white with Y = 1.
     variances : ndarray, (grey, plane)
         Variances in squared plane steps.
 

@@ -132,6 +132,7 @@ def sample_weights(
     white : ndarray, (output)
         Outputs of a perfect white under the training illuminant, with Y = 1.
     recipe : LearningRecipe
+        The section [learning] of the class recipe.
     pictures : bool
         Whether the outputs are X, Y, Z.
 
@@ -201,7 +202,9 @@ class GatheredSamples:
         sums : mapping of int to LayerSums
             Sums of the canonical sites, which are changed in place.
         rule : PlaneRule
+            Class rule of the refinement layer.
         reading : Reading
+            How the windows at each site are read.
         basis : ndarray, (output, plane)
             Opponent basis, which converts outputs to planes.
         steps : ndarray, (level, pair)
