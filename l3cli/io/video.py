@@ -295,7 +295,8 @@ def new_video(
                 writer.finish()
             finished(temporary)
         except av.error.FFmpegError as error:
-            raise L3Error(f"{path} cannot be written: {error.strerror}") from error
+            cure = "check the free space, or choose another output"
+            raise L3Error(f"{path} cannot be written: {error.strerror}; {cure}") from error
 
 
 class Y4mWriter:

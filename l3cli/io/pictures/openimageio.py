@@ -137,10 +137,10 @@ def encoded(name: str, spec: Any, pixels: NDArray) -> bytes:
     with open(os.memfd_create("picture"), "rb", buffering=0) as memory:
         sink = oiio.ImageOutput.create(f"picture{Path(name).suffix}")  # the real name may not be valid UTF-8
         if sink is None:
-            raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}")
+            raise L3Error(f"{name} cannot be encoded: {oiio.geterror().strip()}; choose another file format")
         written = sink.open(f"/proc/self/fd/{memory.fileno()}", spec) and sink.write_image(np.ascontiguousarray(pixels))
         if not (sink.close() and written):
-            raise L3Error(f"{name} cannot be encoded: {sink.geterror().strip()}")
+            raise L3Error(f"{name} cannot be encoded: {sink.geterror().strip()}; choose another file format")
         return memory.read()
 
 

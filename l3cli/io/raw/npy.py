@@ -23,7 +23,7 @@ def map_array(path: Path) -> NDArray[Any]:
         with np.errstate(over="ignore"):  # impossibly large shapes are rejected by np.load or by the size limit
             values = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
-        raise InputFileError(f"{path}: {error.strerror or error}") from error
+        raise InputFileError(f"{path} cannot be read: {error.strerror or error}; use another .npy file") from error
     except Exception as error:  # a damaged header can raise any exception of Python's tokenizer
         raise InputFileError(f"{path} is not a complete .npy file; write it with numpy.save(file, array)") from error
     if not isinstance(values, np.ndarray):
