@@ -10,7 +10,7 @@ def main() -> None:
     _open_streams()
     words = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
-    def end(number: int, frame: object) -> None:  # nothing has begun: there is nothing to clean up
+    def end(number: int, frame: object) -> None:  # no work has begun, so there is nothing to clean up
         os.write(2, f"l3: {words[signal.Signals(number)]}\n".encode())
         os._exit(128 + number)
 
