@@ -96,7 +96,8 @@ class Record:
 def _file(path: Path, at: Dated | None, console: Console) -> dict[str, Any]:
     """Return path, size and SHA-256 of a file.
 
-    The size and the digest are None if the path is not a regular file, or if the file has changed since `at`.
+    The size and the digest are None if the path is not a regular file, or if the file has changed since `at`. A change is
+    also reported as a warning.
     """
     size, digest = None, None
     try:

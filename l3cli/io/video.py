@@ -40,7 +40,7 @@ def storable_rate(rate: Fraction) -> Fraction | None:
 
 
 def pyav() -> Any:
-    """Import PyAV on first use. Raises L3Error if it is not installed."""
+    """Import PyAV on first use, and suppress the messages of FFmpeg. Raises L3Error if PyAV is not installed."""
     try:
         import av
     except ModuleNotFoundError as error:

@@ -414,7 +414,7 @@ class FrameRenderers:
         self._reported: set[str] = set()
 
     def of(self, frame: TrainingPair) -> Renderer:
-        """Return the renderer for a frame."""
+        """Return the renderer for a frame. The blend of the first frame under each illuminant is reported on the console."""
         mix = mix_for(self._table, white_of(frame)) if self._table.lights else None
         if mix and frame.illuminant not in self._reported:
             self._reported.add(frame.illuminant)

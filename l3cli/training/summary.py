@@ -278,7 +278,9 @@ def class_figures(recipe: TrainingRecipe, camera: CameraModel | None) -> dict[st
     cases = classes.max_cases if camera is None else min(classes.max_cases, 2 ** len(camera.channels))
     sizes: dict[str, int] = {}
     if camera is not None:
-        rule = make_rule(classes, camera, np.zeros(2 ** len(camera.channels), np.uint16))  # saturation cases do not matter here
+        rule = make_rule(
+            classes, camera, np.zeros(2 ** len(camera.channels), np.uint16)
+        )  # saturation cases do not matter here
         sizes = {feature.name: feature.size for feature in rule.feature_list}
     chromas = max(1, classes.chromas)
     first = levels * contrasts * int(np.prod(list(sizes.values()), initial=1)) * (chromas + cases - 1)

@@ -164,7 +164,7 @@ class Pages:
         self._file: Any = None
 
     def write(self, picture: Picture) -> None:
-        """Append a page."""
+        """Append a page. Raises OSError, with an error number, if the page cannot be written."""
         import tifffile
 
         pixels, label = picture.pixels, picture.label

@@ -150,7 +150,10 @@ def _count(path: Path) -> int:
 
 
 def _check_first_page(path: Path) -> None:
-    """Check the first page with `_check_tags` if the file is a TIFF file."""
+    """Check the first page with `_check_tags` if the file is a TIFF file.
+
+    Damaged files are ignored, because OpenImageIO reports them.
+    """
     import tifffile
 
     try:

@@ -187,7 +187,10 @@ def render_clips(table: Path, clips: Sequence[Path], folder: Path, options: Rend
 
 
 def _refuse_folder(folder: Path, options: RenderOptions) -> None:
-    """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips."""
+    """Raise RecipeError if the output is not a folder, or if an option cannot be used for clips.
+
+    Raise L3Error if the folder cannot be written to.
+    """
     if folder == STDIN or is_video(folder) or PATTERN.search(folder.name) or folder.is_file():
         raise RecipeError(
             f"the output {folder} can contain only one clip; specify a folder, and set ‹format› to the file type of the "

@@ -111,7 +111,7 @@ class FrameReader:
     def _left_to_worker(self, task: FrameTask) -> FrameTask:
         """Return the task of a frame that a worker reads, with the digest of its file.
 
-        If the file cannot be read, return the error.
+        If the file cannot be read, the task contains the error instead.
 
         The first frame is never left to a worker, because it is needed for warnings.
         """
@@ -177,7 +177,10 @@ def last_read(job: Job) -> int | None:
 
 
 def _identity(reference: FrameReference, frame: RawFrame) -> str:
-    """Return the identity of a frame in the metadata of its picture."""
+    """Return the identity of a frame, which is stored in the metadata of its picture.
+
+    The identity is derived from the SHA-256 of the file of the frame or, if the frame has no file of its own, of its values.
+    """
     if reference.source is not None:
         return file_identity(sha256(reference.source))
     return values_identity(hashlib.sha256(frame.values.astype("<u2", copy=False).tobytes()).hexdigest())

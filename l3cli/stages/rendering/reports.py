@@ -40,7 +40,10 @@ class Tally:
         job.options.console.report(f"l3: {error}")
 
     def report(self, job: Job) -> None:
-        """Report the number of frames and the speed at the end of the run."""
+        """Report the number of frames and the speed at the end of the run, and the number of frames that were left out.
+
+        If this run has rendered no frames, the message says that the output is finished already.
+        """
         console, path = job.options.console, job.destination.path
         if not self.made:
             console.info(f"{path} is finished already")
@@ -64,7 +67,11 @@ class WhiteReport:
         self._warned = False
 
     def add(self, frame: RawFrame, white: SceneWhite | None) -> None:
-        """Add a frame and its white. `white` is None if the white of the frame is unknown."""
+        """Add a frame and its white. `white` is None if the white of the frame is unknown.
+
+        The white of a still, and the white of the first frame of a sequence, are reported at once. The first white is
+        checked.
+        """
         if self._source is None:
             return
         if white is None:
