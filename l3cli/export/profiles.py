@@ -203,8 +203,8 @@ def temperature_curve(camera: CameraModel, order: tuple[int, int, int]) -> Array
     Returns
     -------
     ndarray, (temperature, 3), or None
-        Temperature in K, r/g and b/g, for black bodies and daylights. None unless r/g falls and b/g rises with the
-        temperature, because libcamera searches along the curve.
+        Temperature in K, r/g and b/g, for black bodies and daylights. None if a grey has almost no signal in g. None unless
+        r/g falls and b/g rises with the temperature, because libcamera searches along the curve.
     """
     names = [f"{kelvin}K" for kelvin in BLACK_BODIES] + [f"D{kelvin}K" for kelvin in DAYLIGHTS]
     greys = np.array([_responses(camera, name)[0] for name in names])

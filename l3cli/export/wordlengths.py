@@ -252,8 +252,9 @@ def short_cost(table: TransformTable, words: ShortWords) -> tuple[float, float]:
     Returns
     -------
     psnr : float
-        PSNR of the rounded outputs in dB. The peak is an output of 1. If the table has coarse chroma, its separate rounding
-        in two of three outputs is included.
+        PSNR of the rounded outputs in dB. The peak is an output of 1. The errors include all steps after the last layer:
+        the replacement of clipped areas, the limit of the luminance, and the smoothing of chroma. If the table has coarse
+        chroma, the separate rounding of coarse chroma in two of three outputs is included, too.
     worst : float
         Largest error of an output before rounding, in steps of a rounded output.
     """
