@@ -150,6 +150,7 @@ class _Child:
 
     @property
     def usable(self) -> bool:
+        """Whether the process runs and was started by this process rather than by a parent that forked."""
         return self._open and self.owner == os.getpid() and self._process.poll() is None
 
     def end(self) -> None:
@@ -171,7 +172,7 @@ class _Child:
         killed and InputFileError is raised.
         """
         try:
-            self._await_beginning()
+            self._wait_until_ready()
             request = [os.getcwd(), stamp(path), module, name, str(path), *plain]
             send(self._socket, json.dumps(request).encode())
             answer = json.loads(receive(self._socket, time.monotonic() + WALL_PER_CPU_TIME * self.limits[0]))
@@ -185,16 +186,16 @@ class _Child:
         except BaseException as error:
             self.end()  # otherwise a late reply could be mistaken for the reply to the next request
             if isinstance(error, TimeoutError):
-                raise InputFileError(self._too_long(path)) from error
+                raise InputFileError(self._timeout_message(path)) from error
             if isinstance(error, EOFError | ConnectionError):
-                raise InputFileError(self._epitaph(path)) from error
+                raise InputFileError(self._crash_message(path)) from error
             if isinstance(error, ValueError | TypeError | KeyError | RecursionError):
                 raise InputFileError(
                     f"{path}: the decoder returned an invalid reply, so the file may be damaged; copy it again"
                 ) from error
             raise
 
-    def _await_beginning(self) -> None:
+    def _wait_until_ready(self) -> None:
         """Wait until the process is ready. Raises L3Error if the process cannot be started."""
         if self._ready:
             return
@@ -204,16 +205,18 @@ class _Child:
             self.end()
             raise L3Error(f"the process that decodes files cannot be started; {MORE_MEMORY}, or add ‹trust›") from error
 
-    def _too_long(self, path: Path) -> str:
+    def _timeout_message(self, path: Path) -> str:
+        """Return the message for a file whose decoding exceeds the time limit."""
         return (
             f"{path} takes longer than {self.limits[0]:g} s to decode, so it may be damaged; "
             f"if the file is intact, raise {SECONDS} or add ‹trust›"
         )
 
-    def _epitaph(self, path: Path) -> str:
+    def _crash_message(self, path: Path) -> str:
+        """Return the message for a file whose decoding has ended the process, according to the exit code of the process."""
         code = self._process.returncode
         if code == -signal.SIGXCPU:
-            return self._too_long(path)
+            return self._timeout_message(path)
         if code == -signal.SIGKILL:
             return too_much(path)
         ended = signal.Signals(-code).name if code < 0 else f"exit code {code}"
@@ -236,6 +239,7 @@ def _the_child() -> _Child:
 
 @atexit.register
 def _end_child() -> None:
+    """Kill the isolated process, if there is one."""
     if _child is not None:
         _child.end()
 
@@ -292,6 +296,7 @@ def plain_of(value: Any, file: BinaryIO) -> Any:
 
 
 def send(connection: socket.socket, text: bytes) -> None:
+    """Send a message, preceded by its length."""
     connection.sendall(LENGTH.pack(len(text)) + text)
 
 
@@ -308,6 +313,7 @@ def receive(connection: socket.socket, until: float | None = None) -> bytes:
 
 
 def _exactly(connection: socket.socket, length: int, until: float | None) -> bytes:
+    """Receive exactly `length` bytes. Raises the same errors as `receive`."""
     content = bytearray()
     while len(content) < length:
         connection.settimeout(None if until is None else max(until - time.monotonic(), 1e-3))
