@@ -20,13 +20,26 @@ DOCS = Path(__file__).parents[1]
 
 
 def packings() -> str:
-    """Return the table of packings by family. Bayer names differ from Mono names only in their first letters."""
+    """Return the table of packings by family. Bayer names differ from Mono names only in their first letters.
+
+    Names that only polarisation cameras use have rows of their own.
+    """
     orders = ", ".join(code(f"Bayer{order}") for order in BAYER_ORDERS)
     rows = []
     for family, meaning in FAMILIES.items():
-        names = [name for name, packing in PACKINGS.items() if packing.family == family and not packing.pattern]
+        names = [
+            name
+            for name, packing in PACKINGS.items()
+            if packing.family == family and not (packing.pattern or packing.polarised)
+        ]
         bayer = any(packing.family == family and packing.pattern for packing in PACKINGS.values())
         rows.append([", ".join(map(code, names)) + (f"; {orders} in place of `Mono`" if bayer else ""), meaning])
+    for cells, meaning in (
+        (False, "raw frames of a polarisation camera, with the bits of the `Mono` format that has the same ending"),
+        (True, "raw frames of a polarisation camera, in which the four pixels of each 2×2 cell follow one another"),
+    ):
+        names = [name for name, packing in PACKINGS.items() if packing.polarised and packing.cells is cells]
+        rows.append([", ".join(map(code, names)), meaning])
     return table(["`--packing`", "pixels"], rows)
 
 

@@ -1,11 +1,16 @@
 """Packings of headerless frames: how the bits of the pixels are arranged in the bytes of a file.
 
 Sources: MIPI CSI-2 (RAW10, RAW12), GenICam Pixel Format Naming Convention 2.4 (PFNC), GigE Vision 2 (formats "…Packed").
+PFNC has no names for polarisation cameras. Teledyne FLIR ("Polarized8", "BayerRGPolarized12p") and Lucid ("PolarizeMono8",
+"PolarizedAngles_0d_45d_90d_135d_Mono8") have names of their own, with the bit layouts of PFNC.
+
 The option help, error messages and the table in docs/raw-files.md are generated from `PACKINGS`.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from l3cli.errors import shortened, suggestion
 
 BAYER_ORDERS = ("GR", "RG", "GB", "BG")  # colours of the first two pixels of the first row
 SECOND_ROWS = {"GR": "BG", "RG": "GB", "GB": "RG", "BG": "GR"}
@@ -19,6 +24,8 @@ FAMILIES = {
     "pmsb": "PFNC: a stream of bits, upper bits first",
     "Packed": "GigE Vision: two pixels in three bytes; the middle byte contains the lower bits of both pixels",
 }
+CELL = ((1, 1), (0, 1), (0, 0), (1, 0))  # site (row, col) of the polarisers of 0°, 45°, 90° and 135° in a cell of 2×2 pixels
+COMPUTED = ("PolarizedStokes", "PolarizedDolp", "PolarizedAolp")  # names of formats with values that the camera computed
 
 
 class Piece(NamedTuple):
@@ -40,6 +47,8 @@ class Packing:
     group_bytes: int
     pieces: tuple[tuple[Piece, ...], ...]  # for each pixel of a group, the pieces from which it is assembled
     pattern: str = ""  # colours of a 2×2 CFA from the first pixel on, such as "rggb"; "" if the packing states none
+    polarised: bool = False  # whether only polarisation cameras use this name
+    cells: bool = False  # whether the pixels of each 2×2 cell follow one another, in the order of CELL
 
     @property
     def group_pixels(self) -> int:
@@ -96,6 +105,13 @@ def _word(bytes_of_pixel: int) -> tuple[int, tuple[tuple[Piece, ...], ...]]:
     return bytes_of_pixel, (tuple(Piece(byte, 0, 8, 8 * byte) for byte in range(bytes_of_pixel)),)
 
 
+POLARISED = (  # beginnings and endings of the names that polarisation cameras use
+    (("Polarized", "BayerRGPolarized"), ("8", "10p", "12p", "16")),
+    (("PolarizeMono",), ("8", "12", "12p", "12Packed", "16")),
+    (("PolarizedAngles_0d_45d_90d_135d_Mono", "PolarizedAngles_0d_45d_90d_135d_BayerRG"), ("8", "12p", "16")),
+)
+
+
 def _packings() -> dict[str, Packing]:
     plain = [Packing(f"u{bits}", "words", bits, *_word(bits // 8)) for bits in (16, 8)]
     plain += [Packing(f"raw{bits}", "mipi", bits, *_mipi(bits)) for bits in (10, 12)]
@@ -103,13 +119,21 @@ def _packings() -> dict[str, Packing]:
     endings += [(f"{bits}p", "p", bits, _stream(bits, True)) for bits in (10, 12, 14)]
     endings += [(f"{bits}pmsb", "pmsb", bits, _stream(bits, False)) for bits in (10, 12, 14)]
     endings += [(f"{bits}Packed", "Packed", bits, _gige(bits)) for bits in (10, 12)]
+    layouts = {end: (family, bits, layout) for end, family, bits, layout in endings}
+    polarised = [
+        Packing(start + end, family, bits, *layout, polarised=True, cells=start.startswith("PolarizedAngles"))
+        for starts, ends in POLARISED
+        for start in starts
+        for end in ends
+        for family, bits, layout in (layouts[end],)
+    ]
     patterns = {"Mono": ""} | {f"Bayer{first}": (first + SECOND_ROWS[first]).lower() for first in BAYER_ORDERS}
     named = [
         Packing(start + end, family, bits, *layout, pattern)
         for start, pattern in patterns.items()
         for end, family, bits, layout in endings
     ]
-    return {packing.name: packing for packing in (*plain, *named)}
+    return {packing.name: packing for packing in (*plain, *named, *polarised)}
 
 
 PACKINGS = _packings()
@@ -121,3 +145,13 @@ def packing_named(name: str) -> Packing | None:
     """Return the packing with the given name, or None. Letter case is ignored, and "12p" is short for "Mono12p"."""
     known = {each.lower(): packing for each, packing in PACKINGS.items()}
     return known.get(name.lower()) or (known.get(f"mono{name.lower()}") if not name.isdigit() else None)
+
+
+def unknown_packing(name: str) -> str:
+    """Return a message about a name for which `packing_named` returns None."""
+    if name.lower().startswith(tuple(map(str.lower, COMPUTED))):
+        return (
+            f'"{shortened(name)}" contains values that the camera computed from the raw values; record frames in a format '
+            "such as PolarizeMono12p or Mono12p"
+        )
+    return f'"{shortened(name)}" is unknown; {suggestion(name, PACKINGS)}'

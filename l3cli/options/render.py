@@ -6,8 +6,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
-from l3cli.errors import RecipeError, shortened, suggestion
-from l3cli.frames.packings import PACKINGS, packing_named
+from l3cli.errors import RecipeError, shortened
+from l3cli.frames.packings import packing_named, unknown_packing
 from l3cli.options.option import (
     LEVEL,
     PAIR,
@@ -106,7 +106,7 @@ class PackingName(Reader):
     def read(self, given: Any) -> str:
         packing = packing_named(str(given))
         if packing is None:
-            raise ValueError(f'"{shortened(str(given))}" is unknown; {suggestion(str(given), PACKINGS)}')
+            raise ValueError(unknown_packing(str(given)))
         return packing.name
 
 
@@ -233,8 +233,8 @@ class RenderOptions(ForceOptions, SchedulerOptions, DeviceOptions, BackendOption
     )
     packing: str | None = option(
         None,
-        "Headerless files only: packing: u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, Mono12Packed or "
-        "BayerRG8 [default: MIPI for .raw10 and .raw12, otherwise u16].",
+        "Headerless files only: packing: u16, u8, raw10 or raw12 (MIPI), or a PFNC name such as Mono10p, Mono12Packed, "
+        "BayerRG8 or PolarizeMono12p [default: MIPI for .raw10 and .raw12, otherwise u16].",
         PackingName(),
         metavar="NAME",
     )

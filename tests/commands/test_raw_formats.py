@@ -1,6 +1,7 @@
 """Raw files of the field: packed dumps, graymaps, FITS."""
 
 import dataclasses
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,7 +35,7 @@ from tests.helpers.tables import random_table
 def packed_bits(values: list[int], packing: str) -> str:
     """The bits of pixels in the order in which a stream fills bytes: of "p" each byte from its lowest bit on, else from its
     highest."""
-    bits = int("".join(filter(str.isdigit, packing)))
+    bits = int(re.findall(r"\d+", packing)[-1])
     written = [f"{value:0{bits}b}" for value in values]
     return "".join(each[::-1] if packing.endswith("p") else each for each in written)
 
@@ -60,6 +61,9 @@ def pack_line(values: list[int], packing: str) -> bytes:
 
 def pack(values: np.ndarray, packing: str, stride: int | None = None) -> bytes:
     """A frame, its rows padded to `stride` bytes."""
+    if PACKINGS[packing].cells:  # 0°, 45°, 90° and 135° of a cell whose rows are 90 45 and 135 0
+        cells = [values[1::2, 1::2], values[::2, 1::2], values[::2, ::2], values[1::2, ::2]]
+        values = np.stack(cells, axis=-1).reshape(len(values) // 2, -1)
     return b"".join(pack_line(row, packing).ljust(stride or 0, b"\xa5") for row in values.tolist())
 
 
@@ -72,8 +76,10 @@ def random_frame(packing: str, shape: tuple[int, ...], seed: int) -> np.ndarray:
     seed=st.integers(0, 2**32),
 )  # fmt: skip
 def test_packed_values_come_back(packing: str, rows: int, cols: int, padding: int, seed: int) -> None:
+    if PACKINGS[packing].cells:
+        rows, cols = 2 * rows, 2 * cols
     values = random_frame(packing, (rows, cols), seed)
-    stride = PACKINGS[packing].bytes_of(cols) + padding
+    stride = PACKINGS[packing].bytes_of(2 * cols if PACKINGS[packing].cells else cols) + padding
     layout = make_layout((rows, cols), packing, stride)
     content = pack(values, packing, stride)
     assert len(content) == layout.frame_bytes
@@ -100,6 +106,23 @@ def test_the_bytes_of_the_standards() -> None:
         assert make_layout((1, 2), name).unpack(bytes(stored)).tolist() == [[0xABC, 0x123]]
     assert make_layout((1, 2), "Mono10Packed").unpack(bytes([0xAB, 0x21, 0xCD])).tolist() == [[0xAB << 2 | 1, 0xCD << 2 | 2]]
     assert make_layout((1, 2), "Mono16", byte_order="big").unpack(bytes([1, 2, 3, 4])).tolist() == [[0x102, 0x304]]
+
+
+def test_frames_of_polarisation_cameras(tmp_path: Path) -> None:
+    """PolarizedAngles names: the four angles of a cell follow one another, the lower bits of the first value first."""
+    values = np.array([[0x900, 0x450], [0x135, 0x00A]], np.uint16)
+    stored = [0x0A, 0x00, 0x45, 0x00, 0x59, 0x13]
+    angles = "PolarizedAngles_0d_45d_90d_135d_Mono12p"
+    np.testing.assert_array_equal(make_layout((2, 2), angles).unpack(bytes(stored)), values)
+    for name, usual in (("PolarizeMono12Packed", "Mono12Packed"), ("BayerRGPolarized10p", "Mono10p"), ("Polarized8", "u8")):
+        assert make_layout((4, 6), name).packing.pieces == PACKINGS[usual].pieces
+    two = random_frame("Mono12", (2, 32, 40), 8)
+    (tmp_path / "a.raw").write_bytes(b"".join(pack(frame, angles) for frame in two))
+    frames = all_frames(tmp_path / "a.raw", RawOverrides(size=(32, 40), packing=angles))
+    np.testing.assert_array_equal([frame.values for frame in frames if frame], two)
+    for size, name in (((3, 4), angles), ((4, 4), "PolarizedStokes_S0_S1_S2_Mono8"), ((4, 4), "PolarizedDolpAolp_BayerRG8")):
+        with pytest.raises(RecipeError, match=name):
+            make_layout(size, name)
 
 
 @pytest.mark.parametrize(("order", "phase"), [("RG", (0, 0)), ("GR", (0, 1)), ("GB", (1, 0)), ("BG", (1, 1))])

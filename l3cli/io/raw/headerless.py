@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.errors import InputFileError, RecipeError, suggestion
-from l3cli.frames.packings import PACKINGS, WORDS, Packing, packing_named
+from l3cli.errors import InputFileError, RecipeError
+from l3cli.frames.packings import CELL, PACKINGS, WORDS, Packing, packing_named, unknown_packing
 from l3cli.io.raw import InOrder, MultiFrameFile, RawContent
 from l3cli.io.raw.cfa_codes import codes_of
 from l3cli.system.limits import require_picture, require_values
@@ -44,21 +44,31 @@ class Layout:
         return lines * (self.stride or self.packing.bytes_of(pixels))
 
     @property
+    def row_pixels(self) -> int:
+        """Number of pixels in a stored row. If pixels are stored by cells, a stored row contains two rows of the sensor."""
+        return 2 * self.cols if self.packing.cells else self.cols
+
+    @property
+    def row_bytes(self) -> int:
+        """Number of bytes in a stored row without padding."""
+        return self.packing.bytes_of(self.row_pixels)
+
+    @property
     def _lines(self) -> tuple[int, int]:
         """Number of pixel groups that begin at a byte boundary, and number of pixels per group.
 
         Usually each row is a group. If an unpadded row of a bit stream would end within a byte, the whole frame is one
         group.
         """
-        run_on = 8 * self.cols * self.packing.group_bytes % (8 * self.packing.group_pixels)
+        run_on = 8 * self.row_pixels * self.packing.group_bytes % (8 * self.packing.group_pixels)
         if self.stride is None and self.packing.family != "mipi" and run_on:
             return 1, self.rows * self.cols
-        return self.rows, self.cols
+        return self.rows * self.cols // self.row_pixels, self.row_pixels
 
     @property
     def exchangeable(self) -> bool:
         """Whether a frame with rows and columns swapped would have the same number of bytes."""
-        padded = self.stride is not None and self.stride != self.packing.bytes_of(self.cols)
+        padded = self.stride is not None and self.stride != self.row_bytes
         return not padded and self.frame_bytes == replace(self, rows=self.cols, cols=self.rows, stride=None).frame_bytes
 
     @property
@@ -68,16 +78,26 @@ class Layout:
 
     def __str__(self) -> str:
         words = "16-bit values" if self.packing.name == WORDS else f"{self.packing.name} values"
-        padded = f" in rows of {self.stride} bytes" if self.stride not in (None, self.packing.bytes_of(self.cols)) else ""
+        padded = f" in rows of {self.stride} bytes" if self.stride not in (None, self.row_bytes) else ""
         return f"{self.rows}×{self.cols} {words}{padded}"
 
     def unpack(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
         """Return the pixels (row, col) in DN from the `frame_bytes` bytes of a frame."""
+        values = self._stored(content)
+        if not self.packing.cells:
+            return values.reshape(self.rows, self.cols)
+        cells, mosaic = values.reshape(self.rows // 2, self.cols // 2, 4), np.empty((self.rows, self.cols), np.uint16)
+        for number, (row, col) in enumerate(CELL):
+            mosaic[row::2, col::2] = cells[..., number]
+        return mosaic
+
+    def _stored(self, content: bytes | bytearray | NDArray[np.uint8]) -> NDArray[np.uint16]:
+        """Return the pixels (stored row, pixel) of a frame in the order in which they are stored."""
         packing, (lines, pixels) = self.packing, self._lines
         used = np.frombuffer(content, np.uint8).reshape(lines, -1)[:, : packing.bytes_of(pixels)]
         if packing.family == "words":
             dtype = np.uint8 if packing.group_bytes == 1 else ">u2" if self.big_endian else "<u2"
-            return np.ascontiguousarray(used).view(dtype).astype(np.uint16, copy=False).reshape(self.rows, self.cols)
+            return np.ascontiguousarray(used).view(dtype).astype(np.uint16, copy=False)
         used = np.pad(used, ((0, 0), (0, -used.shape[1] % packing.group_bytes)))
         groups = used.reshape(lines, -1, packing.group_bytes)
         values = np.zeros((*groups.shape[:2], packing.group_pixels), np.uint16)
@@ -85,18 +105,18 @@ class Layout:
             for piece in pieces:
                 part = groups[..., piece.byte] >> np.uint8(piece.shift) & np.uint8(2**piece.bits - 1)
                 values[..., pixel] |= part.astype(np.uint16) << np.uint16(piece.place)
-        return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels]).reshape(self.rows, self.cols)
+        return np.ascontiguousarray(values.reshape(lines, -1)[:, :pixels])
 
     def others(self) -> Iterator[tuple[str, "Layout"]]:
         """Yield all other layouts with the same number of bytes per frame, each with the option that selects the layout."""
         if self.packing.is_words:
             yield f"‹byte_order› {'little' if self.big_endian else 'big'}", replace(self, big_endian=not self.big_endian)
-        for other in PACKINGS.values():
+        for other in () if self.packing.cells else PACKINGS.values():
             same_array = other.pattern == self.packing.pattern or (other.family == "mipi" and not other.pattern)
-            if not same_array or other.family == "words" or other.pieces == self.packing.pieces:
+            if not same_array or other.polarised or other.family == "words" or other.pieces == self.packing.pieces:
                 continue
             layout = replace(self, packing=other)
-            if layout.frame_bytes == self.frame_bytes and other.bytes_of(self.cols) <= (self.stride or self.frame_bytes):
+            if layout.frame_bytes == self.frame_bytes and layout.row_bytes <= (self.stride or self.frame_bytes):
                 yield f"‹packing› {other.name}", layout
 
 
@@ -128,17 +148,20 @@ def make_layout(
         raise RecipeError(f"‹size› {rows}x{cols} describes a frame without pixels; set at least 1 row and 1 column")
     packing = packing_named(name)
     if packing is None:
-        raise RecipeError(f'‹packing› "{name}" is unknown; {suggestion(name, PACKINGS)}')
+        raise RecipeError(f"‹packing› {unknown_packing(name)}")
     if byte_order is not None and not packing.is_words:
         raise RecipeError(
             f"‹byte_order› applies only to 16-bit values, not to the packing {packing.name}; remove ‹byte_order›"
         )
-    needed = packing.bytes_of(cols)
-    if stride is not None and stride < needed:
+    if packing.cells and (rows % 2 or cols % 2):
+        raise RecipeError(f"‹packing› {packing.name} stores cells of 2×2 pixels; set an even number of rows and columns")
+    layout = Layout(rows, cols, packing, stride, skip, byte_order == "big")
+    if stride is not None and stride < layout.row_bytes:
         raise RecipeError(
-            f"‹stride› {stride} is too short for {cols} {packing.name} values per row; set at least {needed} bytes"
+            f"‹stride› {stride} is too short for {layout.row_pixels} {packing.name} values per row; set at least "
+            f"{layout.row_bytes} bytes"
         )
-    return Layout(rows, cols, packing, stride, skip, byte_order == "big")
+    return layout
 
 
 # ------------------------------------------------------------------------------------------ files
@@ -183,7 +206,7 @@ def _cure(size: int, layout: Layout) -> str:
     fitting = [
         name
         for name, packing in PACKINGS.items()
-        if not packing.pattern and replace(layout, packing=packing, stride=None).frame_bytes == size
+        if not (packing.pattern or packing.polarised) and replace(layout, packing=packing, stride=None).frame_bytes == size
     ]
     if fitting:
         return f"{layout.rows}×{layout.cols} pixels would fit with ‹packing› {', '.join(fitting)}; {GIVE_LAYOUT}"
