@@ -245,6 +245,34 @@ class PhotoFit:
 
 
 @dataclass(frozen=True)
+class PolariserFit:
+    """Fit of Malus's law to frames of a uniform light behind a rotating polariser.
+
+    A channel without a polariser has the angle 0 and the leakage 1, with standard deviations of 0.
+    """
+
+    light_angle: NDArray[np.float64] = data(
+        "float64", "polariser_capture", unit="deg", doc="angle of the rotating polariser", coordinate=True
+    )
+    light_polarisation: float = data("float64", doc="degree of linear polarisation of the light")
+    polarised: NDArray[np.bool_] = data("bool", "channel", doc="whether the channel has a polariser")
+    angle: NDArray[np.float64] = data("float64", "channel", unit="deg", doc="angle of the transmission axis")
+    angle_error: NDArray[np.float64] = data("float64", "channel", unit="deg", doc="standard deviation of the angle")
+    leakage: NDArray[np.float64] = data("float64", "channel", doc="inverse of the extinction ratio")
+    leakage_error: NDArray[np.float64] = data("float64", "channel", doc="standard deviation of the leakage")
+    gain: NDArray[np.float64] = data(
+        "float64", "channel", doc="response to the light if it were polarised along the axis, relative to the mean"
+    )
+    gain_error: NDArray[np.float64] = data("float64", "channel", doc="standard deviation of the gain")
+    brightness: NDArray[np.float64] = data(
+        "float64", "polariser_capture", doc="brightness of the light, relative to the monitor"
+    )
+    used: NDArray[np.bool_] = data("bool", "polariser_capture", "channel", doc="whether a signal was used")
+    measured: NDArray[np.float64] = data("float64", "polariser_capture", "channel", unit="DN/s", doc="measured signal")
+    predicted: NDArray[np.float64] = data("float64", "polariser_capture", "channel", unit="DN/s", doc="fitted signal")
+
+
+@dataclass(frozen=True)
 class Fit:
     """Results of the calibration of a camera. A part is None if the measurements for it were not made."""
 
@@ -254,6 +282,7 @@ class Fit:
     series: SeriesFit | None = group(default=None)
     photo: PhotoFit | None = group(default=None)
     drift: DriftFit | None = group(default=None)  # None: the drift is not larger than declared
+    polarisers: PolariserFit | None = group(default=None)
 
     @property
     def validation(self) -> ChartFit | SeriesFit | None:

@@ -6,18 +6,28 @@ behind narrow-band filters (docs/method.md#sweeps-and-band-series). It also make
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, FlatField
-from l3cli.artifacts.fit import Fit, SeriesFit
-from l3cli.calibration import agreement, noise, responsivity, statistics
+from l3cli.artifacts.camera import CameraModel, FlatField, Noise
+from l3cli.artifacts.fit import Fit, PolariserFit, SeriesFit
+from l3cli.calibration import agreement, noise, polarisers, responsivity, statistics
 from l3cli.calibration.responsivity import COVERAGE, Curves, light_centre
 from l3cli.errors import InputFileError, raised_as
-from l3cli.frames.measurement import PATCHES, BandCapture, Body, Capture, ChartCapture, Measurements, MonoCapture
+from l3cli.frames.measurement import (
+    PATCHES,
+    BandCapture,
+    Body,
+    Capture,
+    ChartCapture,
+    Measurements,
+    MonoCapture,
+    SensorFigures,
+)
 from l3cli.physics import spectra
 
 OVEREXPOSED = 1e-3  # fraction of saturated pixels from which a monochromatic capture is not used
@@ -253,11 +263,18 @@ def with_corrections(camera: CameraModel, sensor: Sensor, body: Body) -> CameraM
 
 
 def correct_by_frames(camera: CameraModel, measurements: Measurements) -> CameraModel:
-    """Return the camera with a new defect map and a new flat field. All other properties stay the same.
+    """Return the camera with a new defect map and a new flat field, or with measured polarisers.
 
-    The dark and white frames may have one or several exposure times. Raises InputFileError if the white frames are too
-    dark, clipped or uneven, or if too many pixels are defective.
+    White frames determine defects and flat field, and frames behind a rotating polariser the polarisers. All other
+    properties stay the same. The dark and white frames may have one or several exposure times. Raises InputFileError if
+    the white frames are too dark, clipped or uneven, or if too many pixels are defective.
     """
+    if measurements.polariser:
+        fit = measure_polarisers(measurements, _figures_of(camera))
+        found = polarisers.polarisers_of(fit, measurements.body, camera.wavelength)
+        camera = replace(camera, polarisers=found, fit=replace(camera.fit or Fit(), polarisers=fit))
+    if not measurements.whites:
+        return camera
     body, darks = measurements.body, measurements.darks
     means = [statistics.mean_frame(capture).astype(np.float64) for capture in darks]
     hot = statistics.joined_defects(statistics.no_defects(), *(statistics.outliers(mean, body.cfa) for mean in means))
@@ -362,6 +379,74 @@ def fit_series(
         predicted=np.where(used, predicted, 0.0),
     )
     return Curves(centres, response.T, band.T).to_common_peak(), fit
+
+
+def measure_polarisers(
+    measurements: Measurements, sensor: Sensor | SensorFigures, each: statistics.Each = map
+) -> PolariserFit | None:
+    """Measure the polarisers of the channels, or return None if there are no frames behind a rotating polariser.
+
+    Parameters
+    ----------
+    measurements : Measurements
+        Captures and settings from a measurement file.
+    sensor : Sensor or SensorFigures
+        Noise and levels of the sensor, from dark and white frames or from another source.
+    each : callable
+        Applies a function to each capture.
+
+    Raises
+    ------
+    InputFileError
+        If the captures cannot be used, or contradict each other or the stated polarisers.
+    """
+    captures, body = measurements.polariser, measurements.body
+    if not captures:
+        return None
+    exposures = [capture.exposure for capture in captures]
+    if isinstance(sensor, Sensor):
+        electronics = polarisers.Electronics(
+            dark=sensor.dark.black_level + np.outer(exposures, sensor.dark.slope),
+            saturation=sensor.saturation,
+            gain=sensor.transfer.gain,
+            dark_variance=sensor.dark.variance,
+            defects=sensor.defects,
+        )
+    else:
+        black_level, white_level = sensor.black_level, sensor.white_level
+        gain = sensor.gain * body.channel_gains
+        electronics = polarisers.Electronics(
+            dark=dark_levels(exposures, measurements.darks, body, black_level),
+            saturation=black_level + noise.SATURATED * (white_level - black_level),
+            gain=gain,
+            dark_variance=(gain * sensor.noise.read_noise) ** 2,
+            defects=statistics.no_defects(),
+        )
+    return polarisers.measure_polarisers(captures, measurements.rotator, body, electronics, each)
+
+
+def check_polarisers(measurements: Measurements) -> None:
+    """Check the frames behind a rotating polariser before a camera is calibrated.
+
+    Nothing is checked if there are no such frames, or if the black level is unknown.
+
+    Raises
+    ------
+    InputFileError
+        As `measure_polarisers`, for example if the polarisers of two channels are swapped.
+    """
+    base, sensor = measurements.base, measurements.datasheet
+    if base is not None:
+        sensor = _figures_of(base)
+    elif sensor is None and measurements.darks:
+        # The noise only determines the weights of the captures. Black is interpolated between the dark frames.
+        sensor = SensorFigures(1.0, 0.0, 2.0**measurements.body.bits - 1.0, Noise(0.0, 0.0, 0.0, 0.0, math.inf))
+    if sensor is not None:
+        measure_polarisers(measurements, sensor)
+
+
+def _figures_of(camera: CameraModel) -> SensorFigures:
+    return SensorFigures(camera.gain, camera.black_level, camera.white_level, camera.noise)
 
 
 def measure_series(

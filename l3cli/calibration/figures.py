@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from l3cli.artifacts.camera import CameraModel, sensitivity_threshold
+from l3cli.artifacts.camera import CameraModel, Polarisers, sensitivity_threshold
 from l3cli.artifacts.camera_curves import full_width
-from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, SeriesFit, guessed_light
+from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, PolariserFit, SeriesFit, guessed_light
 from l3cli.calibration import responsivity
 from l3cli.calibration.captures import corner_falloff
 from l3cli.calibration.photo.estimate import NOTICED, terms
-from l3cli.calibration.responsivity import likely_mistake
+from l3cli.calibration.polarisers import difference
+from l3cli.calibration.responsivity import COVERAGE, likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
@@ -20,6 +21,7 @@ SHOWN = 8  # number of defective pixels that the text lists; JSON and the artifa
 LEAST_EFFICIENCY = 0.01  # a lower peak quantum efficiency is more likely caused by a wrong unit than by the camera
 MOST_MISFIT = 0.03  # largest RMS error of the patches of a photo, as a fraction of the brightest patch
 LARGEST_POWER = 4  # factors of 10^4 and above are printed as powers of ten
+TINY_LEAKAGE = 1e-6  # smaller leakages count as this one, so that errors of extinction ratios are finite
 LEAST_R_SQUARED, MOST_RMSE = 0.98, 0.02  # a calibration fails if R² is lower, or the RMSE higher, in any channel
 
 
@@ -70,6 +72,8 @@ def figures(camera: CameraModel) -> dict[str, Any]:
         columns |= {"R²": fit.validation.r_squared, "RMSE (%)": 100.0 * fit.validation.relative_rmse}
     if fit.photo is not None:
         columns |= _photo_columns(camera, fit.photo)
+    if fit.polarisers is not None:
+        columns |= _polariser_columns(fit.polarisers)
     return {
         "camera": {name: {"value": value, "unit": unit} for name, (value, unit) in camera_figures(camera).items()},
         "channels": _by_channel(camera, columns) if columns else {},
@@ -136,6 +140,23 @@ def _emva_columns(noise: NoiseFit) -> dict[str, Any]:
         "SNR max (dB)": 10.0 * np.log10(noise.saturation_capacity),
         "DR (dB)": 20.0 * np.log10(noise.saturation_capacity / least),
         "LE (%)": 100.0 * noise.linearity_error,
+    }
+
+
+def _polariser_columns(fit: PolariserFit) -> dict[str, Any]:
+    """Return the angle, the extinction ratio and the relative gain of each channel, with their 95 % confidence intervals.
+
+    A leakage below its standard deviation is replaced by its standard deviation, so that the extinction ratio is finite. The
+    extinction ratio is 1 without a polariser.
+    """
+    leakage = np.maximum(fit.leakage, fit.leakage_error)
+    return {
+        "polariser (°)": fit.angle,
+        "± 95 % (°)": COVERAGE * fit.angle_error,
+        "extinction": 1.0 / leakage,
+        "extinction ± (%)": 100.0 * COVERAGE * fit.leakage_error / leakage,
+        "gain (relative)": fit.gain,
+        "gain ± (%)": 100.0 * COVERAGE * fit.gain_error / fit.gain,
     }
 
 
@@ -246,6 +267,8 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
     if camera.absolute:
         fitted_gain, true_gain = camera.gain * camera.responsivity.sum(axis=1), truth.gain * real.sum(axis=1)
         columns["gain alpha·r error (%)"] = 100.0 * (fitted_gain / true_gain - 1.0)
+    if camera.polarisers is not None and truth.polarisers is not None:
+        columns |= _polariser_errors(camera.polarisers, truth)
     true = camera_figures(truth)
     return {
         "camera": {
@@ -255,6 +278,20 @@ def compare(camera: CameraModel, truth: CameraModel) -> dict[str, Any]:
             if name in true
         },
         "channels": _by_channel(camera, columns),
+    }
+
+
+def _polariser_errors(measured: Polarisers, truth: CameraModel) -> dict[str, Any]:
+    """Return the errors of the angles and, as a percentage, of the extinction ratios.
+
+    The true extinction ratio is an average over the wavelengths to which the channel responds.
+    """
+    assert truth.polarisers is not None
+    true = (truth.polarisers.leakage * truth.responsivity).sum(axis=1) / truth.responsivity.sum(axis=1)
+    found = np.maximum(measured.leakage.mean(axis=1), TINY_LEAKAGE)
+    return {
+        "polariser error (°)": difference(measured.polariser_deg, truth.polarisers.polariser_deg),
+        "extinction error (%)": 100.0 * (np.maximum(true, TINY_LEAKAGE) / found - 1.0),
     }
 
 

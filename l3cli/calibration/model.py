@@ -14,12 +14,14 @@ from l3cli.calibration.captures import (
     correct_by_frames,
     fit_series,
     measure_charts,
+    measure_polarisers,
     measure_sensor,
     measure_sweep,
     with_corrections,
 )
 from l3cli.calibration.drift import DriftError, estimate_drift
 from l3cli.calibration.photo.responsivity import fit_photos
+from l3cli.calibration.polarisers import with_polarisers
 from l3cli.calibration.responsivity import Curves, check_efficiency, efficiency
 from l3cli.calibration.statistics import Each, channel_shares
 from l3cli.errors import InputFileError, raised_as
@@ -60,7 +62,7 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
     if measurements.photos:
         return from_photos(measurements, each)
     if measurements.datasheet is not None:
-        return from_data_sheet(measurements, measurements.datasheet)
+        return from_data_sheet(measurements, measurements.datasheet, each)
     sensor = measure_sensor(measurements, each)
     figures = describe_noise(sensor, body)
     sweep_fit, drifted = None, None
@@ -84,7 +86,8 @@ def calibrate(measurements: Measurements, each: Each = map) -> CameraModel:
         drift_fit = DriftFit(deviation=drifted.deviation, declared=drift)
         error = np.maximum(chart_fit.alpha_error, drifted.scale_error * chart_fit.alpha)
         chart_fit = replace(chart_fit, alpha_error=error)
-    fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit, drift=drift_fit)
+    polariser_fit = measure_polarisers(measurements, sensor, each)
+    fit = Fit(noise=figures, sweep=sweep_fit, chart=chart_fit, drift=drift_fit, polarisers=polariser_fit)
     camera = assemble(body, summarise(sensor, figures, body), curves, fit)
     camera = replace(camera, gains=measure_gains(measurements, camera, each))
     return with_corrections(camera, sensor, body)
@@ -135,24 +138,28 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
             f"{name}: no responsivities explain the values of the patches; check the chart, the light and the levels"
         ) from error
     if not measurements.whites:
-        return assemble(measurements.body, sensor, curves, Fit(photo=fit))
+        polarisers = measure_polarisers(measurements, sensor, each)
+        return assemble(measurements.body, sensor, curves, Fit(photo=fit, polarisers=polarisers))
     measured = measure_sensor(measurements, each)
     body, noise = measurements.body, describe_noise(measured, measurements.body)
-    camera = assemble(body, summarise(measured, noise, body), curves, Fit(noise=noise, photo=fit))
+    polarisers = measure_polarisers(measurements, measured, each)
+    camera = assemble(body, summarise(measured, noise, body), curves, Fit(noise=noise, photo=fit, polarisers=polarisers))
     return with_corrections(camera, measured, body)
 
 
-def from_data_sheet(measurements: Measurements, figures: SensorFigures) -> CameraModel:
+def from_data_sheet(measurements: Measurements, figures: SensorFigures, each: Each = map) -> CameraModel:
     """Build a camera model with relative responsivity curves. The noise and the levels come from a data sheet.
 
     The curves are finished curves, or are measured with a monochromator and a photodiode, or on a chart behind
     narrow-band filters.
     """
     body, drift, shift = measurements.body, measurements.lamp_drift, measurements.wavelength_uncertainty
+    polarisers = measure_polarisers(measurements, figures, each)
     if measurements.curve is not None:
-        return assemble(body, figures, responsivity.without_fit(measurements.curve, body, drift, shift), Fit())
+        curves = responsivity.without_fit(measurements.curve, body, drift, shift)
+        return assemble(body, figures, curves, Fit(polarisers=polarisers))
     curves, fit = fit_series(measurements.bands, measurements.darks, body, figures.black_level, figures.white_level)
-    return assemble(body, figures, curves.widened(drift, shift), Fit(series=fit))
+    return assemble(body, figures, curves.widened(drift, shift), Fit(series=fit, polarisers=polarisers))
 
 
 # -------------------------------------------------------------------------------------------------------- fitting
@@ -319,6 +326,8 @@ def summarise(sensor: Sensor, figures: NoiseFit, body: Body) -> SensorFigures:
 def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> CameraModel:
     """Assemble the camera model. Its responsivity is absolute if charts determine the scale of the curves.
 
+    `curves` are measured in unpolarised light.
+
     Raises InputFileError if the values do not form a valid camera model.
     """
     curve, band = curves.relative, curves.band
@@ -331,7 +340,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
     elif body.readout is not None:
         curve, band = filter_curves(curve, band, body)
     with raised_as(InputFileError, "the measurements result in an invalid camera", cure="; check the dark and white frames"):
-        return CameraModel(
+        camera = CameraModel(
             name=body.name,
             rows=body.rows,
             cols=body.cols,
@@ -353,6 +362,7 @@ def assemble(body: Body, sensor: SensorFigures, curves: Curves, fit: Fit) -> Cam
             fit=fit,
             readout=measured_readout(body, fit.noise, sensor.noise.read_noise),
         )
+        return with_polarisers(camera, fit.polarisers, body)
 
 
 def _declared(fit: Fit) -> tuple[str, ...]:

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.camera import CameraModel, Noise, Optics, Readout
+from l3cli.artifacts.camera import CameraModel, Noise, Optics, Polarisers, Readout
 from l3cli.frames.frame import RawFrame
 from l3cli.physics.lens import relative_illumination
 
 CHART_ROWS, CHART_COLS = 4, 6
+LEAKAGE_NM = np.arange(200.0, 2001.0, 5.0)  # wavelengths of stated leakages, until the wavelengths of the camera are known
 PATCHES = CHART_ROWS * CHART_COLS
 PATCH_NAMES = (
     "dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
@@ -41,6 +42,7 @@ class Body:
     cfa: NDArray[np.uint8]  # (cfa_row, cfa_col) channel of each site
     optics: Optics
     readout: Readout | None = None  # exposure and gain of each channel, without read noise; None if all channels are equal
+    polarisers: Polarisers | None = None  # as stated, with the leakages at LEAKAGE_NM; None if none are stated
 
     @property
     def channel_gains(self) -> NDArray[np.float64]:
@@ -103,6 +105,27 @@ class ChartCapture(Capture):
 @dataclass(frozen=True)
 class BandCapture(ChartCapture):
     """A ColorChecker behind a narrow-band filter, at one of several exposures. The radiance may be relative."""
+
+
+@dataclass(frozen=True)
+class PolariserCapture(Capture):
+    """Frames of a uniform light behind a rotating linear polariser."""
+
+    angle: float = field(kw_only=True)  # degrees; transmission axis of the polariser, counter-clockwise in the picture
+
+
+@dataclass(frozen=True)
+class Rotator:
+    """The rotating polariser in front of the light."""
+
+    leakage: float = 0.0  # inverse of its extinction ratio
+    angle_error: float = 0.0  # degrees; standard deviation of the angle of a capture
+    reference: str | None = None  # channel whose stated angle is taken as true; None: the angles of the captures are true
+
+    @property
+    def polarisation(self) -> float:
+        """Degree of linear polarisation of the light behind the polariser."""
+        return (1.0 - self.leakage) / (1.0 + self.leakage)
 
 
 @dataclass(frozen=True)
@@ -198,9 +221,10 @@ class GainCaptures:
 class Measurements:
     """All measurements of one camera, and the uncertainty of the light sources.
 
-    The responsivity is determined from one of `mono`, `bands`, `curve` and `photos`. The sensor data are determined from
-    `darks` and `whites` if there are any, otherwise from `datasheet` or, without a data sheet, from the photos. If there is
-    a `base`, only defects and flat field are measured, and all other data come from the base.
+    The responsivity is determined from one of `mono`, `bands`, `curve` and `photos`, whose light is not polarised. The
+    sensor data are determined from `darks` and `whites` if there are any, otherwise from `datasheet` or, without a data
+    sheet, from the photos. Polarisers are determined from `polariser`, or stated in `body`. If there is a `base`, only
+    defects and flat field, or polarisers, are measured, and all other data come from the base.
     """
 
     body: Body
@@ -213,9 +237,11 @@ class Measurements:
     bands: tuple[BandCapture, ...] = ()
     curve: SweepTable | FinishedCurves | None = None
     photos: tuple[PhotoCapture, ...] = ()
+    polariser: tuple[PolariserCapture, ...] = ()
+    rotator: Rotator = Rotator()
     cameras: CurveStatistics | tuple[FinishedCurves, ...] | None = None  # curves of other cameras, for photos
     datasheet: SensorFigures | None = None
-    base: CameraModel | None = None  # a known camera, for which only defects and flat field are measured
+    base: CameraModel | None = None  # a known camera; only defects and flat field, or polarisers, are measured
     lamp_drift: float = 0.0  # relative standard deviation of a lamp's light since its spectrum was measured
     wavelength_uncertainty: float = 0.0  # nm; standard deviation of the spectrometer's wavelength scale
 

@@ -4,9 +4,10 @@ import functools
 from collections.abc import Iterator
 from typing import Any
 
-from l3cli.artifacts.recipe_source import Meaning, RecipeSource
+from l3cli.artifacts.recipe_source import RecipeSource
+from l3cli.frames.measurement import Measurements
 from l3cli.io.measurement_recipe import CaptureRecipe, CorrectionRecipe, MeasurementRecipe, captures_of, key_faults
-from l3cli.io.measurements import measurements_of, read_contents
+from l3cli.io.measurements import read_contents
 from l3cli.physics.mosaic import array_rows
 from l3cli.recipes.faults import Fault
 from l3cli.system.text import array_lines, counted, seconds_text
@@ -15,7 +16,7 @@ from l3cli.system.text import array_lines, counted, seconds_text
 def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Iterator[Fault]:
     """Yield the faults in the keys of a measurement file and in every file that it lists.
 
-    Photos are not opened here. `measurement_meaning` raises InputFileError if a photo is faulty.
+    Photos and other frames are not opened here.
     """
     yield from key_faults(recipe)
     faults: list[Fault] = []
@@ -23,18 +24,16 @@ def measurement_faults(recipe: MeasurementRecipe | CorrectionRecipe, source: Rec
     yield from faults
 
 
-def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
-    """Read all files of a measurement file except frames, and return a summary and an empty list of faults.
+def measurement_summary(recipe: MeasurementRecipe | CorrectionRecipe, measured: Measurements) -> dict[str, Any]:
+    """Return a summary of a measurement file: its array, its channels, and the contents of each section.
 
-    The summary contains the array, the channels, and the captures, frames and exposures of each section. Raises an error if
-    a photo or another file cannot be used.
+    For each section, these are the numbers of captures and frames, and the range of exposure times.
     """
-    measured = measurements_of(recipe, source.path)
     body, sections = measured.body, _captures(recipe)
     array = [row.split() for row in array_rows(body.channels, body.cfa)]
     document = {"name": body.name, "array": array, "channels": list(body.channels), "sections": sections}
     if isinstance(recipe, CorrectionRecipe):
-        return document, []
+        return document
     if measured.mono:
         peaks = [float(step.wavelength[step.radiance.argmax()]) for step in measured.mono]
         sections["mono"]["wavelength_nm"] = [min(peaks), max(peaks)]
@@ -49,7 +48,7 @@ def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: Re
     sections |= {section: {"file": name} for section, name in named.items() if name}
     if recipe.datasheet is not None:
         sections["datasheet"] = {"well_capacity_e": recipe.datasheet.well_capacity_e}
-    return document, []
+    return document
 
 
 def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
@@ -68,7 +67,7 @@ def _captures(recipe: MeasurementRecipe | CorrectionRecipe) -> dict[str, Any]:
 
 
 def measurement_lines(measured: dict[str, Any], width: int | None) -> list[str]:
-    """Format the result of `measurement_meaning` as lines of text."""
+    """Format the result of `measurement_summary` as lines of text."""
     lines = [f"{measured['name']}: channels {', '.join(measured['channels'])}", "", *array_lines(measured["array"]), ""]
     for name, section in measured["sections"].items():
         texts = (

@@ -37,7 +37,7 @@ from l3cli.system.files import write_whole
 from l3cli.system.limits import MEGAPIXELS, most_pixels
 
 EXPOSURES = ("exposure_s", "exposure_ms", "exposure_us")
-CAPTURES = ("mono", "band", "chart", "white", "dark")  # sections whose entries list frames
+CAPTURES = ("mono", "band", "chart", "white", "dark", "polariser")  # sections whose entries list frames
 # A monitor reading without a reference must be a ratio. It counts as a ratio if neither it nor its inverse exceeds this
 # value.
 MOST_UNREFERENCED = 2.0
@@ -103,6 +103,23 @@ class ChartRecipe(CaptureRecipe, kw_only=True):
     corners: Corners  # (col, row) in pixels of the outer corners of patches 1, 6, 24 and 19 (clockwise)
     radiance: str  # CSV of measured radiances: 24 columns with the names of patches, or row by row from dark skin to black
     unit: str | None = None  # as in [[mono]]
+
+
+class PolariserRecipe(CaptureRecipe, kw_only=True):
+    """Frames of a uniform light behind a rotating linear polariser."""
+
+    # angle of the transmission axis, counter-clockwise from the horizontal axis of the picture, plus rotator.offset_deg
+    angle_deg: Annotated[float, msgspec.Meta(ge=-360, le=360)]
+
+
+class RotatorRecipe(Recipe):
+    """The rotating polariser of the [[polariser]] captures."""
+
+    extinction: Annotated[float, msgspec.Meta(gt=1)] | None = None  # extinction ratio; default: the polariser is ideal
+    # standard deviation of each angle_deg
+    angle_error_deg: Annotated[float, msgspec.Meta(ge=0, le=10)] = 0.1
+    offset_deg: Annotated[float, msgspec.Meta(ge=-180, le=180)] = 0.0  # reading of the scale when the axis is horizontal
+    reference: str | None = None  # channel whose polariser_deg is true, if the zero of the scale is unknown
 
 
 class CommonRecipe(Recipe):
@@ -191,8 +208,11 @@ class MeasurementRecipe(Recipe):
     chart: list[ChartRecipe] = msgspec.field(default_factory=list)
     white: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
     dark: list[SensorCaptureRecipe] = msgspec.field(default_factory=list)
+    polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)
+    rotator: RotatorRecipe | None = None
     datasheet: DatasheetRecipe | None = None
-    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)  # exposures or gains that differ by channel
+    # exposures or gains that differ by channel; stated angles of polarisers
+    channel: dict[str, ChannelRecipe] = msgspec.field(default_factory=dict)
     uncertainty: UncertaintyRecipe = msgspec.field(default_factory=UncertaintyRecipe)
 
     def __post_init__(self) -> None:
@@ -216,13 +236,16 @@ class MeasurementRecipe(Recipe):
 
 
 class CorrectionRecipe(Recipe):
-    """A measurement file that adds defects and flat field to a known camera."""
+    """A measurement file that adds defects and flat field, or measured polarisers, to a known camera."""
 
     title: ClassVar[str] = MeasurementRecipe.title
 
     base: str  # camera model or camera recipe, relative to this file
     dark: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # with the lens cap on, at one or more exposures
-    white: Annotated[list[CaptureRecipe], msgspec.Meta(min_length=1)]  # of a uniform white target, neither clipped nor dark
+    # of a uniform white target, neither clipped nor dark; for defects and flat field
+    white: list[CaptureRecipe] = msgspec.field(default_factory=list)
+    polariser: list[PolariserRecipe] = msgspec.field(default_factory=list)  # for polarisers
+    rotator: RotatorRecipe | None = None
 
 
 def captures_of(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[tuple[str, int, CaptureRecipe]]:
@@ -240,10 +263,31 @@ def key_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
     if isinstance(recipe, MeasurementRecipe):
         yield from _sensor_faults(recipe)
         yield from _source_faults(recipe)
+    elif not recipe.white and not recipe.polariser:
+        yield fault("the file measures nothing; add [[white]] or [[polariser]] captures", ("dark",))
     for section, number, capture in captures_of(recipe):
         yield from _capture_faults(capture, (section, number))
+    yield from _polariser_faults(recipe)
     if isinstance(recipe, MeasurementRecipe):
         yield from _section_faults(recipe)
+
+
+def _polariser_faults(recipe: MeasurementRecipe | CorrectionRecipe) -> Iterator[Fault]:
+    """Yield the faults in [[polariser]] and [rotator], except for the faults of single captures."""
+    if recipe.rotator is not None and not recipe.polariser:
+        yield fault("[rotator] describes the polariser of [[polariser]] captures; add the captures, or remove it", "rotator")
+    elif recipe.rotator is not None and recipe.rotator.reference is not None:
+        name = recipe.rotator.reference
+        if recipe.rotator.offset_deg:
+            message = '"rotator.reference" sets the zero of the scale; remove "rotator.offset_deg" or "rotator.reference"'
+            yield fault(message, "rotator.offset_deg")
+        if isinstance(recipe, MeasurementRecipe):
+            stated = {channel for channel, one in recipe.channel.items() if one.polariser_deg is not None}
+            if name not in stated:
+                message = f'the channel "{name}" of "rotator.reference" has no angle; set channel.{name}.polariser_deg'
+                yield fault(message, "rotator.reference")
+    if isinstance(recipe, MeasurementRecipe) and recipe.polariser and not (recipe.dark or recipe.datasheet or recipe.photos):
+        yield fault("[[polariser]] captures need [[dark]] captures or a [datasheet]; add one of them", "polariser")
 
 
 def _section_faults(recipe: MeasurementRecipe) -> Iterator[Fault]:
@@ -371,7 +415,7 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
     uncertainty : UncertaintyRecipe
         Uncertainties of the light.
     **captures
-        Lists of captures: `mono`, `chart`, `white` and `dark`.
+        Lists of captures: `mono`, `chart`, `white`, `dark` and `polariser`.
     """
     return MeasurementRecipe(
         name=camera.name,
@@ -379,9 +423,19 @@ def describe(camera: CameraModel, uncertainty: UncertaintyRecipe, **captures: An
         cfa=CfaRecipe(list(camera.channels), array_rows(camera.channels, camera.cfa)),
         optics=optics_recipe(camera.optics),
         uncertainty=uncertainty,
-        channel=settings_of(camera.readout, camera.channels),
+        channel=_channels(camera),
         **captures,
     )
+
+
+def _channels(camera: CameraModel) -> dict[str, ChannelRecipe]:
+    """Return the sections [channel.NAME]: the readout, and the angles of the polarisers rounded as in a data sheet."""
+    sections = settings_of(camera.readout, camera.channels)
+    if camera.polarisers is not None:
+        stated = zip(camera.channels, camera.polarisers.polariser_deg, camera.polarisers.present, strict=True)
+        for name, angle in ((name, round(angle) % 180) for name, angle, present in stated if present):
+            sections[name] = msgspec.structs.replace(sections.get(name, ChannelRecipe()), polariser_deg=float(angle))
+    return sections
 
 
 def write_measurements(recipe: MeasurementRecipe, path: Path) -> None:

@@ -19,10 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import CameraModel
-from l3cli.artifacts.camera_recipe import camera_files, load_camera, noise_of, optics_of, parse_cfa, settings_from
+from l3cli.artifacts.camera_recipe import (
+    camera_files,
+    load_camera,
+    noise_of,
+    optics_of,
+    parse_cfa,
+    polarisers_of,
+    settings_from,
+)
 from l3cli.artifacts.schema import Stage
 from l3cli.errors import InputFileError, RecipeError
 from l3cli.frames.measurement import (
+    LEAKAGE_NM,
     PATCH_NAMES,
     PATCHES,
     BandCapture,
@@ -35,6 +44,8 @@ from l3cli.frames.measurement import (
     GainCaptures,
     Measurements,
     MonoCapture,
+    PolariserCapture,
+    Rotator,
     SensorFigures,
     SweepTable,
 )
@@ -51,7 +62,9 @@ from l3cli.io.measurement_recipe import (
     MeasurementRecipe,
     MonitorRecipe,
     MonoRecipe,
+    RotatorRecipe,
     SensorCaptureRecipe,
+    captures_of,
     frames_named,
     key_faults,
     spectrum_names,
@@ -179,7 +192,7 @@ def _files_named(recipe: AnyRecipe, path: Path) -> dict[str, list[Path]]:
     """Return the files that a measurement file refers to, by role."""
     folder = path.parent
     if isinstance(recipe, CorrectionRecipe):
-        frames = [folder / name for capture in (*recipe.dark, *recipe.white) for name in capture.frames]
+        frames = [folder / name for _, _, capture in captures_of(recipe) for name in capture.frames]
         return {"frames": frames, "camera": camera_files(folder / recipe.base)}
     frames = [folder / name for _, name in frames_named(recipe)]
     priors = [] if recipe.prior is None else prior_files(folder / recipe.prior)
@@ -462,6 +475,7 @@ def _assembled(
             capture_of(photo, *scene, body, known, path, read)
             for photo, scene in zip(recipe.photos, contents.photos, strict=True)
         ),
+        **_polarisers(recipe, functools.partial(_frames, body=body, folder=path.parent)),
         cameras=contents.cameras,
         datasheet=None if recipe.datasheet is None else _figures(recipe.datasheet),
         lamp_drift=math.hypot(uncertainty.lamp_drift, uncertainty.photodiode),
@@ -470,16 +484,35 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the dark and white frames for a known camera."""
-    body = Body(
-        camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa, camera.optics
+    """Return the captures for a known camera."""
+    geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
+
+    def frames(capture: CaptureRecipe) -> dict[str, Any]:
+        files = WholeFrames(tuple(folder / name for name in capture.frames), camera)
+        return {"name": capture.frames[0], "exposure": capture.seconds, "frames": files, "monitor": capture.monitor}
+
+    return Measurements(
+        body=Body(*geometry, camera.optics, polarisers=camera.polarisers),
+        darks=tuple(Capture(**frames(each)) for each in recipe.dark),
+        whites=tuple(Capture(**frames(each)) for each in recipe.white),
+        base=camera,
+        **_polarisers(recipe, frames),
     )
 
-    def captures(listed: list[CaptureRecipe]) -> tuple[Capture, ...]:
-        files = [WholeFrames(tuple(folder / name for name in each.frames), camera) for each in listed]
-        return tuple(Capture(each.frames[0], each.seconds or 0.0, of) for each, of in zip(listed, files, strict=True))
 
-    return Measurements(body=body, darks=captures(recipe.dark), whites=captures(recipe.white), base=camera)
+def _polarisers(recipe: AnyRecipe, frames: Callable[[CaptureRecipe], dict[str, Any]]) -> dict[str, Any]:
+    """Return the keyword arguments for captures behind a rotating polariser. `frames` returns those for all captures."""
+    stated = recipe.rotator or RotatorRecipe()
+    return {
+        "polariser": tuple(
+            PolariserCapture(**frames(each), angle=each.angle_deg - stated.offset_deg) for each in recipe.polariser
+        ),
+        "rotator": Rotator(
+            leakage=0.0 if stated.extinction is None else 1.0 / stated.extinction,
+            angle_error=stated.angle_error_deg,
+            reference=stated.reference,
+        ),
+    }
 
 
 def _body(recipe: MeasurementRecipe, path: Path) -> Body:
@@ -494,6 +527,7 @@ def _body(recipe: MeasurementRecipe, path: Path) -> Body:
         cfa=parse_cfa(recipe.cfa, str(path)),
         optics=optics_of(recipe.optics),
         readout=settings_from(recipe.channel, recipe.cfa.channels, path),
+        polarisers=polarisers_of(recipe.channel, recipe.cfa.channels, LEAKAGE_NM, path.parent),
     )
 
 

@@ -35,7 +35,7 @@ class Recipe(msgspec.Struct, forbid_unknown_fields=True):
 
 
 KIND_KEYS = {  # type of file → top-level keys that no other type of file has
-    "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "uncertainty"),
+    "a measurement file": ("common", "sweep", "curves", "band", "photo", "prior", "datasheet", "rotator", "uncertainty"),
     "a camera recipe": ("responsivity", "noise"),
     "a lab recipe": ("defects", "spectrometer_step_nm", "wavelength_error_nm", "lamp_drift", "monitor_error", "falloff"),
     "a scene recipe": (

@@ -24,7 +24,7 @@ from l3cli.simulation.sensor import DefectRecipe, FixedPattern, defects_of, fixe
 # nm; the spectrometer covers the wavelengths of the camera and of the monochromator, plus this margin at each end
 SPECTROMETER_MARGIN = 5.0
 MAX_STRAY_LIGHT, MAX_DRIFT = 0.01, 0.2  # largest permitted stray light and lamp drift, as fractions
-FOLDERS = ("mono", "chart", "white", "dark", "spectra")  # a folder for each type of capture, and a folder for spectra
+FOLDERS = ("mono", "chart", "white", "dark", "polariser", "spectra")  # one for each type of capture, and one for spectra
 PATCH_SIDE = 0.8  # side of a patch as a fraction of its cell in the chart; the rest of the cell is black mount
 BORDER_FRACTION = 0.08  # width of the border around the chart, as a fraction of the height of the frame
 MOUNT = 0.03  # reflectance between and around the patches
@@ -80,6 +80,18 @@ class DarkRecipe(Recipe):
     trials: Trials = 4
 
 
+class PolariserRecipe(Recipe):
+    """Uniform light behind a rotating polariser, for cameras whose pixels have polarisers."""
+
+    illuminant: str = "D65"
+    luminance: Positive = 500.0  # cd/m² of the light in front of the polariser
+    step_deg: Annotated[float, msgspec.Meta(gt=0, le=60)] = 15.0  # step of the polariser, which turns by 180°
+    extinction: Annotated[float, msgspec.Meta(gt=1)] = 10000.0  # extinction ratio of the polariser
+    angle_error_deg: NotNegative = 0.02  # standard deviation of the angles of the polariser
+    level: Positive = 0.7  # fraction of full scale that the brightest channel reaches
+    trials: Count = 2  # number of frames per angle
+
+
 class LabRecipe(Recipe):
     """A lab recipe: the measurements of the lab. configs/lab/default.toml contains the default of each key."""
 
@@ -89,6 +101,7 @@ class LabRecipe(Recipe):
     chart: ChartRecipe = msgspec.field(default_factory=ChartRecipe)
     white: WhiteRecipe = msgspec.field(default_factory=WhiteRecipe)
     dark: DarkRecipe = msgspec.field(default_factory=DarkRecipe)
+    polariser: PolariserRecipe = msgspec.field(default_factory=PolariserRecipe)
     defects: DefectRecipe = msgspec.field(default_factory=DefectRecipe)
     spectrometer_step_nm: Positive = 1.0  # sampling interval of the measured spectra
     wavelength_error_nm: NotNegative = 0.1  # standard deviation of the wavelength error, which is constant in a session
@@ -157,9 +170,9 @@ def slit_centres(camera: CameraModel, mono: MonoRecipe) -> Array:
 class LabCapture:
     """A planned capture in the lab, with the signals of the camera and the spectra that the spectrometer measures."""
 
-    kind: str  # "mono", "chart", "white" or "dark"
+    kind: str  # "mono", "chart", "white", "dark" or "polariser"
     name: str  # file name, in a folder named after the kind
-    light: str  # illuminant or wavelength, as text
+    light: str  # illuminant, wavelength or angle of the polariser, as text
     exposure: float  # s
     trials: int  # number of frames
     first: int  # number of the first frame of the capture, counted through the whole session
@@ -167,7 +180,8 @@ class LabCapture:
     falloff: float  # relative loss of light in the corners
     monitor: float  # reading of the lamp monitor, relative to the reading when the spectrum was measured
     wavelength: Array  # (wavelength,), measured wavelengths in nm
-    radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; white and dark captures have no spectra
+    radiance: Array  # (spectrum, wavelength), measured photons/s/sr/m²/nm; only mono and chart captures have spectra
+    angle: float = 0.0  # degrees, angle of the rotating polariser that its scale shows
 
 
 @dataclass(frozen=True)
@@ -177,10 +191,24 @@ class _Response:
     camera: CameraModel
     wavelength: Array  # (wavelength,), nm
     per_radiance: Array  # (channel, wavelength), e-/s for a radiance of 1 photon/s/sr/m²/nm at one wavelength
+    per_polarised: Array  # (2, channel, wavelength), additional e-/s for 1 photon/s/sr/m²/nm of S1 or S2
 
-    def electrons(self, radiance: Array) -> Array:
-        """Return the photo-electrons in e-/s, (spectrum, channel), for the radiance (spectrum, wavelength)."""
-        return radiance @ self.per_radiance.T
+    def electrons(self, radiance: Array, polarisation: float = 0.0, angle: float = 0.0) -> Array:
+        """Return the photo-electrons in e-/s, (spectrum, channel).
+
+        Parameters
+        ----------
+        radiance : ndarray, (spectrum, wavelength)
+            Radiance of the light.
+        polarisation : float
+            Degree of linear polarisation of the light.
+        angle : float
+            Angle of linear polarisation in degrees.
+        """
+        weights, twice = self.per_radiance, 2.0 * np.radians(angle)
+        if polarisation:
+            weights = weights + polarisation * np.tensordot([np.cos(twice), np.sin(twice)], self.per_polarised, 1)
+        return radiance @ weights.T
 
     def exposure_for(self, level: float, radiance: Array) -> float:
         """Return the exposure time, in s, at which the brightest channel reaches the fraction `level` of full scale.
@@ -207,11 +235,21 @@ class _Session:
         self.shift = round(self.recipe.wavelength_error_nm * self.rng.standard_normal(), 4)
         self.drift = self.recipe.lamp_drift * self.rng.standard_normal()
 
-    def add(self, kind: str, light: str, exposure: float, trials: int, radiance: Array) -> None:
-        """Plan a capture of the given radiance, (spectrum, wavelength)."""
+    def add(
+        self,
+        kind: str,
+        light: str,
+        exposure: float,
+        trials: int,
+        radiance: Array,
+        polarisation: float = 0.0,
+        angle: float = 0.0,
+    ) -> None:
+        """Plan a capture of the given radiance, (spectrum, wavelength), and linear polarisation at an angle in degrees."""
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"
         lamp, reading = self._next_light()
+        turned = angle + self.recipe.polariser.angle_error_deg * self.rng.standard_normal() if polarisation else angle
         seen = radiance[:PATCHES] if kind in ("mono", "chart") else radiance[:0]
         if kind == "chart":
             seen = seen * falloff_at_patches(self.response.camera, self.recipe.falloff)[:, None]
@@ -223,11 +261,12 @@ class _Session:
                 exposure=exposure,
                 trials=trials,
                 first=last.first + last.trials if last else 0,
-                electrons=self.response.electrons(radiance) * exposure * lamp,
+                electrons=self.response.electrons(radiance, polarisation, turned) * exposure * lamp,
                 falloff=self.recipe.falloff,
                 monitor=1.0 if kind == "dark" else reading,
                 wavelength=self.response.wavelength + self.shift,
                 radiance=seen,
+                angle=angle,
             )
         )
 
@@ -271,7 +310,21 @@ def plan(camera: CameraModel, recipe: LabRecipe, seed: int) -> tuple[LabCapture,
         session.add("white", white.illuminant, response.exposure_for(level, even), white.trials, even)
     for exposure in dark.exposures_s:
         session.add("dark", "cap", exposure, dark.trials, 0.0 * even)
+    if camera.polarisers is not None:
+        _plan_polariser(session, recipe.polariser)
     return tuple(session.captures)
+
+
+def _plan_polariser(session: _Session, recipe: PolariserRecipe) -> None:
+    """Plan the captures behind a rotating polariser. They are the last, so that all other frames do not depend on them."""
+    wavelength = session.response.wavelength
+    leakage = 1.0 / recipe.extinction
+    light = _light(recipe.illuminant, wavelength, recipe.luminance)[None] * (1.0 + leakage) / 2.0
+    polarisation = (1.0 - leakage) / (1.0 + leakage)
+    # A channel whose polariser is parallel to the rotating polariser receives nearly twice as much as in unpolarised light.
+    exposure = float(f"{session.response.exposure_for(recipe.level, light) / 2.0:.3g}")
+    for angle in np.arange(0.0, 180.0, recipe.step_deg).tolist():
+        session.add("polariser", f"{angle:g}deg", exposure, recipe.trials, light, polarisation, angle)
 
 
 def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Response:
@@ -285,7 +338,8 @@ def _response_of(camera: CameraModel, mono: MonoRecipe, step: float) -> _Respons
     wavelength = np.arange(first, last + step / 2, step)
     # Triangular weights around each sample of the responsivity, as in the simulation of frames. The outermost triangles
     # extend half a step beyond the ends.
-    return _Response(camera, wavelength, camera.electron_weights @ spectra.sampling_matrix(wavelength, camera.wavelength))
+    sampling = spectra.sampling_matrix(wavelength, camera.wavelength)
+    return _Response(camera, wavelength, camera.electron_weights @ sampling, camera.stokes_weights[1:] @ sampling)
 
 
 def _slit(wavelength: Array, centre: float, mono: MonoRecipe) -> Array:
@@ -374,5 +428,6 @@ def lab_recipe_faults(recipe: LabRecipe, source: RecipeSource) -> Iterator[Fault
     """Yield the faults of a lab recipe. If `source` has a camera, also yield the reasons why the lab cannot measure it."""
     yield from lab_faults(recipe, source.camera)
     yield from source.attempt(("white", "illuminant"), spectra.require_illuminant, recipe.white.illuminant)
+    yield from source.attempt(("polariser", "illuminant"), spectra.require_illuminant, recipe.polariser.illuminant)
     for number, name in enumerate(recipe.chart.illuminants):
         yield from source.attempt(("chart", "illuminants", number), spectra.require_illuminant, name)

@@ -10,7 +10,7 @@ import itertools
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,11 +20,13 @@ import numpy as np
 from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import CameraRecipe, PhaseRecipe, camera_recipe_faults, load_camera
 from l3cli.artifacts.recipe_source import Meaning, RecipeSource, key_in, keys_of
+from l3cli.calibration.captures import check_polarisers
 from l3cli.design.recipe import DesignRecipe, design_faults, filter_curves, level_name, pixel_of
 from l3cli.errors import InputFileError, L3Error, RecipeError, suggestion
 from l3cli.io.file_names import find_scenes
-from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_meaning
+from l3cli.io.measurement_check import measurement_faults, measurement_lines, measurement_summary
 from l3cli.io.measurement_recipe import CorrectionRecipe, MeasurementRecipe
+from l3cli.io.measurements import measurements_of
 from l3cli.recipes.builtin import known_benchmarks, known_recipes
 from l3cli.recipes.faults import LISTED_FAULTS, Fault, about_others, fault, typed
 from l3cli.recipes.key_lines import key_lines, line_of
@@ -168,6 +170,20 @@ def _sizes(recipe: SceneRecipe, run: SimulationRun, files: list[list[Path]]) -> 
         "largest_bytes": int(max(pixels) * a_pixel),
         "bytes": int(sum(number * each for number, (_, each) in zip(pixels, sizes, strict=True)) * a_pixel),
     }
+
+
+def measurement_meaning(recipe: MeasurementRecipe | CorrectionRecipe, source: RecipeSource) -> Meaning:
+    """Return what `l3 check` reports about a measurement file: its sections.
+
+    Frames behind a rotating polariser that contradict each other, or the stated angles of the channels, are returned as
+    faults. If the file states no angles, they are those of the camera of `source`.
+    """
+    measured = measurements_of(recipe, source.path)
+    camera, body = source.camera, measured.body
+    if body.polarisers is None and camera is not None and camera.channels == body.channels:
+        measured = replace(measured, body=replace(body, polarisers=camera.polarisers))
+    faults = source.attempt(None, check_polarisers, measured)
+    return measurement_summary(recipe, measured), list(faults)
 
 
 class Kind(NamedTuple):

@@ -73,7 +73,8 @@ def measure(camera: Path, output: Path, options: LabOptions) -> tuple[Path, File
         used = files_to_read({"camera": camera_files(camera), "lab recipe": [recipe] if recipe else []})
         if note := columns_left_out(camera):
             console.info(note)
-        for unknown in camera_unknown(camera, model, chosen.lights):
+        lights = (*chosen.lights, *([] if model.polarisers is None else [chosen.polariser.illuminant]))
+        for unknown in camera_unknown(camera, model, tuple(dict.fromkeys(lights))):
             console.warn(unknown)
         # The measurement file is written last. An old file is removed, so that it never refers to frames of another run.
         file.unlink(missing_ok=True)
@@ -117,7 +118,7 @@ def _described(
     written here."""
     mono: list[files.MonoRecipe] = []
     charts: list[files.ChartRecipe] = []
-    others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": []}
+    others: dict[str, list[files.CaptureRecipe]] = {"white": [], "dark": [], "polariser": []}
     for capture in captures:
         common: dict[str, Any] = {
             "frames": [_frame_name(capture, trial) for trial in range(capture.trials)],
@@ -132,10 +133,16 @@ def _described(
             write_curves(folder / name, capture.wavelength, capture.radiance, patches, PHOTON_RADIANCE)
             corners = chart_corners(model)
             charts.append(files.ChartRecipe(**common, illuminant=capture.light, corners=corners, radiance=name))
+        elif capture.kind == "polariser":
+            others[capture.kind].append(files.PolariserRecipe(**common, angle_deg=capture.angle))
         else:
             others[capture.kind].append(files.CaptureRecipe(**common))
     steps = [capture for capture in captures if capture.kind == "mono"]
     radiances, lights = np.concatenate([step.radiance for step in steps]), [step.light for step in steps]
     write_curves(folder / MONO, steps[0].wavelength, radiances, lights, PHOTON_RADIANCE)
     uncertainty = files.UncertaintyRecipe(lamp_drift=chosen.monitor_error, wavelength_nm=chosen.wavelength_error_nm)
-    return files.describe(model, uncertainty, mono=mono, chart=charts, **others)
+    rotator = None
+    if others["polariser"]:
+        turned = chosen.polariser
+        rotator = files.RotatorRecipe(extinction=turned.extinction, angle_error_deg=turned.angle_error_deg)
+    return files.describe(model, uncertainty, mono=mono, chart=charts, rotator=rotator, **others)

@@ -1,0 +1,356 @@
+"""Measures the polarisers of the channels behind a rotating linear polariser (docs/polarisation.md#measure-the-polarisers).
+
+A channel whose polariser has the angle θ and the leakage k (the inverse of the extinction ratio) responds to light that is
+polarised at the angle φ according to Malus's law:
+
+    signal = brightness · gain / 2 · [(1 + k) + p (1 − k) cos 2(θ − φ)]
+
+The degree of polarisation p of the light follows from the extinction ratio of the rotating polariser. The brightness of
+each capture is estimated together with the channels, because lamps drift, and because a lamp that is polarised itself
+changes in brightness when the polariser turns. This is possible because the channels have different angles.
+"""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from l3cli.artifacts.camera import QUANTISATION, CameraModel, Polarisers
+from l3cli.artifacts.fit import PolariserFit
+from l3cli.calibration import statistics
+from l3cli.calibration.noise import TOLERATED
+from l3cli.errors import InputFileError, listed
+from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture, Rotator
+
+BRIGHTNESS = 0.05  # relative standard deviation of the brightness of a capture, before it is estimated from the channels
+BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which drifts after the dark frames
+LEAST_ANGLE_ERROR = 1e-4  # degrees; smaller errors of the angles of the rotating polariser count as this one
+LARGEST_CONDITION = 20.0  # condition number of Malus's law over the angles of the captures; with 0°, 10° and 20°, it is 64
+LEAST_MODULATION = 0.2  # a smaller modulation means that the light is not polarised, or that a channel has no polariser
+WRONG_ANGLE = 3.0  # degrees; a larger error of the stated angle of a capture is a typing error
+OTHER_ANGLE = 10.0  # degrees; a larger difference between the stated and the measured angle of a channel is a mistake
+Array = NDArray[np.float64]
+
+
+def harmonics(degrees: Array) -> Array:
+    """Return 1, cos 2φ and sin 2φ of each angle φ: (angle, 3)."""
+    twice = 2.0 * np.radians(degrees)
+    return np.stack([np.ones_like(twice), np.cos(twice), np.sin(twice)], axis=-1)
+
+
+def difference(degrees: Array, others: Array | float) -> Array:
+    """Return the difference between directions of polarisation, from −90° to 90°. Directions repeat after 180°."""
+    return np.asarray((degrees - others + 90.0) % 180.0 - 90.0)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Malus's law of each channel, from a fit of the channel by itself."""
+
+    gain: Array  # (channel) DN/s
+    angle: Array  # (channel) degrees
+    leakage: Array  # (channel)
+    modulation: Array  # (channel) amplitude of the signal over its mean
+
+
+# ---------------------------------------------------------------------------------------------------------- the fit
+
+
+def fit_polarisers(
+    light_angle: Array,
+    rate: Array,
+    deviation: Array,
+    polarised: NDArray[np.bool_],
+    light_polarisation: float = 1.0,
+    light_angle_error: float = 0.0,
+    black_error: Array | float = 0.0,
+) -> PolariserFit:
+    """Fit Malus's law to the signals of the channels behind a rotating polariser.
+
+    Parameters
+    ----------
+    light_angle : ndarray, (capture,)
+        Angle of the transmission axis of the rotating polariser in degrees, counter-clockwise in the picture.
+    rate : ndarray, (capture, channel)
+        Signal per second of exposure in DN/s. The dark signal is subtracted.
+    deviation : ndarray, (capture, channel)
+        Standard deviation of each rate. It is infinite if a rate must not be used.
+    polarised : ndarray of bool, (channel,)
+        Whether each channel has a polariser. At least one channel must have one.
+    light_polarisation : float
+        Degree of linear polarisation of the light.
+    light_angle_error : float
+        Standard deviation of `light_angle`. The errors of the captures are independent.
+    black_error : ndarray, (capture,), or float
+        Standard deviation of the dark signal that was subtracted, in DN/s. The error of a channel, in DN, is the same in all
+        captures.
+
+    Returns
+    -------
+    PolariserFit
+        Angle, leakage and relative gain of each channel. The standard deviations include the scatter of the rates around
+        the fit if the scatter exceeds `deviation`.
+    """
+    from scipy.optimize import least_squares
+
+    (captures, channels), used = rate.shape, np.isfinite(deviation)
+    # An error of 0 would fix the angles. Fixing them nearly keeps the equations the same for all errors.
+    certain = max(light_angle_error, LEAST_ANGLE_ERROR)
+    first = first_guess(light_angle, rate, used, polarised, light_polarisation)
+    count = int(polarised.sum())
+    black = np.broadcast_to(black_error, captures)[:, None]
+    parts = np.cumsum([channels, count, count, channels, captures])
+
+    def unpacked(values: Array) -> tuple[Array, ...]:
+        gain, turn, leak, offset, brightness, light_turn = np.split(values, parts)
+        leakage, angle = np.ones(channels), np.zeros(channels)
+        leakage[polarised], angle[polarised] = leak, turn
+        angle, turned = first.angle + np.degrees(angle), light_angle + certain * light_turn
+        return first.gain * np.exp(gain), angle, leakage, offset * black, np.exp(BRIGHTNESS * brightness), turned
+
+    def predict(values: Array) -> Array:
+        gain, angle, leakage, offset, brightness, turned = unpacked(values)
+        return brightness[:, None] * malus(turned, gain, angle, leakage, light_polarisation) + offset
+
+    def residuals(values: Array) -> Array:
+        return np.concatenate([((rate - predict(values)) / deviation)[used], values[parts[2] :]])
+
+    start = np.concatenate([np.zeros(channels + count), first.leakage[polarised], np.zeros(channels + 2 * captures)])
+    solved = least_squares(residuals, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    # The prior of the brightness is so wide that each capture uses one rate to determine its brightness.
+    spare = int(used.sum()) - parts[2] - (len(rate) - 1)
+    scatter = 2.0 * solved.cost / spare if spare > 0 else 1.0
+    covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, scatter)
+    gain, angle, leakage, _, brightness, _ = unpacked(solved.x)
+    error = np.sqrt(np.diag(covariance))
+    angle_error, leakage_error = np.zeros(channels), np.zeros(channels)
+    angle_error[polarised] = np.degrees(error[parts[0] : parts[1]])
+    leakage_error[polarised] = error[parts[1] : parts[2]]
+    relative = np.eye(channels) - gain / gain.sum()  # derivative of ln(gain / mean gain) with respect to ln gain
+    gain_variance = np.diag(relative @ covariance[:channels, :channels] @ relative.T)
+    return PolariserFit(
+        light_angle=light_angle,
+        light_polarisation=light_polarisation,
+        polarised=polarised,
+        angle=np.where(polarised, angle % 180.0, 0.0),
+        angle_error=angle_error,
+        leakage=leakage,
+        leakage_error=leakage_error,
+        gain=gain / gain.mean(),
+        gain_error=gain / gain.mean() * np.sqrt(gain_variance),
+        brightness=brightness,
+        used=used,
+        measured=rate,
+        predicted=predict(solved.x),
+    )
+
+
+def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
+    """Return the signal (capture, channel) of channels behind polarisers, for light of unit brightness."""
+    cosine = np.cos(2.0 * np.radians(angle - light_angle[:, None]))
+    return np.asarray(0.5 * gain * (1.0 + leakage + light_polarisation * (1.0 - leakage) * cosine))
+
+
+def first_guess(
+    light_angle: Array, rate: Array, used: NDArray[np.bool_], polarised: NDArray[np.bool_], light_polarisation: float
+) -> Guess:
+    """Fit each channel by itself, as if the light were constant."""
+    terms = harmonics(light_angle)
+    law = np.array([np.linalg.lstsq(terms[use], of[use], rcond=None)[0] for use, of in zip(used.T, rate.T, strict=True)])
+    mean, amplitude = law[:, 0], np.hypot(law[:, 1], law[:, 2])
+    full = amplitude / light_polarisation
+    return Guess(
+        gain=np.where(polarised, mean + full, mean),
+        angle=np.where(polarised, np.degrees(np.arctan2(law[:, 2], law[:, 1])) / 2.0, 0.0),
+        leakage=np.where(polarised, (mean - full) / (mean + full), 1.0),
+        modulation=amplitude / mean,
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ the captures
+
+
+@dataclass(frozen=True)
+class Electronics:
+    """What the rates behind the polariser and their uncertainty depend on, except the light."""
+
+    dark: Array  # (capture, channel) dark signal in DN, including the black level
+    saturation: float  # DN; pixels from this value on are saturated
+    gain: Array  # (channel) conversion gain in DN/e-
+    dark_variance: Array  # (channel) temporal variance in the dark in DN²
+    defects: statistics.Defects  # pixels that are left out
+
+
+def measure_polarisers(
+    captures: Sequence[PolariserCapture],
+    rotator: Rotator,
+    body: Body,
+    electronics: Electronics,
+    each: statistics.Each = map,
+) -> PolariserFit:
+    """Measure the polarisers of all channels from frames behind a rotating polariser.
+
+    A channel that saturates in a capture is not used in this capture. If the measurement file states no angles, the
+    channels whose signal changes with the angle of the polariser are those with a polariser.
+
+    Raises
+    ------
+    InputFileError
+        If the angles of the usable captures do not determine Malus's law, if the light is not polarised, if a capture
+        contradicts the other captures, or if the measured angles contradict the angles that the measurement file states.
+    """
+    read = functools.partial(_means, body=body, saturation=electronics.saturation, defects=electronics.defects)
+    mean, pixels, saturated = (np.array(values) for values in zip(*each(read, captures), strict=True))
+    lit = np.array([capture.lit for capture in captures])[:, None]
+    signal, used = mean - electronics.dark, saturated <= TOLERATED
+    variance = electronics.gain * np.maximum(signal, 0.0) + electronics.dark_variance + QUANTISATION
+    angle = np.array([capture.angle for capture in captures])
+    _check_angles(angle, used, body)
+    guess = first_guess(angle, signal / lit, used, np.ones(len(body.channels), bool), rotator.polarisation)
+    polarised = guess.modulation > LEAST_MODULATION if body.polarisers is None else body.polarisers.present
+    weak = polarised & (guess.modulation < LEAST_MODULATION) if polarised.any() else ~polarised
+    if weak.any():
+        name, modulation = body.channels[int(weak.argmax())], guess.modulation[weak.argmax()]
+        raise InputFileError(
+            f"the signal of channel {name} changes by only {modulation:.1%} of its mean when the polariser turns; check the "
+            'polariser in front of the light, and "polariser_deg"'
+        )
+    deviation = np.where(used, np.sqrt(variance / pixels) / lit, np.inf)
+    fit = fit_polarisers(
+        angle, signal / lit, deviation, polarised, rotator.polarisation, rotator.angle_error, BLACK_ERROR / lit[:, 0]
+    )
+    _check_captures(captures, fit)
+    if rotator.reference is not None:
+        fit = _with_reference(fit, rotator.reference, body)
+    if body.polarisers is not None and (wrong := contradiction(body, fit.angle)):
+        raise InputFileError(wrong)
+    return fit
+
+
+def _means(capture: Capture, body: Body, saturation: float, defects: statistics.Defects) -> tuple[Array, Array, Array]:
+    """Return the mean DN of each channel, its number of pixels in all frames, and the fraction of saturated pixels."""
+    counts = statistics.count_values(capture, body, defects)
+    return statistics.mean_value(counts), counts.sum(axis=1), statistics.share_from(counts, saturation)
+
+
+def _check_angles(angle: Array, used: NDArray[np.bool_], body: Body) -> None:
+    """Raise InputFileError if the usable captures of a channel do not determine the three terms of Malus's law."""
+    for name, chosen in zip(body.channels, used.T, strict=True):
+        count = np.unique(angle[chosen] % 180.0).size
+        if count < 3 or np.linalg.cond(harmonics(angle[chosen])) > LARGEST_CONDITION:
+            raise InputFileError(
+                f"channel {name} has {count} usable angles of the rotating polariser, which do not determine its own angle; "
+                "capture at least 3 angles, spread over 180° and below saturation"
+            )
+
+
+def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> None:
+    """Raise InputFileError if the frames of a capture show another angle of the polariser than the stated angle.
+
+    The angle is determined from the ratios of the channels, so that at least three channels with different angles are
+    needed.
+    """
+    response = fit.gain[:, None] * np.stack([1.0 + fit.leakage, *(1.0 - fit.leakage) * harmonics(fit.angle).T[1:]], axis=1)
+    seen = []
+    for rate, chosen, stated in zip(fit.measured, fit.used, fit.light_angle, strict=True):
+        if chosen.sum() < 3 or np.linalg.cond(response[chosen]) > LARGEST_CONDITION:
+            seen.append(stated)
+            continue
+        _, cosine, sine = np.linalg.lstsq(response[chosen], rate[chosen], rcond=None)[0]
+        seen.append(np.degrees(np.arctan2(sine, cosine)) / 2.0 % 180.0)
+    wrong = difference(np.array(seen), fit.light_angle)
+    worst = int(np.abs(wrong - np.median(wrong)).argmax())
+    if abs(wrong[worst] - np.median(wrong)) > WRONG_ANGLE:
+        raise InputFileError(
+            f"{captures[worst].name}: the frames show a polariser at {seen[worst]:.1f}°, but its angle is stated as "
+            f"{captures[worst].angle:g}°; correct angle_deg"
+        )
+
+
+def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
+    """Return the fit with all angles shifted so that one channel has its stated angle."""
+    channel = body.channels.index(reference)
+    assert body.polarisers is not None
+    shift = difference(body.polarisers.polariser_deg[channel], fit.angle[channel])
+    error = np.where(fit.polarised, np.hypot(fit.angle_error, fit.angle_error[channel]), 0.0)
+    error[channel] = 0.0
+    return replace(
+        fit,
+        light_angle=fit.light_angle + shift,
+        angle=np.where(fit.polarised, (fit.angle + shift) % 180.0, 0.0),
+        angle_error=error,
+    )
+
+
+def contradiction(body: Body, measured: Array) -> str:
+    """Return a message if measured angles contradict the stated angles of the channels, or "" if they do not.
+
+    Parameters
+    ----------
+    body : Body
+        The camera, with the stated angles.
+    measured : ndarray, (channel,)
+        Measured angle of each channel in degrees.
+    """
+    assert body.polarisers is not None
+    stated, present = body.polarisers.polariser_deg, body.polarisers.present
+    wrong = np.flatnonzero(present & (np.abs(difference(measured, stated)) > OTHER_ANGLE))
+    if not wrong.size:
+        return ""
+    found = listed(f"{body.channels[each]} has {measured[each]:.1f}° instead of {stated[each]:g}°" for each in wrong)
+    # The stated angle that is nearest to each measured angle.
+    known = np.unique(stated[present])
+    nearest = known[np.abs(difference(measured[present][:, None], known)).argmin(axis=1)]
+    close = (np.abs(difference(measured[present], nearest)) <= OTHER_ANGLE).all()
+    swapped = close and np.array_equal(np.sort(nearest), np.sort(stated[present]))
+    cure = 'correct "polariser_deg" or "cfa.pattern"'
+    shift = difference(measured, stated)[present]
+    if (np.abs(difference(measured, -stated))[present] < OTHER_ANGLE).all():
+        cure += ', or count "angle_deg" counter-clockwise'
+    elif (np.abs(turned := difference(shift, shift[0])) < OTHER_ANGLE).all():
+        cure += f', or subtract {(shift[0] + turned.mean()) % 180.0:.0f}° from "angle_deg"'
+    if swapped:
+        return f"polarisers are swapped: {found}; {cure}"
+    return f"polarisers have other angles than stated: {found}; {cure}"
+
+
+# -------------------------------------------------------------------------------------------------------- the camera
+
+
+def polarisers_of(fit: PolariserFit | None, body: Body, wavelength: Array) -> Polarisers | None:
+    """Return the polarisers of a camera: as measured, otherwise as stated, or None if there are none.
+
+    Parameters
+    ----------
+    fit : PolariserFit or None
+        The measured polarisers. Their leakage is used at all wavelengths.
+    body : Body
+        The stated polarisers.
+    wavelength : ndarray, (wavelength,)
+        Wavelengths of the camera in nm.
+    """
+    if fit is not None:
+        leakage = np.clip(fit.leakage, 0.0, 1.0)[:, None]
+        return Polarisers(fit.angle, np.repeat(leakage, wavelength.size, axis=1)) if fit.polarised.any() else None
+    if body.polarisers is None:
+        return None
+    leakage = np.array([np.interp(wavelength, LEAKAGE_NM, of) for of in body.polarisers.leakage])
+    return Polarisers(body.polarisers.polariser_deg, leakage)
+
+
+def with_polarisers(camera: CameraModel, fit: PolariserFit | None, body: Body) -> CameraModel:
+    """Return a camera, which was measured in unpolarised light, with its polarisers.
+
+    The responsivity of a channel with a polariser becomes its responsivity to light that is polarised along the transmission
+    axis. It is higher than the measured responsivity by a factor of 2 / (1 + k). If the responsivities are relative, their
+    highest peak stays 1.
+    """
+    polarisers = polarisers_of(fit, body, camera.wavelength)
+    if polarisers is None:
+        return camera
+    passed = polarisers.stokes_response[:, 0]
+    curve, band = camera.responsivity / passed, camera.responsivity_band / passed
+    peak = 1.0 if camera.absolute else float(curve.max())
+    return replace(camera, responsivity=curve / peak, responsivity_band=band / peak, polarisers=polarisers)
