@@ -271,8 +271,8 @@ def correct_by_frames(camera: CameraModel, measurements: Measurements) -> Camera
     """
     if measurements.polariser:
         fit = measure_polarisers(measurements, _figures_of(camera))
-        found = polarisers.polarisers_of(fit, measurements.body, camera.wavelength)
-        camera = replace(camera, polarisers=found, fit=replace(camera.fit or Fit(), polarisers=fit))
+        measured = polarisers.polarisers_of(fit, measurements.body, camera.wavelength)
+        camera = replace(camera, polarisers=measured, fit=replace(camera.fit or Fit(), polarisers=fit))
     if not measurements.whites:
         return camera
     body, darks = measurements.body, measurements.darks

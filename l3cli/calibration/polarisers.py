@@ -1,4 +1,4 @@
-"""Measures the polarisers of the channels behind a rotating linear polariser (docs/polarisation.md#measure-the-polarisers).
+"""Measures the polarisers of the channels behind a rotating linear polariser (docs/method.md#rotating-polariser).
 
 A channel whose polariser has the angle θ and the leakage k (the inverse of the extinction ratio) responds to light that is
 polarised at the angle φ according to Malus's law:
