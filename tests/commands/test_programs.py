@@ -67,8 +67,12 @@ def test_every_recipe_is_tried_here_and_short() -> None:
 
 
 def test_arrays_of_rawpy(there: Path) -> None:
-    np.testing.assert_array_equal(names_of("rawpy")["picture"], expected())
+    names, table = names_of("rawpy"), l3cli.load_table("table.h5")
+    np.testing.assert_array_equal(names["picture"], expected())
     with rawpy.imread("frame.dng") as raw:
+        made, own = names["frame_of"](raw, table), l3cli.read_raw("frame.dng", table)
+        assert own.exposure
+        assert (made.exposure, made.dark, made.gain) == pytest.approx((own.exposure, own.dark, own.gain))
         ours = l3cli.raw_frame(raw.raw_image_visible.copy(), l3cli.load_table("table.h5"), pattern="bggr")
     assert ours.phase == (1, 1)
 
