@@ -35,7 +35,7 @@ def made(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     mosaic = tifffile.imread(next((pipeline / "unseen").glob("*_raw.tif")))
     matrix = [part for entry in (9000, -2000, -800, -4000, 12000, 2000, -500, 1500, 6000) for part in (entry, 10000)]
     white = {50714: (SHORT, [66]), 50717: (LONG, [3800]), 50728: (RATIONAL, [60, 100, 100, 100, 70, 100])}
-    tags = {**white, 50721: (10, matrix), 50778: (SHORT, [21])}
+    tags = {**white, 33434: (RATIONAL, [1, 8]), 50721: (10, matrix), 50778: (SHORT, [21])}
     for name in ("frame", "photo", "other"):
         write_dng(folder / f"{name}.dng", mosaic, RGGB, tags=tags)
     write_picture(folder / "mosaic.png", mosaic[..., None])
