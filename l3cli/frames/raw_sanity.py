@@ -5,8 +5,9 @@ wrong. This test cannot detect phases that only swap channels with equal pattern
 phases are detected from the signals of a grey object, which many files state, because the mean over a photo is roughly grey.
 """
 
+import functools
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,11 @@ SLANTED = 0.03  # the same criterion for a factor per slanted line
 SLANTS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))  # steps of rows and columns across slanted lines
 CHECKED_SITES_DIFFER = 0.15  # minimum range of the sites of a super-pixel under checks in the scene, relative to their mean
 LEAST_CHECK = 0.1  # minimum contrast at any site of such checks, relative to the maximum
+CHECK_FITS = 30  # alternating fits of the super-pixel and of the checks, which checks of odd size need
 TWO_GAINS = 2.0  # minimum ratio of the gains in sensors whose pairs of rows alternate between two gains
+NOISE_COLUMNS, NOISE_PERCENTILE = 8, 25  # columns of a noise measurement; percentile, which selects uniform areas
+UNCLIPPED = 0.8  # fraction of full scale; noise is measured in areas with a lower mean
+MIN_NOISE = 0.5  # DN²; smaller variances consist mainly of rounding errors
 CONTROL = 3.0  # a difference is evidence if it exceeds this multiple of the difference at a period that no CFA has
 FITS = 0.01  # a CFA fits if the sites of each channel differ by less than this
 SMALLEST_BLACK = 16.0  # DN; lower black levels are not checked
@@ -138,12 +143,11 @@ def array_doubt(frame: RawFrame, cfa: NDArray[np.uint8]) -> ArrayDoubt | None:
     places = np.arange(cfa.size).reshape(cfa.shape)
     _, usual = _differences(_means(tile, control), places)
     quarters = [part.mean(axis=(0, 1)) for half in _halves(tiles, 0) for part in _halves(half, 1)]
-    found = []
+    found, two_gains = [], functools.partial(_noise_shows_two_gains, frame, tiles, cfa.shape)
     for period in (tuple(np.lcm(cfa.shape, each)) for each in ARRAY_PERIODS_PIXELS):
         means = _means(tile, period)
-        if not (
-            _are_stripes(means, cfa.shape, [_means(each, period) for each in quarters]) or _are_checks(means, cfa.shape)
-        ):
+        parts = [_means(each, period) for each in quarters]
+        if not (_are_stripes(means, cfa.shape, parts, two_gains) or _are_checks(means, cfa.shape)):
             found.append(_differences(means, places))
     if phase_doubt(frame, cfa) is None:
         found.append(_differences(_means(tile, cfa.shape), shifted_cfa(cfa, frame.phase)))
@@ -178,11 +182,13 @@ def _means(tile: NDArray[np.float64], period: tuple[int, ...]) -> NDArray[np.flo
     return np.asarray(whole.mean(axis=(0, 2)))
 
 
-def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...], parts: list[NDArray[np.float64]]) -> bool:
+def _are_stripes(
+    means: NDArray[np.float64], period: tuple[int, ...], parts: list[NDArray[np.float64]], two_gains: Callable[[], bool]
+) -> bool:
     """Whether super-pixels of a `period` differ only by a factor per row, per column or per slanted line.
 
-    Pairs of rows that alternate between two factors in all parts of a frame are not stripes, because they occur in sensors
-    with two gains.
+    Pairs of rows that alternate between two factors in all `parts` of a frame are not stripes if `two_gains` returns True,
+    because they occur in sensors with two gains.
     """
     blocks = _super_pixels(means, period)
     sites = blocks.mean(axis=(0, 2), keepdims=True)  # mean super-pixel
@@ -190,7 +196,7 @@ def _are_stripes(means: NDArray[np.float64], period: tuple[int, ...], parts: lis
     for along in ((2, 3), (0, 1)):  # rows, and columns
         if np.abs(blocks - sites * _factors(blocks, along)).mean() <= STRIPED * differ:
             rows = [_factors(_super_pixels(each, period), along).ravel() for each in (means, *parts)]
-            return along == (0, 1) or not all(map(_has_two_gains, rows))
+            return along == (0, 1) or not (all(map(_has_two_gains, rows)) and two_gains())
     return any(_are_slanted(means, sites, slant) for slant in SLANTS)
 
 
@@ -215,10 +221,15 @@ def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     One function depends on the row, and the other function on the column. In CFAs that repeat with another period, either
     all sites of the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
     """
-    sites = _super_pixels(means, period).mean(axis=(0, 2))
+    sites, repeats = _super_pixels(means, period).mean(axis=(0, 2)), np.array(means.shape) // period
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
         return False
-    checks = means / np.tile(sites, (means.shape[0] // period[0], means.shape[1] // period[1])) - 1.0
+    for _ in range(CHECK_FITS):  # the mean super-pixel contains a part of checks whose size is odd
+        left, sizes, right = np.linalg.svd(means / np.tile(sites, repeats) - 1.0)
+        factors = 1.0 + sizes[0] * np.outer(left[:, 0], right[0])
+        sums = [_super_pixels(each, period).sum(axis=(0, 2)) for each in (means * factors, factors**2)]
+        sites = np.maximum(sums[0] / sums[1], MIN_SIGNAL)
+    checks = means / np.tile(sites, repeats) - 1.0
     lines = max(np.abs(checks.mean(axis=axis)).max() for axis in (0, 1))  # 0 for checks, and large for stripes
     largest, second = np.linalg.svd(checks, compute_uv=False)[:2]
     contrast = np.abs(checks).max()
@@ -246,6 +257,33 @@ def _has_two_gains(factors: NDArray[np.float64]) -> bool:
         and each.max() >= TWO_GAINS * each.min()
         for each in pairs
     )
+
+
+def _noise_shows_two_gains(frame: RawFrame, tiles: NDArray[np.float64], period: tuple[int, ...]) -> bool:
+    """Whether brighter rows have the noise of a higher gain. True if the noise is too small to be measured.
+
+    The variance per signal is the gain in DN per electron. It is equal for bright and dark rows of the scene, and in the
+    ratio of the gains for rows with two gains.
+    """
+    cols = (tiles.shape[3] - period[1]) // NOISE_COLUMNS * NOISE_COLUMNS
+    near, far = tiles[..., :cols], tiles[..., period[1] :][..., :cols]  # pixels of the same channel
+    parts = [each.reshape(*each.shape[:3], -1, NOISE_COLUMNS) for each in ((near - far) ** 2 / 2, (near + far) / 2)]
+    variance, signal = (each.mean(axis=-1) for each in parts)
+    share = signal / (frame.white_level - frame.black_level)
+    usable = (share > MIN_SIGNAL) & (share < UNCLIPPED)
+    gains, levels = [], []
+    for row in range(4):
+        kept = usable[:, :, row::4]
+        if not kept.any():
+            return True
+        here, bright = variance[:, :, row::4][kept], signal[:, :, row::4][kept]
+        if np.percentile(here, NOISE_PERCENTILE) < MIN_NOISE:
+            return True
+        gains.append(np.percentile(here / bright, NOISE_PERCENTILE))
+        levels.append(signal[:, :, row::4].mean())
+    (dark, light), noise = np.argsort(levels).reshape(2, 2), np.array(gains)
+    ratio = np.array(levels)[light].mean() / np.array(levels)[dark].mean()
+    return bool(noise[light].mean() >= noise[dark].mean() * np.sqrt(ratio))
 
 
 def _differences(means: NDArray[np.float64], array: NDArray[np.integer]) -> tuple[float, float]:

@@ -110,6 +110,7 @@ def bayer_frame(light: np.ndarray, seed: int = 0) -> RawFrame:
 
 
 ROW, COL = np.mgrid[:480, :720]
+BLOTCHES = np.random.default_rng(4).uniform(0.1, 0.9, (29, 43))[ROW // 17, COL // 17]
 RADIUS = ((ROW - 240) ** 2 + (COL - 360) ** 2) / (240**2 + 360**2)
 TRUE_BAYER = {
     "plain": np.full(ROW.shape, 0.3),
@@ -143,7 +144,7 @@ def test_slanted_stripes_of_an_exact_period_are_no_other_array(period: int, line
         assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
-@pytest.mark.parametrize("size", [(2, 2), (4, 4), (2, 4), (4, 6)])
+@pytest.mark.parametrize("size", [(2, 2), (4, 4), (2, 4), (4, 6), (3, 3), (3, 2), (3, 6), (6, 3), (1, 2), (2, 1)])
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("ratio", [1.2, 2, 25])
 def test_checks_of_an_exact_period_are_no_other_array(size: tuple[int, int], first: int, ratio: float) -> None:
@@ -157,10 +158,32 @@ def test_pairs_of_dark_rows_in_a_part_of_the_frame_are_no_other_array() -> None:
         assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
 
 
-def test_pairs_of_rows_of_two_gains_are_another_array() -> None:
-    for first in range(4):
-        light = np.where((ROW + first) % 4 < 2, 0.1, 0.4)
-        doubt = array_doubt(bayer_frame(light), np.array(BAYER, np.uint8))
+@pytest.mark.parametrize("first", range(4))
+@pytest.mark.parametrize("ratio", [2, 4, 25])
+@pytest.mark.parametrize("textured", [False, True])
+def test_pairs_of_dark_rows_with_the_noise_of_one_gain_are_no_other_array(first: int, ratio: float, textured: bool) -> None:
+    """Noise tells fences and blinds from sensors with two gains, even if the stripes are locked to the pixels."""
+    light = np.where((ROW + first) % 4 < 2, 0.5 / ratio, 0.5)
+    if textured:
+        light = light * BLOTCHES
+    assert array_doubt(bayer_frame(light), np.array(BAYER, np.uint8)) is None
+
+
+def two_gains(light: np.ndarray, ratio: float, first: int, gain: float) -> RawFrame:
+    """A frame of a sensor whose pairs of rows have the gains `gain` and `ratio` · `gain`, in DN per electron."""
+    rng = np.random.default_rng(5)
+    gains = gain * np.where((ROW + first) % 4 < 2, 1.0, ratio)
+    collected = rng.poisson(light * DAYLIGHT[np.tile(BAYER, (240, 360))] * 3000 / (gain * ratio))
+    values = 64 + gains * collected + rng.normal(0, 1, light.shape)
+    return RawFrame("a", np.rint(values).clip(0, 4095).astype(np.uint16), 64.0, 4095.0)
+
+
+@pytest.mark.parametrize("first", range(4))
+@pytest.mark.parametrize("ratio", [2.2, 4, 16])
+@pytest.mark.parametrize("gain", [0.1, 1])
+def test_pairs_of_rows_of_two_gains_are_another_array(first: int, ratio: float, gain: float) -> None:
+    for light in (np.full(ROW.shape, 0.4), BLOTCHES):
+        doubt = array_doubt(two_gains(light, ratio, first, gain), np.array(BAYER, np.uint8))
         assert doubt is not None
         assert "dual_iso" in doubt.likely(KNOWN)[:2]
 
