@@ -221,15 +221,15 @@ def _are_checks(means: NDArray[np.float64], period: tuple[int, ...]) -> bool:
     One function depends on the row, and the other function on the column. In CFAs that repeat with another period, either
     all sites of the mean super-pixel are nearly alike, as in a quad Bayer CFA, or some sites equal the mean super-pixel.
     """
-    sites, repeats = _super_pixels(means, period).mean(axis=(0, 2)), np.array(means.shape) // period
+    sites = _super_pixels(means, period).mean(axis=(0, 2))
     if np.ptp(sites) < CHECKED_SITES_DIFFER * sites.mean() or sites.min() <= 0:
         return False
     for _ in range(CHECK_FITS):  # the mean super-pixel contains a part of checks whose size is odd
-        left, sizes, right = np.linalg.svd(means / np.tile(sites, repeats) - 1.0)
+        left, sizes, right = np.linalg.svd(means / tiled(sites, means.shape) - 1.0)
         factors = 1.0 + sizes[0] * np.outer(left[:, 0], right[0])
         sums = [_super_pixels(each, period).sum(axis=(0, 2)) for each in (means * factors, factors**2)]
         sites = np.maximum(sums[0] / sums[1], MIN_SIGNAL)
-    checks = means / np.tile(sites, repeats) - 1.0
+    checks = means / tiled(sites, means.shape) - 1.0
     lines = max(np.abs(checks.mean(axis=axis)).max() for axis in (0, 1))  # 0 for checks, and large for stripes
     largest, second = np.linalg.svd(checks, compute_uv=False)[:2]
     contrast = np.abs(checks).max()
