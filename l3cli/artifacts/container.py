@@ -145,11 +145,21 @@ def open_file(path: Path) -> h5py.File:
     return h5py.File(path, "r", locking=False)
 
 
+def open_content(content: bytes) -> h5py.File:
+    """Open the bytes of a file for reading. Raises ValueError if they do not agree with the digest in the user block."""
+    if content[:BLOCK] != _user_block(hashlib.sha256(memoryview(content)[BLOCK:]).hexdigest()):
+        raise ValueError("the bytes do not agree with their digest")
+    return h5py.File(io.BytesIO(content), "r")
+
+
 def _block(raw: io.BufferedReader | io.FileIO) -> bytes:
     """Return the user block for the bytes that follow it."""
     raw.seek(BLOCK)
-    digest = hashlib.file_digest(raw, "sha256").hexdigest().encode()
-    return (TITLE + digest).ljust(BLOCK - 1) + b"\n"
+    return _user_block(hashlib.file_digest(raw, "sha256").hexdigest())
+
+
+def _user_block(digest: str) -> bytes:
+    return (TITLE + digest.encode()).ljust(BLOCK - 1) + b"\n"
 
 
 def encoded(text: Any) -> NDArray[np.bytes_]:

@@ -355,9 +355,19 @@ def write_part(path: Path, frame: TrainingPair, uncovered: float) -> None:
 def read_part(path: Path) -> TrainingPair:
     """Read the frame that `write_part` has stored."""
     with container.open_file(path) as part:
-        kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
-        frame: TrainingPair = store.read_fields(part["frame"], kind, path)
-        return frame
+        return _frame_of(part, path)
+
+
+def part_in(content: bytes) -> TrainingPair:
+    """Read the frame from the bytes of a file that `write_part` has written. Raises an exception if they are damaged."""
+    with container.open_content(content) as part:
+        return _frame_of(part, Path("frame.h5"))
+
+
+def _frame_of(part: h5py.File, path: Path) -> TrainingPair:
+    kind = TrainingFrame if part.attrs["simulated"] else TrainingPair
+    frame: TrainingPair = store.read_fields(part["frame"], kind, path)
+    return frame
 
 
 def whole_part(path: Path) -> bool:

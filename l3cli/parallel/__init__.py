@@ -58,9 +58,9 @@ def workers(jobs: int, scheduler: "Scheduler | None" = None) -> Iterator[WorkerP
         with workers_of(scheduler) as pool:
             yield pool
     elif jobs == 1:
-        yield WorkerPool(1, map)
+        yield WorkerPool(1, lambda function, items, _: map(function, items))
     else:
         from l3cli.parallel.processes import several
 
         with several(jobs) as mapped:
-            yield WorkerPool(jobs, mapped)
+            yield WorkerPool(jobs, lambda function, items, _: mapped(function, items))

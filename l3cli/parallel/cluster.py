@@ -14,6 +14,7 @@ import re
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from l3cli import __version__
-from l3cli.errors import InputFileError, L3Error, RecipeError
+from l3cli.errors import MAX_CHARACTERS, InputFileError, L3Error, RecipeError
 from l3cli.parallel.pool import WorkerPool
 from l3cli.system.limits import ONE_BLAS_THREAD
 
@@ -36,6 +37,7 @@ WITHOUT_TLS = (
     "the scheduler accepts connections from other machines without TLS, so other users can run programs under your account; "
     "use a tls:// address with ‹tls_ca›"
 )
+REPORTED = (L3Error, OSError, MemoryError)  # errors of a worker that are raised again, because l3 reports them in one line
 _one_at_a_time = threading.Lock()
 
 
@@ -173,34 +175,42 @@ class _Workers:
 _GONE = "the scheduler has stopped; start it and its workers again"
 
 
-def _sent_out(client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+def _sent_out(
+    client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T], fits: Callable[[T, R], bool]
+) -> Iterator[R]:
     """Send items to the workers, at most two per worker at a time, and yield the results in order.
 
     The workers keep the results until they are needed.
     """
 
-    def work(versions: dict[str, str], content: bytes) -> R:
+    def work(versions: dict[str, str], content: bytes) -> bytes:
         # A local function is sent by value instead of by name, so that a worker without l3cli can report that l3cli is
         # missing. The scheduler only forwards bytes and does not need l3cli.
         from l3cli.parallel.cluster import work_elsewhere
 
         return work_elsewhere(versions, content)
 
-    waiting: collections.deque[Any] = collections.deque()
+    waiting: collections.deque[tuple[T, Any]] = collections.deque()
+
+    def result() -> R:
+        item, future = waiting.popleft()
+        answer = _answer(client, workers, future)
+        return _opened(answer, lambda value: fits(item, value), lambda: _worker_of(client, future))
+
     try:
         for item in items:
-            waiting.append(client.submit(work, _versions(), pickle.dumps((function, item)), pure=False))
+            waiting.append((item, client.submit(work, _versions(), pickle.dumps((function, item)), pure=False)))
             if len(waiting) >= 2 * max(1, workers.count()):
-                yield _result(client, workers, waiting.popleft())
+                yield result()
         while waiting:
-            yield _result(client, workers, waiting.popleft())
+            yield result()
     finally:
-        for future in waiting:
+        for _, future in waiting:
             future.cancel()
 
 
-def _result(client: Any, workers: _Workers, future: Any) -> Any:
-    """Return the result of a future, or raise the error of the function. If a worker dies, dask repeats its item."""
+def _answer(client: Any, workers: _Workers, future: Any) -> Any:
+    """Wait for the answer of a worker. If a worker dies, dask repeats its item."""
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -214,13 +224,72 @@ def _result(client: Any, workers: _Workers, future: Any) -> Any:
     except (CancelledError, asyncio.CancelledError, CommClosedError) as error:
         raise L3Error(_GONE) from error
     except ImportError as error:
-        raise L3Error(f"a worker cannot import a module ({error}); install l3cli {__version__} on all workers") from error
+        raise _missing(error) from error
     except KilledWorker as error:
         raise L3Error(
             "several workers died at the same item, perhaps for lack of memory; use workers with more memory"
         ) from error
+    except L3Error:
+        raise
+    except Exception as error:  # dask cannot send or read the answer
+        raise L3Error(f"a worker failed ({_line(error)}); the log of the workers contains the traceback") from error
     finally:
         answer.cancel()
+
+
+def _opened(answer: Any, fits: Callable[[Any], bool], worker: Callable[[], str]) -> Any:
+    """Return the result that an answer of `work_elsewhere` contains.
+
+    Parameters
+    ----------
+    answer : bytes
+        The answer. A worker that runs other code may also send anything else.
+    fits : callable
+        Returns whether a result has the expected types and shapes, or raises an exception if not.
+    worker : callable
+        Returns the name of the worker, for messages.
+
+    Raises
+    ------
+    L3Error
+        If the worker failed, or if its answer cannot be read or does not fit.
+    """
+    try:
+        failed, value = pickle.loads(answer)
+    except Exception as error:
+        raise L3Error(f"worker {worker()} sent an answer that cannot be read ({_line(error)}); {_REPLACE}") from error
+    if isinstance(value, ImportError):
+        raise _missing(value)
+    if failed and isinstance(value, REPORTED):
+        raise value
+    if failed:
+        raise L3Error(f"worker {worker()} failed ({value}); its log contains the traceback")
+    try:
+        expected = fits(value)
+    except Exception:  # a value of a wrong type can fail in any way
+        expected = False
+    if not expected:
+        raise L3Error(f"worker {worker()} returned a wrong result, of the type {type(value).__name__}; {_REPLACE}")
+    return value
+
+
+_REPLACE = "stop this worker, or start it again with the same version of l3cli, and run the command again"
+
+
+def _missing(error: ImportError) -> L3Error:
+    return L3Error(f"a worker cannot import a module ({error}); install l3cli {__version__} on all workers")
+
+
+def _line(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:MAX_CHARACTERS]
+
+
+def _worker_of(client: Any, future: Any) -> str:
+    """Return the address of the worker that stores a result."""
+    try:
+        return str(next(iter(client.who_has([future])[future.key])))
+    except (OSError, RuntimeError, LookupError, StopIteration, CancelledError):  # the worker has gone
+        return "of an unknown address"
 
 
 def _versions() -> dict[str, str]:
@@ -229,8 +298,27 @@ def _versions() -> dict[str, str]:
     return {"l3cli": __version__, "numpy": importlib.metadata.version("numpy"), "Python": python}
 
 
-def work_elsewhere(versions: dict[str, str], content: bytes) -> Any:
-    """Compute function(item) in a worker. One item is computed at a time, because not all functions are thread-safe."""
+def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
+    """Compute function(item) in a worker.
+
+    Returns
+    -------
+    bytes
+        Pickle of (whether the function failed, its result or error). dask does not pickle the result or the error itself,
+        because a run would stop or wait if the main process could not read them. An error that is not `REPORTED` is sent as
+        text, because only the worker may know its class.
+    """
+    try:
+        return pickle.dumps((False, _computed(versions, content)))
+    except (*REPORTED, ImportError) as error:
+        return pickle.dumps((True, error))
+    except Exception as error:
+        traceback.print_exc()
+        return pickle.dumps((True, _line(error)))
+
+
+def _computed(versions: dict[str, str], content: bytes) -> Any:
+    """Return function(item). One item is computed at a time, because not all functions are thread-safe."""
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
             raise L3Error(f"a worker has {name} {ours}, but this machine has {theirs}; install the same version on both")

@@ -1,11 +1,19 @@
 """Convert SIGINT and SIGTERM to exceptions, after which the program cleans up and reports one line.
 
+<<<<<<< HEAD
 Outputs are temporary files that are renamed when they are complete, so an exception may occur at almost any time. Only two
 kinds of code must not be interrupted:
+=======
+Outputs are temporary files that are renamed when they are complete, so an exception may occur at any time. Signals must not
+interrupt only three kinds of code:
+>>>>>>> 03479a91 (Results of workers on other machines are checked where they arrive; their errors can always be read)
 
 * The callbacks through which HDF5 writes. HDF5 would discard both the exception and the data, and the file would look
   complete although it is not.
 * The initialisation of extension modules. Modules in C++, such as pyopencl, would abort the process.
+* The import of h5py. It first gives HDF5 functions for the conversion of types, and then tells Python to take them back at
+  exit. Between these two steps, an exception would lead to a crash at exit, because HDF5 would call the functions after
+  Python has ended.
 """
 
 import signal
@@ -20,6 +28,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 RETRY_SECONDS = 0.05  # delay before a signal that was held back is sent again
 
+HELD_BACK_IMPORT = "h5py"
 _held_back: set[CodeType] = {ExtensionFileLoader.create_module.__code__, ExtensionFileLoader.exec_module.__code__}
 
 
@@ -56,7 +65,8 @@ def leave_to_python() -> None:
 def end(number: int, frame: FrameType | None) -> None:
     """Handle a signal: raise its exception or, while signals are held back, send the signal again later."""
     while frame is not None:
-        if frame.f_code in _held_back:
+        imports = frame.f_code.co_name == "<module>" and frame.f_globals.get("__name__") == HELD_BACK_IMPORT
+        if imports or frame.f_code in _held_back:
             _send_again(number)
             return
         frame = frame.f_back

@@ -50,6 +50,14 @@ def empty_sums(rule: ClassRule, outputs: int) -> ClassSums:
     return ClassSums(np.zeros((classes, width * (width + 1) // 2)), np.zeros((classes, taps)), np.zeros(classes))
 
 
+def same_shapes(sums: ClassSums | LayerSums, others: ClassSums | LayerSums) -> bool:
+    """Return whether sums have the same type and shapes as other sums, so that they can be added."""
+    return type(sums) is type(others) and all(
+        (getattr(sums, name).dtype, getattr(sums, name).shape) == (np.float64, getattr(others, name).shape)
+        for name in ("moments", "noise", "count")
+    )
+
+
 def rounding_number(step: Array | float) -> Array:
     """Return 1.5 · 2⁵² steps, a number that rounds a float64 value to whole steps when it is added to the value."""
     return np.asarray(step * (1.5 * 2.0**52))

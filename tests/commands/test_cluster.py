@@ -41,6 +41,30 @@ file = "picture.png"
 CLASSES = "[classes]\npatch = 3\nlevels = 4\n[learning]\npatches = 52000\nfirst_draws = 1\ndraws = 1\n"  # two blocks
 TWO_SETS = CLASSES + "noise_left = 0.1\n"
 ROWS, COLS, FRAMES = 48, 64, 9
+LYING_WORKER = """
+import pathlib
+from l3cli.parallel import cluster
+
+class OnlyHere(Exception):
+    def __init__(self, first, second):
+        super().__init__(first)
+
+class Unreadable:
+    def __reduce__(self):
+        return OnlyHere, ()
+
+def fail():
+    raise OnlyHere(1, 2)
+
+LIES = {
+    "a number": lambda: 5,
+    "an empty list": lambda: [],
+    "bytes": lambda: b"5",
+    "an unreadable value": Unreadable,
+    "an error of an unknown class": fail,
+}
+cluster._computed = lambda versions, content: LIES[pathlib.Path("lie").read_text()]()
+"""
 DASK = "import sys; sys.modules.update(matplotlib=None, pandas=None)\nfrom dask.__main__ import main\nmain()"
 
 
@@ -56,20 +80,30 @@ class Cluster:
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", port, "--protocol", self.address[:3])
         self.workers: list[subprocess.Popen[bytes]] = []
 
-    def add(self, count: int) -> None:
-        options = ("--nthreads", 1, "--no-nanny", "--local-directory", self._folder)
+    def add(self, count: int, *more: object) -> None:
+        options = ("--nthreads", 1, "--no-nanny", "--local-directory", self._folder, *more)
         self.workers += [self._start("worker", self.address, *options) for _ in range(count)]
 
     def _start(self, *command: object) -> "subprocess.Popen[bytes]":
         place = {"PYTHONPATH": PYTHONPATH, **ONE_BLAS_THREAD}  # holds what the workers are to do
         line = [sys.executable, "-c", DASK, *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
-            return subprocess.Popen(list(map(str, line)), stdout=log, stderr=log, env={**os.environ, **place})
+            inherited = {"stdout": log, "stderr": log, "env": {**os.environ, **place}}
+            return subprocess.Popen(list(map(str, line)), cwd=self._folder, **inherited)
 
     def end(self) -> None:
         for process in (*self.workers, self.scheduler):
             process.kill()
             process.wait()
+
+    def wait_for_scheduler(self) -> None:
+        host, port = self.address.rpartition("/")[2].split(":")
+
+        def answers() -> bool:
+            with socket.socket() as probe:
+                return probe.connect_ex((host, int(port))) == 0
+
+        _wait_until(answers)
 
 
 @contextlib.contextmanager
@@ -77,6 +111,7 @@ def a_cluster(folder: Path, count: int, *tls: object) -> Iterator[Cluster]:
     cluster = Cluster(folder, *tls)
     try:
         cluster.add(count)
+        cluster.wait_for_scheduler()
         yield cluster
     finally:
         cluster.end()
@@ -208,6 +243,36 @@ def test_what_a_worker_raises_is_raised_in_place(cluster: Cluster) -> None:
         assert list(pool(squared, range(4))) == [0, 1, 4, 9]
 
 
+@pytest.fixture(scope="module")
+def liar(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cluster, Path]]:
+    """A cluster whose only worker returns something else than it should, and the file that says what."""
+    folder = tmp_path_factory.mktemp("liar")
+    (folder / "lying.py").write_text(LYING_WORKER)
+    with a_cluster(folder, 0) as cluster:
+        cluster.add(1, "--preload", folder / "lying.py")
+        yield cluster, folder / "lie"
+
+
+@pytest.mark.parametrize(
+    "lie", ["a number", "an empty list", "bytes", "an unreadable value", "an error of an unknown class"]
+)
+def test_a_worker_that_lies_is_named(
+    lie: str, liar: tuple[Cluster, Path], made: Path, bayer_recipe: Path, tmp_path: Path, refused: Refused
+) -> None:
+    cluster, file = liar
+    file.write_text(lie)
+    commands = [
+        ("simulate", made / "scenes.toml", "--camera", bayer_recipe, "-o", tmp_path / "training.h5"),
+        ("train", made / "training.h5", "--classes", made / "classes.toml", "-o", tmp_path / "table.h5"),
+        ("render", *frames(made), "-o", tmp_path / "video.y4m"),
+    ]
+    if lie != "bytes":  # the content of a picture file is not decoded
+        commands.append(("render", *frames(made), "--exposure", 1, "-o", tmp_path / "pictures"))
+    for command in commands:
+        assert "worker tcp://127.0.0.1:" in refused(1, *command, "--scheduler", cluster.address)
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".h5", ".png", ".y4m") and path.is_file()]
+
+
 def test_few_results_are_pending(cluster: Cluster) -> None:
     """Items are taken when there is room for them, not all at once."""
     taken: list[int] = []
@@ -245,7 +310,7 @@ def test_a_run_over_tls_ends_without_workers_and_without_its_scheduler(
     shutil.copy(certificate, ca)  # it signs itself
     monkeypatch.setattr(elsewhere, "ANSWER_SECONDS", 2.0)
     with a_cluster(tmp_path, 0, "--tls-ca-file", ca, "--tls-cert", certificate, "--tls-key", key) as cluster:
-        there = _there(cluster, ca, certificate, key)
+        there = Scheduler(cluster.address, ca, certificate, key)
         with monkeypatch.context() as hasty:
             hasty.setattr(elsewhere, "WORKERLESS_SECONDS", 1.0)
             with pytest.raises(L3Error, match="no worker for 1 s"), workers(1, there):
@@ -272,18 +337,6 @@ def _go_on(results: Iterator[object], fault: Callable[[], None]) -> None:
     fault()
     for _ in results:
         pass
-
-
-def _there(cluster: Cluster, ca: Path, certificate: Path, key: Path) -> Scheduler:
-    """Its scheduler, which answers."""
-    host, port = cluster.address.rpartition("/")[2].split(":")
-
-    def answers() -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex((host, int(port))) == 0
-
-    _wait_until(answers)
-    return Scheduler(cluster.address, ca, certificate, key)
 
 
 # ------------------------------------------------------------------------------------------- doors and their keys

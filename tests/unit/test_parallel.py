@@ -170,6 +170,34 @@ main()
     assert (ended.returncode, ended.stdout, ended.stderr) == (code, "", f"l3: {word}\n")
 
 
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_a_signal_that_falls_into_the_import_of_h5py_waits(number: int, code: int, word: str) -> None:
+    """Otherwise HDF5 would keep the converters of h5py, and call them after Python has ended."""
+    program = f"""
+import atexit, signal, time
+from l3cli import cli
+
+register = atexit.register
+
+def disturbed(function, *arguments):
+    if "converters" in function.__name__:
+        signal.raise_signal({int(number)})
+    return register(function, *arguments)
+
+def work(*_, **__):
+    atexit.register = disturbed
+    import h5py
+    time.sleep(60)
+
+cli.l3.main = work
+cli.main()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE)
+    assert (ended.returncode, ended.stderr.strip()) == (code, f"l3: {word}")
+
+
 @pytest.mark.parametrize("call", ["pwrite", "ftruncate"])
 def test_a_signal_that_falls_into_hdf5_waits_until_it_has_written(tmp_path: Path, call: str) -> None:
     """An exception out of what HDF5 calls would crash it, or be forgotten together with what was to be written."""

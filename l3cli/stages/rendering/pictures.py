@@ -145,7 +145,7 @@ class RemotePictures:
                 sent.append(replace(task, frame=None))
                 yield self._setup, _without_shading(task, self._shading)
 
-        for picture in self._pool(_made_by_worker, jobs()):
+        for picture in self._pool(_made_by_worker, jobs(), _is_made):
             yield sent.popleft(), picture
 
 
@@ -176,6 +176,18 @@ def _made_by_worker(job: tuple[RenderSetup, FrameTask]) -> Any:
         return error if isinstance(error, L3Error) else InputFileError(str(error))
     ((_, picture),) = PictureMaker(setup, renderer).pictures([task])
     return picture if setup.suffix is None else picture_file(Path(f"frame{setup.suffix}"), picture)
+
+
+def _is_made(job: tuple[RenderSetup, FrameTask], made: Any) -> bool:
+    """Whether a worker on another machine has returned the result of `_made_by_worker`."""
+    setup, task = job
+    if isinstance(made, L3Error):
+        return True
+    if setup.suffix is not None:
+        return isinstance(made, bytes) and len(made) > 0
+    pixels: NDArray[Any] = made.pixels
+    of_frame = task.frame is None or sorted(pixels.shape[:2]) == sorted(task.frame.values.shape)  # pictures may be rotated
+    return isinstance(made, Picture) and of_frame and (setup.rendition.raw or 8 * pixels.itemsize == setup.rendition.bits)
 
 
 def _read_by_worker(task: FrameTask, setup: RenderSetup, table: TransformTable) -> FrameTask:

@@ -18,7 +18,15 @@ import numpy as np
 
 from l3cli.artifacts.inspection import history_of
 from l3cli.artifacts.schema import Stage
-from l3cli.artifacts.training_set import SceneCoverage, TrainingPair, TrainingSetWriter, read_part, write_part
+from l3cli.artifacts.training_set import (
+    SceneCoverage,
+    TrainingFrame,
+    TrainingPair,
+    TrainingSetWriter,
+    part_in,
+    read_part,
+    write_part,
+)
 from l3cli.errors import InputFileError, raised_as
 from l3cli.parallel import WorkerPool
 from l3cli.parallel.cluster import scratch_folder
@@ -166,7 +174,7 @@ def received(pool: WorkerPool, work: list[WorkUnit], stored: StoredFrames, diges
         hashes = {path: digests[path] for path in unit.files}
         parts = (unit.shots[start : start + most] for start in range(0, len(unit.shots), most))
         needed += [replace(unit, shots=part, digests=hashes) for part in parts]
-    for sent in pool(_sent, needed):
+    for sent in pool(_sent, needed, _are_frames_of):
         for index, content in sent:
             write_whole(stored.path(index), content)
         yield len(sent)
@@ -182,6 +190,18 @@ def _sent(unit: WorkUnit) -> list[tuple[int, bytes]]:
             write_part(folder / "frame.h5", frame, uncovered)
             sent.append((index, (folder / "frame.h5").read_bytes()))
         return sent
+
+
+def _are_frames_of(unit: WorkUnit, sent: list[tuple[int, bytes]]) -> bool:
+    """Whether a worker on another machine has returned the frames of a unit."""
+    frames = [part_in(content) for _, content in sent]
+    camera, outputs = unit.run.camera, len(unit.run.target.outputs)
+    return [index for index, _ in sent] == [shot.index for shot in unit.shots] and all(
+        len(frame.target) == outputs
+        and isinstance(frame, TrainingFrame) != isinstance(unit.what, Pair)
+        and not (isinstance(frame, TrainingFrame) and len(frame.electrons) != len(camera.channels))
+        for frame in frames
+    )
 
 
 def _pair(pair: Pair, run: SimulationRun) -> Any:

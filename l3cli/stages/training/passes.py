@@ -5,15 +5,19 @@ and solves them for the transforms of the first layer.
 """
 
 import collections
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from l3cli.artifacts.partial_sums import ClassSums
 from l3cli.artifacts.table import TransformTable
 from l3cli.artifacts.training_set import TrainingSet
 from l3cli.classes.rule import left_out
 from l3cli.parallel import WorkerPool
+from l3cli.physics.spectra import light_grid
 from l3cli.recipes.faults import refuse_first
 from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
@@ -21,7 +25,7 @@ from l3cli.training.accumulate import sum_sites
 from l3cli.training.recipe import TrainingRecipe, layer_faults, learning_faults
 from l3cli.training.sample_weighting import SampleWeighting, sample_weighting
 from l3cli.training.solve import Solution
-from l3cli.training.sums import add
+from l3cli.training.sums import add, empty_sums, same_shapes
 from l3cli.training.table import Pilot, assemble, learn_site, pilot_patches, survey, take_pilot
 from l3cli.training.training_pass import FIRST, LAST, TrainingPass, WorkShare, frame_blocks, has_two_passes, work_shares
 
@@ -65,7 +69,7 @@ def first_pass(run: TrainingRun, execution: Execution) -> TrainingPass:
     chunks = (range(first, min(first + size, len(patches))) for first in range(0, len(patches), size))
     about = (run.training, execution.remote, run.head, run.recipe, run.seed)
     units = [PilotUnit(*about, frames, patches[frames.start : frames.stop]) for frames in chunks]
-    pilots = execution.console.progress(execution.pool(_pilot, units), len(units), "pilot")
+    pilots = execution.console.progress(execution.pool(_pilot, units, _is_pilot_of), len(units), "pilot")
     rule, white, exposure, light = survey(pilots, run.patches, run.head, run.recipe, run.seed)
     kinds = f"({rule.chromas} chromas + {rule.cases - 1} saturation cases)"
     features = "".join(f" × {feature.size} values of {feature.name}" for feature in rule.feature_list)
@@ -103,6 +107,21 @@ class PilotUnit:
 def _pilot(unit: PilotUnit) -> Pilot:
     frames = frames_of(unit.training, unit.frames, unit.remote)
     return take_pilot(frames, unit.frames.start, unit.patches, unit.head, unit.recipe, unit.seed)
+
+
+def _is_pilot_of(unit: PilotUnit, pilot: Pilot) -> bool:
+    """Whether a worker on another machine has returned the pilot of a unit."""
+    channels, frames = len(unit.head.camera.channels), len(unit.frames)
+    measured = (pilot.shares, pilot.whites, pilot.lights, pilot.exposures, *pilot.observed.values())
+    return (
+        isinstance(pilot, Pilot)
+        and (pilot.occurrences.dtype, pilot.occurrences.shape) == (np.int64, (2**channels,))
+        and all(isinstance(values, np.ndarray) and values.dtype.kind == "f" for values in measured)
+        and pilot.shares.shape[1:] == (channels,)
+        and pilot.whites.shape == (frames, len(unit.head.outputs))
+        and pilot.lights.shape == (frames, light_grid(unit.head.camera.wavelength).size)
+        and pilot.exposures.shape == (frames,)
+    )
 
 
 @dataclass(frozen=True)
@@ -154,7 +173,7 @@ def summed(
         units.append(WorkUnit(run.training, execution.remote, pass_, share, weightings))
     left = collections.Counter(site for unit in units for site in unit.weightings)
     waiting: dict[int, ClassSums] = {}
-    for results in execution.console.progress(execution.pool(function, units), len(units), "sums"):
+    for results in execution.console.progress(execution.pool(function, units, _are_results_of), len(units), "sums"):
         for site, result in results.items():
             left[site] -= 1
             if site in waiting:
@@ -163,6 +182,22 @@ def summed(
                 waiting[site] = result
             if not left[site]:
                 yield site, waiting.pop(site)
+
+
+def _are_results_of(unit: WorkUnit, results: dict[int, ClassSums | Solution]) -> bool:
+    """Whether a worker on another machine has returned the sums or solutions of a work unit."""
+    outputs = len(unit.pass_.head.outputs)
+    empty = empty_sums(unit.pass_.rule, outputs)
+
+    def fits(site: int, result: ClassSums | Solution) -> bool:
+        if isinstance(result, ClassSums):
+            return same_shapes(result, empty)
+        classes, taps = empty.noise.shape
+        return (
+            site in unit.share.whole and isinstance(result, Solution) and result.taps.shape == (classes, taps + 1, outputs)
+        )
+
+    return set(results) == set(unit.share.sites) and all(itertools.starmap(fits, results.items()))
 
 
 def learn_first(run: TrainingRun, pass_: TrainingPass, execution: Execution) -> TransformTable:

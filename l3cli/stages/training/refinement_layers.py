@@ -18,6 +18,7 @@ from l3cli.stages.training.run import TrainingRun, TrainingSource, frames_of
 from l3cli.system.console import Console
 from l3cli.training.layers import rules
 from l3cli.training.layers.learn import LayerPass, add_sums, no_sums, sum_layer
+from l3cli.training.sums import same_shapes
 from l3cli.training.table import finished_layer, layer_pass
 from l3cli.training.training_pass import spread_patches
 
@@ -93,7 +94,9 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
     if like is not None and (layer.camera.gain, layer.camera.noise_left) == (run.head.camera.gain, 1):
         return like
     units = _units(run, layer, None, layer.blocks, execution)
-    measured = execution.console.progress(execution.pool(_measure, units), len(units), f"layer {layer.number}, pilot")
+    measured = execution.console.progress(
+        execution.pool(_measure, units, _is_measured), len(units), f"layer {layer.number}, pilot"
+    )
     scale = rules.gradient_scale(layer, [noise for part in measured for noise in part])
     if like is not None:
         return like.scaled_as(scale)
@@ -102,7 +105,9 @@ def layer_rule(run: TrainingRun, layer: LayerPass, execution: Execution, like: P
         classes = f"{rule.levels} levels × ({rule.structures} structures + {rule.cases - 1} saturation cases)"
     else:
         units = _units(run, layer, scale, layer.blocks, execution)
-        sampled = execution.console.progress(execution.pool(_sample, units), len(units), f"layer {layer.number}, tree")
+        sampled = execution.console.progress(
+            execution.pool(_sample, units, _are_samples), len(units), f"layer {layer.number}, tree"
+        )
         samples = [sample for part in sampled for sample in part]
         with threaded(execution.pool.size) as mapped:  # as many threads as processes, because the processes are idle now
             rule = rules.tree_rule(layer, scale, samples, mapped)
@@ -117,7 +122,7 @@ def summed_layer(
     """Return the sums of each canonical site over blocks of frames."""
     sums = no_sums(layer, rule)
     units = _units(run, layer, rule, blocks, execution)
-    for part in execution.console.progress(execution.pool(_sum, units), len(units), f"layer {layer.number}"):
+    for part in execution.console.progress(execution.pool(_sum, units, _are_sums), len(units), f"layer {layer.number}"):
         add_sums(sums, part)
     return sums
 
@@ -150,3 +155,21 @@ def _sample(unit: LayerUnit) -> list[dict[int, rules.TreeSamples]]:
 def _sum(unit: LayerUnit) -> dict[int, LayerSums]:
     assert isinstance(unit.known, PlaneRule)
     return sum_layer(unit.layer, unit.known, _read(unit))
+
+
+def _is_measured(unit: LayerUnit, measured: list[NDArray[np.float64]]) -> bool:
+    """Whether a worker on another machine has returned the result of `_measure`."""
+    return all((noise.dtype, noise.shape) == (np.float64, (2, unit.layer.rule.levels)) for noise in measured)
+
+
+def _are_samples(unit: LayerUnit, sampled: list[dict[int, rules.TreeSamples]]) -> bool:
+    """Whether a worker on another machine has returned the result of `_sample`."""
+    frames = sum(map(len, unit.blocks))
+    return len(sampled) == frames and all(rules.are_samples(unit.layer, samples) for samples in sampled)
+
+
+def _are_sums(unit: LayerUnit, sums: dict[int, LayerSums]) -> bool:
+    """Whether a worker on another machine has returned the result of `_sum`."""
+    assert isinstance(unit.known, PlaneRule)
+    empty = no_sums(unit.layer, unit.known)
+    return set(sums) == set(empty) and all(same_shapes(sums[site], empty[site]) for site in empty)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from l3cli.artifacts.layers import PLANE_STEP
+from l3cli.artifacts.layers import PLANE_STEP, PLANES
 from l3cli.artifacts.plane_rules import MAX_DEPTH, SMALLEST, TESTS, GradientScale, StructureRule, TreeRule
 from l3cli.artifacts.training_set import TrainingPair
 from l3cli.classes import structure
@@ -331,8 +331,7 @@ def sample_tree(
     list of dict of int to TreeSamples
         For each frame, the samples of each canonical site.
     """
-    side = min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
-    see, reading, sampled = layer.seer(), layer.reading(side), []
+    see, reading, sampled = layer.seer(), layer.reading(_split_side(layer)), []
     judged, turns = _judged(layer), layer.turns
     per_mosaic = -(-layer.recipe.tree_rows // sum(layer.mosaics))
     exposed = replace(layer.exposed, inner=min(layer.exposed.inner, TREE_SIDE_PIXELS))
@@ -363,6 +362,24 @@ def sample_tree(
                     )
         sampled.append({site: TreeSamples.concatenated(several) for site, several in parts.items()})
     return sampled
+
+
+def _split_side(layer: LayerPass) -> int:
+    """Return the side of the windows that evaluate splits, in pixels."""
+    return min(layer.recipe.side, SPLIT_SIDE_PIXELS) if layer.learning.noise == "none" else layer.recipe.side
+
+
+def are_samples(layer: LayerPass, samples: dict[int, TreeSamples]) -> bool:
+    """Return whether `samples` has the types and shapes that `sample_tree` returns for a frame."""
+    width, sites = PLANES * _split_side(layer) ** 2 + OUTPUTS, layer.reading(1).canonical
+    return all(
+        site in sites
+        and isinstance(each, TreeSamples)
+        and each.columns.shape[1:] == (width,)
+        and each.numerators.shape == (TESTS, len(each.columns))
+        and each.denominators.shape[1:] == (len(each.columns),)
+        for site, each in samples.items()
+    )
 
 
 def tree_rule(
