@@ -88,8 +88,8 @@ class Cluster:
         place = {"PYTHONPATH": PYTHONPATH, **ONE_BLAS_THREAD}  # holds what the workers are to do
         line = [sys.executable, "-c", DASK, *command, "--no-dashboard", *self._tls]
         with open(self._folder / "log", "ab") as log:
-            inherited = {"stdout": log, "stderr": log, "env": {**os.environ, **place}}
-            return subprocess.Popen(list(map(str, line)), cwd=self._folder, **inherited)
+            environment = {**os.environ, **place}
+            return subprocess.Popen(list(map(str, line)), cwd=self._folder, stdout=log, stderr=log, env=environment)
 
     def end(self) -> None:
         for process in (*self.workers, self.scheduler):
