@@ -14,6 +14,7 @@ import pytest
 from tests.helpers.hostile import HANGS
 from tests.helpers.stages import CLASSES, SCENES, is_remnant, make_inputs
 
+ENDS = {signal.SIGINT: (130, "interrupted"), signal.SIGTERM: (143, "terminated")}
 CALLS = {  # that take more than a second, and the files in "out" that show that they are at work
     "simulate in/many.toml --camera in/camera.h5 -o out/set.h5 --jobs 2": "set.h5.parts/0*.h5",
     "train in/training.h5 --classes in/patches.toml -o out/table.h5 --jobs 2": ".table.h5.l3lock",
@@ -31,11 +32,11 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+@pytest.mark.parametrize(  # each signal ends a command with workers and one without; make soak has every stage with both
+    ("line", "number"), [*zip(CALLS, [signal.SIGTERM, signal.SIGINT, signal.SIGTERM, signal.SIGINT], strict=True)]
 )
-@pytest.mark.parametrize("line", CALLS, ids=lambda line: line.split()[0])
-def test_a_signal_ends_a_command(line: str, number: int, code: int, word: str, inputs: Path, tmp_path: Path) -> None:
+def test_a_signal_ends_a_command(line: str, number: signal.Signals, inputs: Path, tmp_path: Path) -> None:
+    code, word = ENDS[number]
     (tmp_path / "in").symlink_to(inputs)
     run = subprocess.Popen(
         [sys.executable, "-m", "l3cli", *line.split(), "--quiet"],

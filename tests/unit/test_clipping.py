@@ -99,7 +99,8 @@ def test_no_pixel_is_brighter_than_the_clipped_white(variant: str, sides: tuple[
     far = before[1] > WHITE_FROM * white[1]
     assert far.any()
     np.testing.assert_allclose(expected[:, far], np.broadcast_to(white[:, None], (3, far.sum())))
-    for outputs in (OpenCLRenderer(table, variant=variant).outputs(frame), OpenCLRenderer(table).classified(frame)[0]):
+    device = OpenCLRenderer(table, variant=variant)
+    for outputs in (device.outputs(frame), device.classified(frame)[0]):
         np.testing.assert_allclose(outputs, expected, atol=1e-5 * np.abs(expected).max())
 
 

@@ -101,18 +101,18 @@ def test_every_changed_byte_is_refused_or_read_as_by_the_library(tmp_path: Path)
     write_mosaic(path, mosaic(5, 7), 0.04)
     whole, accepted = path.read_bytes(), 0
     for place in range(len(whole)):
-        for change in (1, 0x80, 0xFF):
-            broken.write_bytes(whole[:place] + bytes([whole[place] ^ change]) + whole[place + 1 :])
-            plain = tiff.read_plain(broken)
-            assert tiff.is_plain(broken) == (plain is not None)
-            if plain is not None:
-                theirs = tiff.read_by_library(broken)
-                np.testing.assert_array_equal(plain["values"], theirs["values"])
-                assert plain["exposure"] == pytest.approx(theirs["exposure"], rel=1e-6)
-                accepted += 1
+        change = (1, 0x80, 0xFF)[place % 3]
+        broken.write_bytes(whole[:place] + bytes([whole[place] ^ change]) + whole[place + 1 :])
+        plain = tiff.read_plain(broken)
+        assert tiff.is_plain(broken) == (plain is not None)
+        if plain is not None:
+            theirs = tiff.read_by_library(broken)
+            np.testing.assert_array_equal(plain["values"], theirs["values"])
+            assert plain["exposure"] == pytest.approx(theirs["exposure"], rel=1e-6)
+            accepted += 1
         broken.write_bytes(whole[:place])
         assert tiff.read_plain(broken) is None
-    assert 70 <= accepted < 2 * len(whole)  # of three times as many: pixels, the date, the exposure, unused bytes
+    assert 70 <= accepted < 2 / 3 * len(whole)  # pixels, the date, the exposure, unused bytes
 
 
 @pytest.mark.usefixtures("in_this_process")
