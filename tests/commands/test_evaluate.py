@@ -137,7 +137,7 @@ def test_pictures_of_every_frame(trained: Path, document: dict[str, Any], refuse
     expected = [document["frames"][0][name]["psnr"] for name in ("ours", "basic")]
     assert -10 * np.log10(error) == pytest.approx(expected, abs=0.1)
     other = trained / "table.h5", trained / "training.h5", "--viewing", 60, "--quiet"  # not what has made them
-    assert "not empty" in refused(1, "evaluate", *other, "--pictures", folder)
+    assert folder.name in refused(1, "evaluate", *other, "--pictures", folder)
 
 
 BANDS = ("450 nm", "550 nm", "650 nm")
@@ -164,8 +164,8 @@ def test_bands_are_judged_as_spectra(
     assert [entry["band"] for entry in document["by_band"]] == document["outputs"]
     assert 0 < document["mean"]["ours"]["mean_angle"] < 20
     assert l3("evaluate", *of_bands)[0] == 0
-    assert "different outputs" in refused(3, "evaluate", of_bands[0], trained / "training.h5")
-    assert "X, Y, Z" in refused(2, "evaluate", *of_bands, "--pictures", tmp_path / "pictures")
+    assert "450 nm, 550 nm, 650 nm" in refused(3, "evaluate", of_bands[0], trained / "training.h5")
+    assert "450 nm, 550 nm, 650 nm" in refused(2, "evaluate", *of_bands, "--pictures", tmp_path / "pictures")
 
 
 def test_black_areas_have_no_angle_and_no_class(trained: Path, of_bands: tuple[Path, Path], l3: L3, tmp_path: Path) -> None:
@@ -225,14 +225,14 @@ def test_wrong_calls_are_one_line(trained: Path, refused: Refused, l3: L3, tmp_p
 
     rewritten(frames, tmp_path / "small.h5", ("X", "Y", "Z"), small)
     assert "CFAs" in refused(3, "evaluate", tmp_path / "other.h5", frames)
-    assert "contains no frames" in refused(3, "evaluate", table, tmp_path / "empty.h5")
-    assert "4×40 pixels" in refused(3, "evaluate", table, tmp_path / "small.h5")
+    assert "empty.h5" in refused(3, "evaluate", table, tmp_path / "empty.h5")
+    assert "4×40" in refused(3, "evaluate", table, tmp_path / "small.h5")
     code, out, err = l3("evaluate", table, frames, "--border", "24")
     assert (code, out) == (3, "")
     assert "48×56 pixels and is too small for a border of 24 pixels" in err
-    assert "border" in refused(2, "evaluate", table, frames, "--border", "-1")
-    assert "viewing" in refused(2, "evaluate", table, frames, "--viewing", "0")
-    assert "backend" in refused(2, "evaluate", table, frames, "--backend", "abacus")
+    assert "--border" in refused(2, "evaluate", table, frames, "--border", "-1")
+    assert "--viewing" in refused(2, "evaluate", table, frames, "--viewing", "0")
+    assert "--backend" in refused(2, "evaluate", table, frames, "--backend", "abacus")
 
 
 # ---------------------------------------------------------------------------------------------------- classes

@@ -46,6 +46,14 @@ MISTAKES = """
         empty.toml:1: missing key `name`
     2 calibrate lab/MEASUREMENTS.toml
         Missing option '-o'
+    2 calibrate no_pitch.toml -o new.h5
+        missing key `pixel_pitch_um` in [sensor]
+    2 calibrate bits.toml -o new.h5
+        sensor.bits is 99; use at most 16
+    2 calibrate broken.toml -o new.h5
+        not valid TOML
+    2 calibrate two_kinds.toml -o new.h5
+        contains mono and curves
     1 calibrate lab/MEASUREMENTS.toml -o folder
         folder is a folder; choose a file
     1 calibrate lab/MEASUREMENTS.toml -o raw.tif/new.h5
@@ -126,6 +134,38 @@ MISTAKES = """
         set --black-level and --white-level
     2 render table.h5 raw.tif -o new.png --white D651
         illuminant "D651" is unknown; did you mean "D65"
+    2 render table.h5 raw.tif -o new.png --white 30,40,0
+        2…1000 pixels
+    2 render table.h5 raw.tif -o new.png --white 30,40,2.5
+        whole pixels
+    2 render table.h5 raw.tif -o new.png --white -3,40
+        0…1000000 pixels
+    2 render table.h5 raw.tif -o new.png --white 2,1,1,1.5
+        has 4 multipliers, but the channels are r, g, b
+    2 render table.h5 raw.tif -o new.png --white 2.1,0,1.4
+        0.05…20
+    2 render table.h5 raw.tif -o new.png --white 2.1,nan,1.4
+        not a number
+    3 render table.h5 raw.tif -o new.png --white 5000,5000
+        exceeds the picture of 160×240 pixels
+    3 render table.h5 raw.tif -o new.png --white camera
+        states no white balance
+    3 render table.h5 grey.npy -o new.png --white chart
+        no ColorChecker with 4×6 patches found
+    3 render table.h5 text.pgm -o new.png
+        in text form
+    3 render table.h5 colours.pgm -o new.png
+        not a binary PGM
+    3 render table.h5 cut.pgm -o new.png
+        truncated
+    3 render table.h5 long.pgm -o new.png
+        too long
+    3 render table.h5 zero.pgm -o new.png
+        invalid header
+    3 render table.h5 above.pgm -o new.png
+        maximum of 9
+    3 render table.h5 text.fits -o new.png
+        cannot be decoded
     2 render table.h5 raw.tif -o new.png --backend opencll
         did you mean "opencl"?
     2 render table.h5 raw.tif -o new.mp4 --codec h256
@@ -180,10 +220,176 @@ MISTAKES = """
         no recipe "byer"; did you mean "bayer"?
     1 init bayer raw.tif
         raw.tif is a file; choose a folder
+    2 calibrate -o new.h5
+        --photo
+    2 calibrate lab/MEASUREMENTS.toml --light A -o new.h5
+        leave --light out
+    2 calibrate lab/MEASUREMENTS.toml --camera bayer -o new.h5
+        --camera is only for --draft
+    2 calibrate --draft lab -o new.h5
+        ends in .toml
+    3 calibrate --draft nothing -o new.toml
+        nothing is not a folder
+    3 calibrate --draft folder -o new.toml
+        folder contains no raw frame
+    3 calibrate --draft lab/spectra -o new.toml
+        neither a sweep nor responsivities, and there is no raw frame
+    2 calibrate --draft lab -o new.toml --photo a.dng
+        leave --photo out
+    2 calibrate --draft lab lab/MEASUREMENTS.toml -o new.toml
+        leave MEASUREMENTS.toml out
+    2 calibrate --draft lab --camera fiveband -o new.toml
+        but the frames have
+    2 simulate scenes.toml --camera camera.h5 -o new.h5 --tls-ca raw.tif --tls-cert raw.tif --tls-key raw.tif
+        need --scheduler
+    2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler tcp://127.0.0.1:1 --jobs 2
+        remove --jobs
+    2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler 127.0.0.1:8786
+        is not the address of a scheduler
+    2 simulate scenes.toml --camera camera.h5 -o new.h5 --scheduler tls://127.0.0.1:1
+        needs --tls-ca, --tls-cert and --tls-key
+    2 train training.h5 --classes level.toml -o new.h5
+        unknown key `level` in [classes]
+    2 train training.h5 --classes levels.toml -o new.h5
+        more levels than values
+    2 train training.h5 --shares 1,2 -o new.h5
+        --shares contains 2 values, but the number of training sets is 1
+    2 train training.h5 --shares 0 -o new.h5
+        contains no proportion above zero
+    2 train training.h5 --shares 1e999 -o new.h5
+        the nearest valid value is 1e+06
+    2 train training.h5 --shares x -o new.h5
+        is not a number
+    2 train training.h5 --shares "" -o new.h5
+        in a list such as 1,0.7,0.4
+    2 train training.h5 --shard 4/3 -o new.h5
+        use a shard from 1/3 to 3/3
+    2 train training.h5 --shard 3 -o new.h5
+        does not have the form I/N
+    3 train training.h5 --shard 1/3 --first table.h5 -o new.h5
+        is not the table of the first pass
+    2 train training.h5 --first table.h5 -o new.h5
+        --first works only with --shard
+    2 train --merge training.h5 --shard 1/3 -o new.h5
+        --merge reads classes
+    2 train --merge training.h5 --shares 1 -o new.h5
+        --merge reads classes
+    3 train --merge training.h5 -o new.h5
+        training.h5 contains a training set; use a file written by
+    2 render table.h5 raw.tif -o new.jpg --bits 16
+        8 bits
+    2 render table.h5 raw.tif -o new.png --exposure +1
+        write 1 (factor of Y) or +1EV (brighter than auto)
+    2 render table.h5 raw.tif -o new.png --exposure -1
+        auto, camera, or EV relative to auto such as -1EV
+    2 render table.h5 raw.tif -o new.png --exposure 30EV
+        -20…20 EV
+    2 render table.h5 raw.tif -o new.png --size 3x-4
+        ROWSxCOLS
+    2 render table.h5 raw.tif -o new.png --backend reference --variant graphics
+        --variant applies only to the backend opencl
+    2 render table.h5 raw.tif -o new.exr --hot yes
+        auto
+    3 render table.h5 raw.tif -o new.exr --camera camera.h5
+        set --camera to the camera of the frame
+    3 render table.h5 raw.tif -o new.exr --camera nothing.h5
+        nothing.h5 does not exist
+    2 render table.h5 raw.tif -o new.png --uncertainty new.tif
+        .exr
+    2 render table.h5 frames -o new.mp4 --bits 32
+        videos cannot store 32 bits
+    2 render table.h5 raw.tif picture.png -o new --format gif
+        unsupported suffix
+    2 render table.h5 raw.tif - -o new
+        stdin cannot be combined with other inputs
+    2 evaluate
+        or --sequence
+    2 evaluate table.h5
+        or --sequence
+    2 evaluate table.h5 --sequence unseen
+        leave TABLE.h5
+    2 evaluate --sequence unseen --viewing 60
+        --viewing cannot be used with --sequence
+    3 evaluate --sequence nothing
+        nothing does not exist
+    3 evaluate --sequence folder
+        folder contains no pictures
+    3 evaluate --sequence picture.png
+        single file
+    3 compare list.json
+        not an evaluation
+    2 export table.h5 -o new --set low-noise
+        has only one set of transforms; leave --set out
+    2 export table.h5 -o new --to folder --set low-noise
+        a folder of arrays contains both sets; leave --set out
+    2 export table.h5 -o new --prefix 1
+        use a letter from a to z
+    2 export table.h5 -o new --prefix test
+        reserved for the test program
+    2 export table.h5 -o new --to folder --prefix eye
+        --prefix applies only to C source
+    2 export table.h5 -o new --to folder --words int16
+        --words applies only to C source
+    2 export camera.h5 -o new --words int16
+        --words is only for transform
+    2 export table.h5 -o new --words half
+        'half'; use one of float32, int16
+    2 export camera.h5 -o new --to c
+        --to is only for transform tables
+    2 export table.h5 -o new --to halide
+        'halide'; use one of c, folder
+    3 export training.h5 -o new
+        cannot be exported; use a camera model, a camera recipe or a transform table
+    1 export table.h5 -o raw.tif
+        raw.tif is a file; choose a folder
+    2 design classes.toml -o new.h5
+        --moments
+    3 check nothing.toml
+        nothing.toml does not exist
+    3 check folder
+        folder contains no recipes
+    2 check fivebnd
+        did you mean "fiveband"
+    2 check
+        Missing argument
+    2 init bayer
+        "l3 init bayer bayer"
+    2 init zzz new
+        fiveband, from_curves, monno
+    1 init bayer lab
+        lab is not empty; add --force
+    2 init bayer new more
+        specify raw files with --from
+    2 init bayer new --light A
+        specify the raw files with --from
+    2 init bayer new --phase 0,1
+        --phase is only for raw files
+    3 init --from folder new
+        folder contains no raw files
+    3 init --from nothing.dng new
+        nothing.dng does not exist
     4 bench --device nvdia --quiet
         no OpenCL device is called "nvdia"
 """
 CASES = re.findall(r"^    (\d) (.+)\n {8}(.+)$", MISTAKES, re.MULTILINE)
+
+
+RAW_FILES = {
+    "cut.raw": bytes(1001),
+    "text.pgm": b"P2\n2 1\n9\n1 2\n",
+    "colours.pgm": b"P6 1 1 255\nabc",
+    "cut.pgm": b"P5 2 2 255\nabc",
+    "long.pgm": b"P5 2 2 255\nabcde",
+    "zero.pgm": b"P5 0 2 255\n",
+    "above.pgm": b"P5 2 1 9\n\x01\x0a",
+    "text.fits": b"nothing",
+}
+MEASUREMENTS = {  # what is replaced in the measurement file, by the file with the mistake
+    "no_pitch": ("pixel_pitch_um = 4.0\n", ""),
+    "bits": ("bits = 12", "bits = 99"),
+    "broken": ("[sensor]", "[sensor"),
+    "two_kinds": ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]'),
+}
 
 
 @pytest.fixture(scope="module")
@@ -196,9 +402,18 @@ def desk(pipeline: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("empty.toml", "empty.h5", "empty.tif"):
         (folder / name).touch()
     (folder / "empty.json").write_text("{}")
+    (folder / "list.json").write_text("[1]")
+    (folder / "level.toml").write_text("[classes]\nlevel = 3\n")
+    (folder / "levels.toml").write_text("[classes]\nlevels = 50000\n")
     grey = '[[scene]]\nsource = "grey ramp"\nsize = [32, 48]\n'
     (folder / "sized.toml").write_text(f'{grey}[[scene]]\nsource = "iset"\nfile = "face.mat"\nsize = [32, 48]\n')
-    (folder / "cut.raw").write_bytes(bytes(1001))
+    np.save(folder / "grey.npy", np.full((64, 64), 300, np.uint16))
+    for name, content in RAW_FILES.items():
+        (folder / name).write_bytes(content)
+    measurements = (pipeline / "lab/MEASUREMENTS.toml").read_text()
+    for name, (old, new) in MEASUREMENTS.items():
+        assert old in measurements
+        (folder / f"{name}.toml").write_text(measurements.replace(old, new, 1))
     (folder / "folder").mkdir()
     return folder
 

@@ -302,7 +302,7 @@ def test_other_outputs_than_xyz(
     if outputs == ("Y",):  # luminance is shown as grey
         assert l3("render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png", "--backend", "reference")[0] == 0
     else:
-        assert "pictures need X, Y, Z" in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
+        assert ", ".join(outputs) in refused(2, "render", tmp_path / "table.h5", raw, "-o", tmp_path / "picture.png")
     # one pass only: two steps
     code, _, err = l3(*arguments, "--shard", "1/1", "-o", tmp_path / "shard.h5")
     assert code == 0, err
@@ -356,16 +356,16 @@ def test_wrong_calls_are_one_line(bayer: CameraModel, fiveband: CameraModel, tmp
     empty = a_set(tmp_path / "empty.h5", bayer, 0)
     targets = a_set(tmp_path / "targets.h5", bayer, 1, target="something else")
     out = tmp_path / "table.h5"
-    assert "different cameras or targets" in refused(3, "train", good, other, "-o", out)
-    assert "different cameras or targets" in refused(3, "train", good, targets, "-o", out)
-    assert "different cameras or targets" in refused(3, "train", good, targets, "--shard", "1/2", "-o", out)
-    assert "smaller than a patch of 9×9 pixels" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
-    assert "smaller than a patch of 9×9 pixels" in refused(3, "train", tiny, "-o", out)
-    assert "contains no frames" in refused(3, "train", empty, "-o", out)
+    assert "other.h5" in refused(3, "train", good, other, "-o", out)
+    assert "targets.h5" in refused(3, "train", good, targets, "-o", out)
+    assert "targets.h5" in refused(3, "train", good, targets, "--shard", "1/2", "-o", out)
+    assert "4×30" in refused(3, "train", good, tiny, "--shard", "1/2", "-o", out)
+    assert "4×30" in refused(3, "train", tiny, "-o", out)
+    assert "empty.h5" in refused(3, "train", empty, "-o", out)
     (tmp_path / "classes.toml").write_text("[classes]\nlevel = 3\n")
-    assert "unknown key `level` in [classes]" in refused(2, "train", good, "--classes", tmp_path / "classes.toml", "-o", out)
+    assert "`level`" in refused(2, "train", good, "--classes", tmp_path / "classes.toml", "-o", out)
     (tmp_path / "few.toml").write_text("[classes]\nlevels = 50000\n")
-    assert "more levels than values" in refused(2, "train", good, "--classes", tmp_path / "few.toml", "-o", out)
+    assert "levels" in refused(2, "train", good, "--classes", tmp_path / "few.toml", "-o", out)
 
 
 def test_a_parent_of_few_patches_leans_on_its_case(bayer: CameraModel) -> None:
