@@ -10,11 +10,11 @@ from l3cli.artifacts.fit import ChartFit, Fit, NoiseFit, PhotoFit, PolariserFit,
 from l3cli.calibration import responsivity
 from l3cli.calibration.captures import corner_falloff
 from l3cli.calibration.photo.estimate import NOTICED, terms
-from l3cli.calibration.polarisers import difference
 from l3cli.calibration.responsivity import COVERAGE, likely_mistake
 from l3cli.calibration.statistics import defect_counts
 from l3cli.errors import InputFileError
 from l3cli.physics import spectra
+from l3cli.physics.polarisation import difference
 from l3cli.system.text import columns, figure
 
 SHOWN = 8  # number of defective pixels that the text lists; JSON and the artifact contain all defective pixels

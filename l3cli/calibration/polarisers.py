@@ -23,6 +23,7 @@ from l3cli.calibration import statistics
 from l3cli.calibration.noise import TOLERATED
 from l3cli.errors import InputFileError, listed
 from l3cli.frames.measurement import LEAKAGE_NM, Body, Capture, PolariserCapture, Rotator
+from l3cli.physics.polarisation import difference, malus
 
 BRIGHTNESS = 0.05  # relative standard deviation of the brightness of a capture, before it is estimated from the channels
 BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which drifts after the dark frames
@@ -38,11 +39,6 @@ def harmonics(degrees: Array) -> Array:
     """Return 1, cos 2φ and sin 2φ of each angle φ: (angle, 3)."""
     twice = 2.0 * np.radians(degrees)
     return np.stack([np.ones_like(twice), np.cos(twice), np.sin(twice)], axis=-1)
-
-
-def difference(degrees: Array, others: Array | float) -> Array:
-    """Return the difference between directions of polarisation, from −90° to 90°. Directions repeat after 180°."""
-    return np.asarray((degrees - others + 90.0) % 180.0 - 90.0)
 
 
 @dataclass(frozen=True)
@@ -145,12 +141,6 @@ def fit_polarisers(
         measured=rate,
         predicted=predict(solved.x),
     )
-
-
-def malus(light_angle: Array, gain: Array, angle: Array, leakage: Array, light_polarisation: float) -> Array:
-    """Return the signal (capture, channel) of channels behind polarisers, for light of unit brightness."""
-    cosine = np.cos(2.0 * np.radians(angle - light_angle[:, None]))
-    return np.asarray(0.5 * gain * (1.0 + leakage + light_polarisation * (1.0 - leakage) * cosine))
 
 
 def first_guess(

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.camera import QUANTISATION, CameraModel, sensitivity_threshold
-from l3cli.artifacts.fit import NoiseFit
+from l3cli.artifacts.fit import NoiseFit, PolariserFit
 from l3cli.physics.mosaic import array_rows
+from l3cli.physics.polarisation import malus
 from l3cli.report import colours
 from l3cli.report.drawing import CHARACTER_WIDTH, Plot, box, escape, sheet, spanning
 from l3cli.report.parts import Block, Data, Details, Figure, Figures, Section, Subsection, Table, Text
@@ -62,6 +63,8 @@ def camera_section(camera: CameraModel, figures: dict[str, Any], name: str) -> S
     ]
     if camera.fit is not None and camera.fit.noise is not None:
         parts.append(data_sheet(camera, camera.fit.noise))
+    if camera.fit is not None and camera.fit.polarisers is not None:
+        parts.append(Subsection("Polarisers", (Figures((polariser_figure(camera, camera.fit.polarisers),)),)))
     if camera.fit is not None and camera.fit.photo is not None:
         parts[2:2] = photo_subsections(camera, camera.fit.photo, figures)
     if camera.fit is not None and (blocks := validation_blocks(camera, camera.fit, figures)):
@@ -100,6 +103,38 @@ def drift_note(camera: CameraModel) -> str:
         f" The measurements of the charts contradict each other by as much as a lamp drift of "
         f"{tidy(100 * camera.fit.drift.deviation, 2)} % would explain. The confidence bands include this drift."
     )
+
+
+def polariser_figure(camera: CameraModel, fit: PolariserFit) -> Figure:
+    """Plot the signals behind the rotating polariser, and Malus's law as it was fitted.
+
+    The signals are divided by the brightness of the light, so that all captures of a channel lie on one curve.
+    """
+    law = fit.gain, fit.angle, fit.leakage, fit.light_polarisation
+    light = np.linspace(0.0, 180.0, 181)
+    curves, bright = malus(light, *law), fit.brightness[:, None]
+    largest = curves.max()
+    unit_signal = (fit.predicted / bright).sum() / malus(fit.light_angle, *law).sum()  # DN/s for a gain of 1
+    curves, signal = curves / largest, fit.measured / bright / unit_signal / largest
+    plot = Plot(
+        spanning("angle of the rotating polariser (°)", light),
+        spanning("signal relative to the maximum (1)", np.array([0.0, HEADROOM]), zero=True),
+    )
+    keys = colours.channel_keys(camera)
+    for channel, key in enumerate(keys):
+        used = fit.used[:, channel]
+        plot.line(light, curves[:, channel], key.colour, key.mark, 1.2)
+        angle = fit.light_angle[used] % 180.0
+        plot.dots(angle, signal[used, channel], key.colour, colours.MARKS[key.mark], series=key.label)
+    found = zip(camera.channels, fit.angle, fit.angle_error, fit.leakage, fit.leakage_error, fit.polarised, strict=True)
+    results = ", ".join(
+        f"{name} {angle:.2f}° ± {error:.2f}°, extinction ratio {tidy(1 / max(leakage, leakage_error), 3)}"
+        for name, angle, error, leakage, leakage_error, polarised in found
+        if polarised
+    )
+    residual = float(np.abs(fit.measured - fit.predicted)[fit.used].max() / fit.predicted.max())
+    finding = f"Angles with standard deviations: {results}. Largest residual: {tidy(100 * residual, 2)} % of the maximum."
+    return plot.figure("Signals behind a rotating polariser", finding, keys)
 
 
 # ---------------------------------------------------------------------------------------------------------- array

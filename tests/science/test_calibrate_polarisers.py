@@ -13,11 +13,12 @@ from l3cli.artifacts.camera import CameraModel
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration.captures import measure_polarisers
-from l3cli.calibration.polarisers import difference, fit_polarisers, malus
+from l3cli.calibration.polarisers import fit_polarisers
 from l3cli.cli import run
 from l3cli.errors import InputFileError
 from l3cli.frames.measurement import Body, Measurements, PolariserCapture, Rotator, SensorFigures
 from l3cli.io.measurements import read_measurements
+from l3cli.physics.polarisation import difference, malus
 from l3cli.recipes.builtin import find_recipe
 from tests.helpers.calls import L3, Refused
 
@@ -214,6 +215,8 @@ def test_a_camera_measured_in_the_lab(unit: Path, lab: Path, tmp_path: Path, l3:
     assert made.polarisers is not None
     assert made.fit is not None
     assert made.fit.polarisers is not None
+    assert l3("report", camera, "-o", tmp_path / "report.html")[0] == 0
+    assert "Signals behind a rotating polariser" in (tmp_path / "report.html").read_text()
     np.testing.assert_allclose(made.polarisers.leakage, made.fit.polarisers.leakage[:, None].repeat(made.wavelength.size, 1))
 
 
