@@ -41,9 +41,15 @@ class DefectMap:
     """Defective pixels, whose values are not used."""
 
     position: NDArray[np.int64] = data(
-        "int64", "bad_pixel", "coordinate", unit="pixel", doc="row and column of each defective pixel, without repetition"
+        "int64",
+        "bad_pixel",
+        "coordinate",
+        unit="pixel",
+        doc="row and column of each defective pixel; each pixel occurs once",
     )
-    pixel_kind: tuple[str, ...] = data("str", "bad_pixel", doc="hot or dead; row or column if the whole line is defective")
+    pixel_kind: tuple[str, ...] = data(
+        "str", "bad_pixel", doc="type of each defect: hot, dead, row or column; row and column: the whole line is defective"
+    )
 
     def __post_init__(self) -> None:
         if self.position.ndim != 2 or self.position.shape[1] != 2 or self.position.min(initial=0) < 0:
@@ -62,12 +68,18 @@ class FlatField:
     sensor, and are interpolated linearly between the grid lines.
     """
 
-    grid_row: NDArray[np.float64] = data("float64", "grid_row", unit="pixel", doc="rows of the grid lines", coordinate=True)
+    grid_row: NDArray[np.float64] = data(
+        "float64", "grid_row", unit="pixel", doc="row of each grid line on the sensor", coordinate=True
+    )
     grid_col: NDArray[np.float64] = data(
-        "float64", "grid_col", unit="pixel", doc="columns of the grid lines", coordinate=True
+        "float64", "grid_col", unit="pixel", doc="column of each grid line on the sensor", coordinate=True
     )
     shading_gain: NDArray[np.float64] = data(
-        "float64", "channel", "grid_row", "grid_col", doc="gain, relative to the middle of the frame"
+        "float64",
+        "channel",
+        "grid_row",
+        "grid_col",
+        doc="gain that corrects the shading, relative to the gain in the middle of the frame",
     )
 
     def __post_init__(self) -> None:
@@ -83,8 +95,7 @@ class FlatField:
         if np.abs(gain / gain.mean(axis=0) - 1.0).max() > MAX_COLOUR_SHADING:
             raise ValueError(
                 f"flat field: a channel differs by more than {MAX_COLOUR_SHADING:.0%} from the mean of all channels; are "
-                "the "
-                "white frames evenly lit?"
+                "the white frames evenly lit?"
             )
 
     def covers(self, rows: int, cols: int) -> bool:
@@ -98,13 +109,15 @@ class Readout:
     """Exposure time and gain of each channel. Even channels with the same filter may differ in exposure time and gain."""
 
     channel_exposure: NDArray[np.float64] = data(
-        "float64", "channel", doc="exposure time, relative to that of the frame, which is the longest"
+        "float64", "channel", doc="exposure time, as a fraction of the longest exposure time, which is that of the frame"
     )
-    channel_gain: NDArray[np.float64] = data("float64", "channel", doc="conversion gain, relative to the camera's")
+    channel_gain: NDArray[np.float64] = data(
+        "float64", "channel", doc="conversion gain, relative to the conversion gain of the camera"
+    )
     channel_read_noise: NDArray[np.float64] = data(
-        "float64", "channel", unit="e-", doc="standard deviation of one reading in the dark, at the channel's gain"
+        "float64", "channel", unit="e-", doc="standard deviation of one reading in the dark, at the gain of the channel"
     )
-    same_filter: NDArray[np.int64] = data("int64", "channel", doc="first channel with the same filter")
+    same_filter: NDArray[np.int64] = data("int64", "channel", doc="number of the first channel with the same filter")
 
     def __post_init__(self) -> None:
         exposure, gain, first = self.channel_exposure, self.channel_gain, self.same_filter
@@ -209,8 +222,10 @@ class NoiseScale:
     After the filter, the fraction `noise_left` of the temporal noise variance remains.
     """
 
-    gain: float = data("float64", doc="analog gain, relative to the camera's", default=1.0)
-    noise_left: float = data("float64", doc="fraction of the temporal noise variance that a filter has left", default=1.0)
+    gain: float = data("float64", doc="analog gain, relative to the gain of the camera model", default=1.0)
+    noise_left: float = data(
+        "float64", doc="fraction of the temporal noise variance that remains after a temporal filter", default=1.0
+    )
 
     def __post_init__(self) -> None:
         if not self.gain > 0:
@@ -234,10 +249,10 @@ class AnalogGains:
     """Additional analog gains of a camera, and the read noise at each of these gains (docs/method.md#gains)."""
 
     analog_gain: NDArray[np.float64] = data(
-        "float64", "analog_gain", doc="analog gain, relative to the camera's", coordinate=True
+        "float64", "analog_gain", doc="analog gain, relative to the gain of the camera model", coordinate=True
     )
     gain_read_noise: NDArray[np.float64] = data("float64", "analog_gain", unit="e-", doc="read noise at each analog gain")
-    iso: float = data("float64", unit="1", doc="ISO speed of the camera's gain; 0: not known", default=0.0)
+    iso: float = data("float64", unit="1", doc="ISO speed at the gain of the camera model; 0: unknown", default=0.0)
 
     def __post_init__(self) -> None:
         gain = self.analog_gain
@@ -285,8 +300,7 @@ def check_sensor(rows: int, cols: int, bits: int, black_level: float, white_leve
     if not 0 <= black_level < white_level <= 2**bits - 1:
         raise ValueError(
             f"the black level is {black_level:g} and the white level {white_level:g}; they must increase and be between "
-            "0 and "
-            f"{2**bits - 1}"
+            f"0 and {2**bits - 1}"
         )
 
 
@@ -368,28 +382,32 @@ class CameraModel(Artifact):
     name: str = data("str", doc="name of the camera")
     rows: int = data("int64", unit="pixel", doc="rows of the sensor")
     cols: int = data("int64", unit="pixel", doc="columns of the sensor")
-    pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
-    bits: int = data("int64", unit="bit", doc="depth of the analog-digital converter")
+    pixel_pitch: float = data("float64", unit="m", doc="distance between the centres of neighbouring pixels")
+    bits: int = data("int64", unit="bit", doc="bit depth of the analog-digital converter")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
-    cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
+    cfa: NDArray[np.uint8] = data(
+        "uint8", "cfa_row", "cfa_col", doc="number of the channel at each site, for one period of the colour filter array"
+    )
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the responsivities")
     responsivity: NDArray[np.float64] = data(
         "float64",
         "channel",
         "wavelength",
         unit="e-/photon",
-        doc="quantum efficiency, including lens, filters and fill factor; relative (peak 1) unless absolute",
+        doc="quantum efficiency, including lens, filters and fill factor; if absolute is false: relative, with a peak of 1",
     )
     responsivity_band: NDArray[np.float64] = data(
-        "float64", "channel", "wavelength", unit="e-/photon", doc="half width of the 95 % band; 0: not measured"
+        "float64", "channel", "wavelength", unit="e-/photon", doc="half width of the 95 % confidence band; 0: not measured"
     )
-    absolute: bool = data("bool", doc="whether responsivity is a quantum efficiency or only relative")
+    absolute: bool = data("bool", doc="whether responsivity contains quantum efficiencies; otherwise it is relative")
     gain: float = data("float64", unit="DN/e-", doc="conversion gain K")
     black_level: float = data("float64", unit="DN", doc="mean value in the dark at zero exposure")
     white_level: float = data(
-        "float64", unit="DN", doc="value at which a pixel saturates, because of the well or the converter"
+        "float64",
+        unit="DN",
+        doc="value at which a pixel saturates, because its well is full or the converter reaches its limit",
     )
-    fixed_pattern_seed: int = data("int64", doc="seed of this camera's PRNU and DSNU maps")
+    fixed_pattern_seed: int = data("int64", doc="seed of the random PRNU and DSNU maps of this camera")
     noise: Noise = group()
     optics: Optics = group()
     declared: tuple[str, ...] = data(

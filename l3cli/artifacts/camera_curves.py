@@ -180,7 +180,10 @@ def _check_grid(table: CurveTable, wavelength: Array | None, channels: Sequence[
 
 
 def _efficiencies(table: CurveTable, wavelength: Array, per_energy: bool) -> Array:
-    """Return the quantum efficiencies in a file, averaged over the wavelength steps of a grid."""
+    """Return the quantum efficiencies in a file, averaged over the wavelength steps of a grid.
+
+    Raises InputFileError if the values are implausible, for example because they are relative or percentages.
+    """
     efficiency = table.efficiencies(per_energy)
     peak = float(efficiency.max())
     if peak > 1 + ROUNDING and 1 < peak <= 100 and not any(table.units):

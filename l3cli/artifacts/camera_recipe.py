@@ -173,7 +173,11 @@ def polarisers_of(
 
 
 def _leakage(one: ChannelRecipe, wavelength: NDArray[np.float64], folder: Path) -> NDArray[np.float64]:
-    """Return the inverse of the extinction ratio at each wavelength. It is 1 without a polariser."""
+    """Return the inverse of the extinction ratio of a channel at each wavelength. It is 1 without a polariser.
+
+    If no extinction ratio is given, the polariser is ideal, and the result is 0. Raises InputFileError if the file of the
+    extinction ratio contains a ratio below 1.
+    """
     if one.polariser_deg is None:
         return np.ones_like(wavelength)
     if not isinstance(one.extinction, str):
@@ -381,6 +385,11 @@ def read_recipe(path: Path) -> tuple[CameraRecipe, Path]:
         The complete recipe.
     path : Path
         The file that contains the numbers, which is `path` itself or its base.
+
+    Raises
+    ------
+    RecipeError
+        If the recipe or its base has a fault, or if the phase is outside the array of the base.
     """
     text, name = read_text(path, CameraRecipe.title), str(path)
     if "base" not in parse_toml(text, name):
@@ -525,8 +534,7 @@ def length_faults(pitch_um: float, optics: OpticsRecipe) -> Iterator[Fault]:
     if 0 < optics.object_distance_m <= focal * 1e-3:
         message = (
             f"optics.object_distance_m is {optics.object_distance_m:g} m, which is not larger than the focal length; "
-            "write 0 "
-            "for infinity"
+            "write 0 for infinity"
         )
         yield fault(message, "optics.object_distance_m", "optics.focal_length_mm")
 

@@ -58,7 +58,8 @@ class StoredFeatures:
         "window",
         "window_field",
         unit="pixel",
-        doc="rectangles of the patch: index of the sum, top, left, rows, columns and sign",
+        doc="rectangles in the patch: number of the sum to which the rectangle contributes, top, left, rows, columns and "
+        "sign",
     )
     constant_counts: NDArray[np.int64] = data("int64", "feature", doc="number of constants of each feature")
     constants: NDArray[np.int32] = data("int32", "constant", doc="constants in the formulas of the features")
@@ -134,27 +135,29 @@ class ClassRule:
     which a recipe can use besides level, contrast, saturation and chroma. Without additional features, the combination is 0.
     """
 
-    patch: int = data("int64", unit="pixel", doc="side of the square neighbourhood, odd")
-    shift: int = data("int64", unit="bit", doc="values are shifted right by this before sums are formed")
+    patch: int = data("int64", unit="pixel", doc="side of the square patch around a pixel; always odd")
+    shift: int = data("int64", unit="bit", doc="number of bits by which raw values are shifted right before they are summed")
     level_edges: NDArray[np.uint32] = data(
         "uint32",
         "level_edge",
         unit="DN >> shift, times 256 times channels",
-        doc="sum over channels of the channel means from which the next level begins",
+        doc="sum of the channel means from which each level except the first begins",
     )
     contrast_edges: NDArray[np.uint32] = data(
         "uint32",
         "contrast_edge",
         "level",
         unit="(DN >> shift)^2, times 512",
-        doc="sum over channels of the channel variances above which the next contrast begins",
+        doc="sum of the channel variances above which each contrast except the first begins",
     )
     saturation: int = data("int64", unit="DN", doc="value from which a pixel counts as saturated")
     saturation_radius: int = data(
-        "int64", unit="pixel", doc="pixels within this distance of the centre decide the saturation case"
+        "int64", unit="pixel", doc="radius of the neighbourhood of a pixel that determines its saturation case"
     )
     case_of_code: NDArray[np.uint16] = data(
-        "uint16", "code", doc="saturation case of each pattern of saturated channels (bit c: channel c)"
+        "uint16",
+        "code",
+        doc="saturation case of each combination of saturated channels; bit c of the index: channel c is saturated",
     )
     chroma_black_level: int = data(
         "int64",
@@ -162,10 +165,13 @@ class ClassRule:
         doc="black level that is subtracted from channel means to find the chroma",
     )
     chroma_weights: NDArray[np.int32] = data(
-        "int32", "chroma", "channel", doc="weights of the channel means; the chroma with the lowest score wins"
+        "int32",
+        "chroma",
+        "channel",
+        doc="weights of the channel means in the score of each chroma; a pixel has the chroma with the lowest score",
     )
     chroma_dither: int = data(
-        "int64", default=0, doc="1: pixels between two colour classes take either of them, alternating between sites"
+        "int64", default=0, doc="1: pixels between two chromas are assigned to either of them, alternating between sites"
     )
     features: StoredFeatures | None = group(default=None)  # None: only level, contrast, saturation and chroma
     spared_cases: int = data(

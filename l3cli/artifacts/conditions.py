@@ -23,7 +23,7 @@ class SceneLight:
 
     name: str = data("str", doc="name of the illuminant")
     white_point: NDArray[np.float64] = data(
-        "float64", "output", doc="output of a perfect white under this illuminant, Y = 1"
+        "float64", "output", doc="outputs of a perfect white under this illuminant, scaled to Y = 1"
     )
     spectrum: LightSpectrum | None = group(default=None)
 
@@ -39,8 +39,14 @@ class NoiseEdges:
     They are class edges, scales of gradients, and the noise in coarse chroma.
     """
 
-    contrast_edges: NDArray[np.uint32] = data("uint32", "contrast_edge", "level", doc="as in first/rule/")
-    constants: NDArray[np.int32] = data("int32", "constant", doc="as in first/rule/features/; empty without features")
+    contrast_edges: NDArray[np.uint32] = data(
+        "uint32", "contrast_edge", "level", doc="contrast edges for this noise, as in first/rule"
+    )
+    constants: NDArray[np.int32] = data(
+        "int32",
+        "constant",
+        doc="constants of the features for this noise, as in first/rule/features; empty without features",
+    )
     gradients: tuple[GradientScale, ...] = group(default=())  # one per refinement layer
     coarse_chroma: CoarseChroma | None = group(default=None)  # noise in the last layer; None: as in the table
 
@@ -56,10 +62,12 @@ class NoiseEdges:
 class MosaicTransforms:
     """Transforms of the first layer for one condition."""
 
-    weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="as in first/")
-    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    weights: NDArray[np.float32] = data("float32", "class", "output", "tap", doc="weights for this condition, as in first")
+    intercept: NDArray[np.float32] = data(
+        "float32", "class", "output", doc="constant that is added to the weighted sum of the taps"
+    )
     samples: NDArray[np.float64] = data(
-        "float64", "class", doc="number of training patches; 0 if filled from a neighbouring class"
+        "float64", "class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
 
 
@@ -67,10 +75,14 @@ class MosaicTransforms:
 class PlaneTransforms:
     """Transforms of a refinement layer for one condition."""
 
-    weights: NDArray[np.float32] = data("float32", "plane_class", "output", "plane_tap", doc="as in later/")
-    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    weights: NDArray[np.float32] = data(
+        "float32", "plane_class", "output", "plane_tap", doc="weights for this condition, as in later"
+    )
+    intercept: NDArray[np.float32] = data(
+        "float32", "plane_class", "output", doc="constant that is added to the weighted sum of the taps"
+    )
     samples: NDArray[np.float64] = data(
-        "float64", "plane_class", doc="number of training patches; 0 if filled from a neighbouring class"
+        "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
     clipping: Clipping | None = group(default=None)  # as in later/
 

@@ -37,7 +37,11 @@ class LightMoments:
 
     illuminant: str = data("str", doc="name of the illuminant")
     basis: NDArray[np.float64] = data(
-        "float64", "wavelength", "term", unit="photons/s", doc="basis of the spectra at a pixel, for white of 1 cd/m^2"
+        "float64",
+        "wavelength",
+        "term",
+        unit="photons/s",
+        doc="basis of the photon spectra at a pixel, for a white of 1 cd/m^2",
     )
     white_photons: NDArray[np.float64] = data(
         "float64", "wavelength", unit="photons/s", doc="photons per pixel from a perfect white of 1 cd/m^2"
@@ -46,7 +50,10 @@ class LightMoments:
         "float64", "group", doc="number of patches in each group, by contrast, level and hue of the centre"
     )
     weight: NDArray[np.float64] = data(
-        "float64", "weighting", "group", doc="sum of squared weights, (Y + 0.02)^(-4/3), or 1 for linear"
+        "float64",
+        "weighting",
+        "group",
+        doc="sum of the squared weights of the patches: (Y + 0.02)^(-4/3), or 1 for the weighting linear",
     )
     mean: NDArray[np.float64] = data("float64", "weighting", "group", "coefficient", doc="weighted sum of coefficients")
     moment: NDArray[np.float64] = data(
@@ -74,7 +81,7 @@ class SceneMoments(Artifact):
     kind: ClassVar[str] = "scene moments"
     made_by: ClassVar[str] = '"l3 design moments"'
 
-    pixel_pitch: float = data("float64", unit="m", doc="distance of pixel centres")
+    pixel_pitch: float = data("float64", unit="m", doc="distance between the centres of neighbouring pixels")
     f_number: float = data("float64", doc="f-number of the lens")
     wavelength: NDArray[np.float64] = data("float64", "wavelength", unit="nm", doc="wavelengths of the filter curves")
     light: tuple[LightMoments, ...] = group()
@@ -125,17 +132,29 @@ class Tuned:
 class Truth:
     """Arrays that were trained, rendered and evaluated on the same unseen scenes."""
 
-    trained: tuple[str, ...] = data("str", "trained", doc="arrays that were trained; (tuned) marks tuned filters")
+    trained: tuple[str, ...] = data(
+        "str", "trained", doc="names of the trained arrays; (tuned) marks an array with tuned filters"
+    )
     expected: NDArray[np.float64] = data("float64", "trained", "level", doc="predicted error of each of these arrays")
-    figures: tuple[str, ...] = data("str", "figure", doc="mean_delta_e (CIEDE2000), scielab, output_psnr (dB)")
+    figures: tuple[str, ...] = data(
+        "str", "figure", doc="names of the measured metrics: mean_delta_e (CIEDE2000), scielab, output_psnr (dB)"
+    )
     measured: NDArray[np.float64] = data(
-        "float64", "trained", "level", "figure", doc="measured metrics, means over the scenes"
+        "float64", "trained", "level", "figure", doc="measured metrics, averaged over the scenes"
     )
     crops: NDArray[np.uint8] = data(
-        "uint8", "trained", "level", "crop_row", "crop_col", "rgb", doc="crop from the middle of the first scene, sRGB codes"
+        "uint8",
+        "trained",
+        "level",
+        "crop_row",
+        "crop_col",
+        "rgb",
+        doc="rendered crop from the middle of the first scene, as sRGB codes",
     )
-    ideals: NDArray[np.uint8] = data("uint8", "level", "crop_row", "crop_col", "rgb", doc="the same crop without error")
-    digest: str = data("str", doc="SHA-256 of what the scenes show, the same for all arrays")
+    ideals: NDArray[np.uint8] = data(
+        "uint8", "level", "crop_row", "crop_col", "rgb", doc="ideal picture of the same crop, as sRGB codes"
+    )
+    digest: str = data("str", doc="SHA-256 that identifies the content of the scenes, which is the same for all arrays")
 
     def correlation(self, level: int, figure: int = 0) -> float:
         """Return Spearman's rank correlation between the predicted errors and a measured metric at one level.
@@ -224,9 +243,11 @@ class Design(Artifact):
     dose: NDArray[np.float64] = data(
         "float64", "dose", unit="cd s/m^2", doc="luminance of white × exposure time", coordinate=True
     )
-    mapped: tuple[str, ...] = data("str", "mapped", doc="the best array, the Bayer array and the best array at each level")
+    mapped: tuple[str, ...] = data(
+        "str", "mapped", doc="arrays in map_error: the best array, the best Bayer array, and the best array at each level"
+    )
     map_error: NDArray[np.float64] = data(
-        "float64", "mapped", "dose", doc="predicted error under the illuminant of the first level"
+        "float64", "mapped", "dose", doc="predicted error of these arrays under the illuminant of the first level"
     )
     pixel: CameraModel = group()  # sensor, noise and lens; its own array is not used
     tuned: Tuned | None = group(default=None)

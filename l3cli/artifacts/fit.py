@@ -26,7 +26,7 @@ class NoiseFit:
     read_noise: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="temporal dark noise at zero exposure")
     dark_current: NDArray[np.float64] = data("float64", "channel", unit="e-/s", doc="dark current")
     dsnu: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="dark signal nonuniformity")
-    prnu: NDArray[np.float64] = data("float64", "channel", doc="photo response nonuniformity, relative")
+    prnu: NDArray[np.float64] = data("float64", "channel", doc="photo response nonuniformity, as a fraction of the signal")
     saturation_capacity: NDArray[np.float64] = data("float64", "channel", unit="e-", doc="electrons at saturation")
     linearity_error: NDArray[np.float64] = data(
         "float64", "channel", doc="mean relative deviation of the signal from a line over 5-95 % of saturation"
@@ -59,14 +59,18 @@ class SweepFit:
     residual: NDArray[np.float64] = data(
         "float64", "channel", doc="RMS residual of Eq. 1, relative to the largest value of the channel"
     )
-    left_out: tuple[str, ...] = data("str", "left_out", doc="saturated captures, and their saturated channels")
-    smoothing: NDArray[np.float64] = data("float64", "trial", doc="values of delta that were tried", coordinate=True)
+    left_out: tuple[str, ...] = data(
+        "str", "left_out", doc="captures that were left out because they are saturated, and their saturated channels"
+    )
+    smoothing: NDArray[np.float64] = data(
+        "float64", "trial", doc="smoothing parameters delta that were tried", coordinate=True
+    )
     smoothing_error: NDArray[np.float64] = data(
         "float64", "trial", doc="cross-validated relative RMSE of chart values for each delta"
     )
-    chosen_smoothing: float = data("float64", doc="value of delta that was chosen")
+    chosen_smoothing: float = data("float64", doc="smoothing parameter delta that was chosen")
     odd: tuple[str, ...] = data(
-        "str", "odd", doc="captures that disagree with their neighbours, and by how much", default=()
+        "str", "odd", doc="captures whose values disagree with those of neighbouring captures, and by how much", default=()
     )
 
 
@@ -91,7 +95,7 @@ class ChartFit:
     illuminants: tuple[str, ...] = data("str", "chart", doc="illuminant of each chart capture")
     measured: NDArray[np.float64] = data("float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch")
     predicted: NDArray[np.float64] = data(
-        "float64", "chart", "patch", "channel", unit="DN", doc="value that the model predicts"
+        "float64", "chart", "patch", "channel", unit="DN", doc="mean value of each patch that the model predicts"
     )
 
 
@@ -103,7 +107,7 @@ class DriftFit:
     """
 
     deviation: float = data("float64", doc="estimated relative standard deviation of the lamps from their measured spectra")
-    declared: float = data("float64", doc="the relative standard deviation that the measurement file declares")
+    declared: float = data("float64", doc="relative standard deviation that the measurement file states")
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,9 @@ class SeriesFit:
     relative_rmse: NDArray[np.float64] = data(
         "float64", "channel", doc="RMSE of predicted values, relative to the mean signal"
     )
-    left_out: tuple[str, ...] = data("str", "left_out", doc="captures with saturated patches, and how many")
+    left_out: tuple[str, ...] = data(
+        "str", "left_out", doc="captures with saturated patches, and the number of these patches"
+    )
     used: NDArray[np.bool_] = data(
         "bool",
         "capture",
@@ -141,7 +147,7 @@ class SeriesFit:
         "float64", "capture", "patch", "channel", unit="DN", doc="mean value of each patch, with the dark value subtracted"
     )
     predicted: NDArray[np.float64] = data(
-        "float64", "capture", "patch", "channel", unit="DN", doc="value predicted from the other exposures; 0 if not used"
+        "float64", "capture", "patch", "channel", unit="DN", doc="value predicted from the other exposures; 0: not predicted"
     )
 
 
@@ -149,8 +155,8 @@ class SeriesFit:
 class LightGuess:
     """Probability of each common illuminant for each photo, if the photo was taken under one of these illuminants."""
 
-    names: tuple[str, ...] = data("str", "usual_light", doc="names of the usual illuminants")
-    probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each usual illuminant")
+    names: tuple[str, ...] = data("str", "usual_light", doc="names of the common illuminants")
+    probability: NDArray[np.float64] = data("float64", "photo", "usual_light", doc="probability of each common illuminant")
 
     def of(self, photo: int) -> dict[str, float]:
         """Return the probability of each common illuminant for a photo. The most probable illuminant comes first."""
@@ -191,11 +197,12 @@ class PhotoFit:
     names: tuple[str, ...] = data("str", "photo", doc="name of each photo")
     lights: tuple[str, ...] = data("str", "photo", doc="illuminant of each photo, as stated or guessed")
     guessed: NDArray[np.bool_] = data("bool", "photo", doc="whether the illuminant was guessed")
-    nearest: tuple[str, ...] = data("str", "photo", doc="usual illuminant under which the values are most probable")
+    nearest: tuple[str, ...] = data("str", "photo", doc="common illuminant under which the values are most probable")
     deficit: NDArray[np.float64] = data(
         "float64",
         "photo",
-        doc="natural logarithm of how much less probable the values are under the stated illuminant than under the nearest",
+        doc="natural logarithm of a ratio: probability of the values under the illuminant in nearest, divided by their "
+        "probability under the illuminant in lights",
     )
     charts: tuple[str, ...] = data("str", "photo", doc="chart of each photo")
     corners: NDArray[np.float64] = data(
@@ -212,16 +219,18 @@ class PhotoFit:
         "float64",
         "photo",
         "term",
-        doc="coefficients of illumination over the chart: 1, x, y, x², xy, y² for −1…1, with x² and y² minus their means",
+        doc="coefficients of the illumination over the chart, for the terms 1, x, y, x², xy, y²; x and y extend from −1 to "
+        "1, and the means of x² and y² are subtracted",
     )
     glare: NDArray[np.float64] = data("float64", "photo", "channel", unit="DN", doc="offset that glare adds to every patch")
     noise_from_patches: bool = data("bool", doc="whether gain and dark noise come from the photon transfer of the patches")
     response_band: NDArray[np.float64] = data(
         "float64",
         "channel",
-        doc="RMS half width of the 95 % band of responses to surfaces under other illuminants, relative to the largest",
+        doc="RMS half width of the 95 % band of responses to surfaces under other illuminants, relative to the largest "
+        "response",
     )
-    next_light: str = data("str", doc="illuminant under which one more photo would help most")
+    next_light: str = data("str", doc="illuminant under which one more photo would reduce the error of the responses most")
     next_share: float = data("float64", doc="fraction of the error of the responses that would remain after that photo")
     left_out: tuple[str, ...] = data(
         "str", "left_out", doc="patches left out because they are clipped, dusty or outliers, and in which channel"
@@ -231,7 +240,7 @@ class PhotoFit:
         "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black of each patch"
     )
     predicted: NDArray[np.float64] = data(
-        "float64", "photo", "photo_patch", "channel", unit="DN", doc="value that the model predicts"
+        "float64", "photo", "photo_patch", "channel", unit="DN", doc="mean value above black that the model predicts"
     )
     likely: LightGuess | None = group(default=None)
     window: PhotoWindow | None = group(default=None)  # None: every photo covers the whole sensor area

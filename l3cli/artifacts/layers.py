@@ -34,11 +34,17 @@ class MosaicLayer:
 
     rule: ClassRule = group()
     weights: NDArray[np.float32] = data(
-        "float32", "class", "output", "tap", doc="taps row by row; per unit of (DN − black level) / full scale"
+        "float32",
+        "class",
+        "output",
+        "tap",
+        doc="weights of the taps, row by row, for values of (DN − black level) / full scale",
     )
-    intercept: NDArray[np.float32] = data("float32", "class", "output", doc="added to the weighted sum")
+    intercept: NDArray[np.float32] = data(
+        "float32", "class", "output", doc="constant that is added to the weighted sum of the taps"
+    )
     samples: NDArray[np.float64] = data(
-        "float64", "class", doc="number of training patches; 0 if filled from a neighbouring class"
+        "float64", "class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
     condition: NDArray[np.float32] = data(
         "float32", "class", doc="condition number of the equations; 0 if the class was not trained"
@@ -67,7 +73,8 @@ class CoarseChroma:
         "step",
         "plane",
         "power",
-        doc="noise variance Σ variance · Y^power of the blocks that each step reads at luminance Y, in squared output units",
+        doc="coefficients of the noise variance of the blocks that each step reads: at luminance Y, it is Σ variance · "
+        "Y^power, in squared output units",
     )
 
     def __post_init__(self) -> None:
@@ -91,10 +98,14 @@ class Clipping:
         "clipped",
         "signal",
         "output",
-        doc="response to the mean of each channel (fraction of full scale) and to a constant 1: of all areas, then the "
-        "addition of each clipped channel",
+        doc="response to the mean of each channel (fraction of full scale) and to a constant 1: first the response of all "
+        "areas, then the change for each clipped channel",
     )
-    white: NDArray[np.float64] = data("float64", "channel", doc="signals of a white at Y = 1 under the training illuminant")
+    white: NDArray[np.float64] = data(
+        "float64",
+        "channel",
+        doc="signals of a perfect white with Y = 1 under the training illuminant, as fractions of full scale",
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -103,8 +114,7 @@ class Clipping:
         if self.response.shape[:2] != (1 + self.white.size,) * 2 or not np.isfinite(self.response).all():
             raise ValueError(
                 f"response has the shape {self.response.shape}; its first two axes must have the length channels + 1, "
-                "and all "
-                "values must be finite"
+                "and all values must be finite"
             )
 
 
@@ -121,11 +131,14 @@ class PlaneLayer:
         "plane_class",
         "output",
         "plane_tap",
-        doc="taps plane by plane, each row by row, then any colour ratios and bilateral chroma; per output unit",
+        doc="weights of the taps: the planes one after the other, each row by row, then colour ratios and bilateral chroma "
+        "if there are any; per output unit",
     )
-    intercept: NDArray[np.float32] = data("float32", "plane_class", "output", doc="added to the weighted sum")
+    intercept: NDArray[np.float32] = data(
+        "float32", "plane_class", "output", doc="constant that is added to the weighted sum of the taps"
+    )
     samples: NDArray[np.float64] = data(
-        "float64", "plane_class", doc="number of training patches; 0 if filled from a neighbouring class"
+        "float64", "plane_class", doc="number of training patches; 0: the class uses the transform of a similar class"
     )
     structure: StructureRule | None = group(default=None)  # class rule by structure; None if the layer has a tree
     tree: TreeRule | None = group(default=None)  # class rule by the leaves of a tree; None if the layer has a structure rule

@@ -56,14 +56,16 @@ class PartialSums(Artifact):
 
     shard: int = data("int64", doc="number of this shard, from 1")
     shards: int = data("int64", doc="number of shards")
-    pass_number: int = data("int64", doc="1: first pass, whose errors set the weights of the second; 2: last pass")
+    pass_number: int = data(
+        "int64", doc="1: first pass, whose errors determine the weights in the second pass; 2: last pass"
+    )
     patches: NDArray[np.int64] = data(
         "int64", "frame", doc="number of patches per site of each training frame, in all shards together"
     )
     training: TrainingSet = group()
     rule: ClassRule = group()
     white_point: NDArray[np.float64] = data(
-        "float64", "output", doc="output of a perfect white under the training illuminant, Y = 1"
+        "float64", "output", doc="outputs of a perfect white under the training illuminant, scaled to Y = 1"
     )
     sites: NDArray[np.int64] = data(
         "int64", "canonical_site", doc="CFA sites that are trained, as row · CFA columns + column", coordinate=True
@@ -137,7 +139,9 @@ class PartialLayerSums(Artifact):
     )
     structure: StructureRule | None = group(default=None)  # the class rule, if classes are structures
     tree: TreeRule | None = group(default=None)  # the class rule, if classes are the leaves of a tree
-    ratio_taps: int = data("int64", doc="number of taps after those of the windows", default=0)
+    ratio_taps: int = data(
+        "int64", doc="number of taps for colour ratios and bilateral chroma, which follow the taps of the windows", default=0
+    )
     gradients: tuple[GradientScale, ...] = group(default=())  # scales of gradients for each other noise
 
     @property
@@ -199,7 +203,8 @@ class PartialSumsReader:
     def site(self, index: int, condition: int = 0) -> Any:
         """Return the sums of the site `head.sites[index]`, as ClassSums, or as LayerSums for a refinement layer.
 
-        Condition 0 is the noise of the camera. Other noise levels are numbered from 1.
+        Condition 0 is the noise of the camera. Other noise levels are numbered from 1. Raises InputFileError if the sums do
+        not agree with the class rule.
         """
         where = store.hard_group(self._sums[condition], f"{index:05d}", self._path)
         sums: Any = store.read_fields(where, SUMS[type(self.head)], self._path)

@@ -29,9 +29,13 @@ class GradientScale:
     """Factor by which gradients are multiplied at each level of the first layer: gradient_factor / 2^gradient_shift."""
 
     gradient_factor: NDArray[np.uint8] = data(
-        "uint8", "mosaic_level", doc="factor for differences of planes at each level of the first layer"
+        "uint8",
+        "mosaic_level",
+        doc="factor by which differences of planes are multiplied, for each level of the first layer",
     )
-    gradient_shift: NDArray[np.uint8] = data("uint8", "mosaic_level", unit="bit", doc="right shift after the multiplication")
+    gradient_shift: NDArray[np.uint8] = data(
+        "uint8", "mosaic_level", unit="bit", doc="number of bits by which the product is then shifted right"
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -134,12 +138,12 @@ class PlaneClasses(GradientScale):
 class StructureRule(PlaneClasses):
     """Class rule with classes by level, and by the strength and direction of edges."""
 
-    level_step: int = data("int64", doc="number of first-layer levels that form one level of this layer")
+    level_step: int = data("int64", doc="number of levels of the first layer that form one level of this layer")
     strength_edges: NDArray[np.uint32] = data(
-        "uint32", "strength_edge", doc="trace of the structure tensor above which the next strength begins"
+        "uint32", "strength_edge", doc="trace of the structure tensor above which each strength begins"
     )
     coherence: int = data(
-        "int64", unit="1/64", doc="fraction of the trace along one direction from which an edge counts as directed"
+        "int64", unit="1/64", doc="smallest fraction of the trace along one direction for which an edge counts as directed"
     )
     turns: NDArray[np.int8] = data(
         "int8", "site", "component", doc="signs of the tensor's components in the orientation in which each site is trained"
@@ -193,10 +197,18 @@ class TreeRule(PlaneClasses):
     """
 
     test: NDArray[np.uint8] = data("uint8", "node", doc="number of the quotient that the node compares with its threshold")
-    threshold: NDArray[np.float32] = data("float32", "node", doc="larger values lead to the second branch")
-    branch: NDArray[np.int32] = data("int32", "node", doc="index of the first of two consecutive branches; 0 for a leaf")
+    threshold: NDArray[np.float32] = data(
+        "float32", "node", doc="threshold of the node; larger quotients lead to the second branch"
+    )
+    branch: NDArray[np.int32] = data(
+        "int32",
+        "node",
+        doc="index of the first of the two branches of the node, which are consecutive nodes; 0: the node is a leaf",
+    )
     turns: NDArray[np.uint8] = data(
-        "uint8", "site", doc="orientation, of the eight of a square, in which each site is trained"
+        "uint8",
+        "site",
+        doc="orientation in which each site is trained: one of the eight rotations and reflections of a square",
     )
     cases: int = data("int64", doc="number of saturation cases of the first layer, including the unsaturated one")
 

@@ -182,7 +182,7 @@ def load(cls: type[A], path: Path) -> A:
 
 
 def read_history(root: h5py.File, path: Path) -> tuple[Stage, ...]:
-    """Return the stages that produced an artifact, oldest first."""
+    """Return the stages that produced an artifact, oldest first. Raises InputFileError if the history is damaged."""
     text = _read_dataset(root, "history", HISTORY, path)
     try:
         return tuple(msgspec.json.decode(text, type=list[Stage]))
@@ -226,7 +226,10 @@ def read_fields(group: h5py.Group, cls: type, path: Path, **extra: Any) -> Any:
 
 
 def _read_group(group: h5py.Group, name: str, spec: Group, path: Path) -> Any:
-    """Read the instance, or the tuple of instances, in a declared group."""
+    """Read the instance, or the tuple of instances, in a declared group.
+
+    Raises InputFileError if the group is missing, damaged, or contains too many groups.
+    """
     below = hard_group(group, name, path)
     if not spec.several:
         return read_fields(below, spec.kind, path)
@@ -288,7 +291,11 @@ def require_plain(dataset: h5py.h5d.DatasetID, path: Path) -> Stored:
 
 
 def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
-    """Read a dataset, after checking its type and number of axes."""
+    """Read a dataset: as a string, a tuple of strings, a number, or an array that cannot be changed.
+
+    Raises InputFileError if the dataset is missing or damaged, or if its type or its number of axes differs from the
+    declaration.
+    """
     is_text = spec.dtype == "str"
     expected_kind = "S" if is_text else np.dtype(spec.dtype).kind
     with reading(path, f"dataset {_inside(group, name)}"):
@@ -298,8 +305,7 @@ def _read_dataset(group: h5py.Group, name: str, spec: Spec, path: Path) -> Any:
         if stored.dtype.kind != expected_kind or len(stored.shape) != len(spec.axes) or is_empty:
             raise InputFileError(
                 f"{path}: dataset {stored.where} has the type {stored.dtype} and {len(stored.shape)} axes, but must have "
-                "the "
-                f"type {spec.dtype} and the axes ({', '.join(spec.axes)}); create the file again"
+                f"the type {spec.dtype} and the axes ({', '.join(spec.axes)}); create the file again"
             )
         array = dataset[()]
         if is_text:

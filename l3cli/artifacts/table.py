@@ -25,7 +25,7 @@ class SpectralSmoothing:
     Each pixel gets the mean spectrum of neighbours with similar brightness, but keeps its own brightness.
     """
 
-    window: int = data("int64", unit="pixel", doc="side of the neighbourhood of a pixel")
+    window: int = data("int64", unit="pixel", doc="side of the square neighbourhood over which spectra are averaged")
     reach: float = data("float64", doc="relative difference of brightness from which pixels are left out of the mean")
 
     def __post_init__(self) -> None:
@@ -49,7 +49,7 @@ class ChromaSmoothing:
 
     reach: float = data("float64", doc="relative difference of luminance from which neighbours have no weight")
     likeness: float = data(
-        "float64", doc="difference of X/Y or Z/Y, relative to that of white, from which neighbours have no weight"
+        "float64", doc="difference of X/Y or Z/Y, as a fraction of the value for white, from which neighbours have no weight"
     )
 
     def __post_init__(self) -> None:
@@ -64,7 +64,9 @@ class ChromaSmoothing:
 class LeadingComponents:
     """The components of a spectrum that a refinement layer reads and corrects (docs/method.md#leading-components)."""
 
-    basis: NDArray[np.float64] = data("float64", "output", "plane", doc="the planes are the outputs times this matrix")
+    basis: NDArray[np.float64] = data(
+        "float64", "output", "plane", doc="matrix that converts outputs to planes: planes = outputs · basis"
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -128,17 +130,19 @@ class TransformTable(Artifact):
     rows: int = data("int64", unit="pixel", doc="rows of the camera's frames")
     cols: int = data("int64", unit="pixel", doc="columns of the camera's frames")
     channels: tuple[str, ...] = data("str", "channel", doc="names of the spectral channels")
-    cfa: NDArray[np.uint8] = data("uint8", "cfa_row", "cfa_col", doc="channel of each site of the super-pixel")
-    bits: int = data("int64", unit="bit", doc="depth of the raw values")
+    cfa: NDArray[np.uint8] = data(
+        "uint8", "cfa_row", "cfa_col", doc="number of the channel at each site, for one period of the colour filter array"
+    )
+    bits: int = data("int64", unit="bit", doc="bit depth of the raw values")
     black_level: float = data("float64", unit="DN", doc="black level of the raw values that the table expects")
     white_level: float = data("float64", unit="DN", doc="white level of the raw values that the table expects")
     outputs: tuple[str, ...] = data("str", "output", doc="names of the outputs")
     target_description: str = data("str", doc="description of the outputs")
     output_unit: float = data(
-        "float64", unit="cd s/m^2", doc="scene luminance × exposure time that an output of 1 stands for"
+        "float64", unit="cd s/m^2", doc="scene luminance × exposure time that corresponds to an output of 1"
     )
     white_point: NDArray[np.float64] = data(
-        "float64", "output", doc="output of a perfect white under the training illuminant, Y = 1"
+        "float64", "output", doc="outputs of a perfect white under the training illuminant, scaled to Y = 1"
     )
     first: MosaicLayer = group()
     later: tuple[PlaneLayer, ...] = group(default=())
@@ -200,8 +204,7 @@ class TransformTable(Artifact):
         if layer.side % 2 == 0 or layer.ratio_taps not in RATIO_TAPS:
             raise ValueError(
                 f"weights has {layer.weights.shape[2]} taps, but {PLANES} windows with side {layer.side}, which must be "
-                "odd, "
-                f"have {taps} taps"
+                f"odd, have {taps} taps"
             )
 
     @property

@@ -31,7 +31,9 @@ class LightSpectrum:
         "float32", "wavelength", unit="photons/s/sr/m^2/nm", doc="radiance of a perfect white of 1 cd/m^2"
     )
     spread: float = data(
-        "float64", doc="if this is a mean of illuminants: largest relative difference of one of them from it", default=0.0
+        "float64",
+        doc="if the spectrum is a mean of illuminants: largest relative difference between one of them and the mean",
+        default=0.0,
     )
 
     def __post_init__(self) -> None:
@@ -69,9 +71,11 @@ def white_signal(light: LightSpectrum, camera: CameraModel, output_unit: float |
 class TrainingPair:
     """A raw frame and the ideal picture. For a real pair, which a camera has captured, nothing more is known."""
 
-    raw: NDArray[np.uint16] = data("uint16", "row", "col", unit="DN", doc="one noisy mosaic, CFA phase (0, 0)")
+    raw: NDArray[np.uint16] = data(
+        "uint16", "row", "col", unit="DN", doc="noisy mosaic, which begins at site (0, 0) of the colour filter array"
+    )
     target: NDArray[np.float32] = data(
-        "float32", "output", "row", "col", unit="cd/m^2 (XYZ)", doc="wanted output at each pixel of the sensor"
+        "float32", "output", "row", "col", unit="cd/m^2 (XYZ)", doc="ideal outputs at each pixel of the sensor"
     )
     white: NDArray[np.float64] = data(
         "float64", "output", unit="cd/m^2 (XYZ)", doc="target of a perfect white under this illuminant"
@@ -110,7 +114,7 @@ class Shown:
     """Fingerprints of the scene and the illuminant of a frame, which can be compared between cameras."""
 
     scene: NDArray[np.float64] = data(
-        "float64", "projection", doc="projections of the visible part of the scene, which identify it"
+        "float64", "projection", doc="fingerprint that identifies the visible part of the scene"
     )
     light: str = data("str", doc="SHA-256 of the measured spectra from which the illuminant was made")
 
@@ -122,7 +126,9 @@ class Shown:
 class IgnoredPixels:
     """Pixels without data in the file of the scene. They are filled from their neighbours and are not used in training."""
 
-    mask: NDArray[np.uint8] = data("uint8", "row", "col", doc="1: the pixel is ignored")
+    mask: NDArray[np.uint8] = data(
+        "uint8", "row", "col", doc="1: the pixel has no data and is ignored; 0: the pixel is used"
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -137,7 +143,12 @@ class TrainingFrame(TrainingPair):
     """
 
     electrons: NDArray[np.float32] = data(
-        "float32", "channel", "row", "col", unit="e-", doc="mean photo-electrons of every channel, noise-free, unclipped"
+        "float32",
+        "channel",
+        "row",
+        "col",
+        unit="e-",
+        doc="mean number of photo-electrons of every channel at every pixel, without noise and clipping",
     )
     seed: tuple[int, ...] = data("int64", "seed_word", doc="seed of the noise in this frame")
     shown: Shown | None = group(default=None)  # None: unknown

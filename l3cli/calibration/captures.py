@@ -201,8 +201,7 @@ def flat_field(response: Array, body: Body) -> FlatField:
         if rough > UNEVEN:
             raise InputFileError(
                 f"channel {name}: the white frames deviate by {rough:.0%} RMS from a smooth surface; use frames of an "
-                "evenly "
-                "lit white target"
+                "evenly lit white target"
             )
         lines = np.meshgrid(np.linspace(-1, 1, GRID[0]), np.linspace(-1, 1, GRID[1]), indexing="ij")
         root = (_surface(*map(np.ravel, lines)) @ terms).reshape(GRID)

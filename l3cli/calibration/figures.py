@@ -432,8 +432,7 @@ def doubts(camera: CameraModel) -> list[str]:
         return []
     return [
         f"{name}: the patches are {_times(fit.deficit[index])} times more probable under {fit.nearest[index]} than under "
-        "the "
-        f"specified illuminant {fit.lights[index]}, which is used; check the illuminant"
+        f"the specified illuminant {fit.lights[index]}, which is used; check the illuminant"
         for index, name in enumerate(fit.names)
         if not fit.guessed[index] and fit.deficit[index] > NOTICED
     ]
@@ -468,8 +467,7 @@ def shortfall(camera: CameraModel) -> str | None:
         if fit < LEAST_R_SQUARED or rmse > MOST_RMSE:
             return (
                 f"the validation of channel {name} has R² {fit:.4f} and a relative RMSE of {100 * rmse:.2f} %, but the "
-                "limits "
-                f"are {LEAST_R_SQUARED} and {100 * MOST_RMSE:g} %; check the illuminants and the captures"
+                f"limits are {LEAST_R_SQUARED} and {100 * MOST_RMSE:g} %; check the illuminants and the captures"
             )
     return None
 

@@ -128,7 +128,8 @@ def from_photos(measurements: Measurements, each: Each = map) -> CameraModel:
     """Build a camera model with relative responsivity curves from photographs of charts.
 
     Dark and white frames determine the noise and the levels of the sensor. If there are no white frames, the noise is
-    estimated from the photographs, and the levels are read from the measurement file.
+    estimated from the photographs, and the levels are those of the raw frames. Raises InputFileError if no responsivities
+    explain the values of the patches.
     """
     try:
         curves, fit, sensor = fit_photos(measurements)

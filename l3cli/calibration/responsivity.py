@@ -422,6 +422,11 @@ def _cores(capture: ChartCapture, body: Body, defects: Defects) -> tuple[NDArray
         Label of each pixel: patch · channels + channel.
     count : ndarray, (patch, channel)
         Number of pixels.
+
+    Raises
+    ------
+    InputFileError
+        If the corners of the chart are outside the frame or on a line.
     """
     rows, cols, channels = body.rows, body.cols, len(body.channels)
     if (capture.corners < 0).any() or (capture.corners > (cols, rows)).any():

@@ -210,7 +210,10 @@ def _room(weights: NDArray[np.float64], offset: NDArray[np.float64], read: _Read
 
 
 def _fraction(room: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return the number of fractional bits for each class. `room` is the result of `_room`."""
+    """Return the number of fractional bits for each class. `room` is the result of `_room`.
+
+    Raises InputFileError if the transform of a class is too large even without fractional bits.
+    """
     fraction = np.minimum(MAX_FRACTION, np.floor(np.log2(room)))
     if fraction.min() < 0:
         raise InputFileError("the transforms of a layer do not fit into fixed-point numbers; train the table again")

@@ -210,7 +210,11 @@ def _sent_out(
 
 
 def _answer(client: Any, workers: _Workers, future: Any) -> Any:
-    """Wait for the answer of a worker. If a worker dies, dask repeats its item."""
+    """Wait for the answer of a worker. If a worker dies, dask repeats its item.
+
+    Raises L3Error if the scheduler or all workers are gone, if a worker cannot import a module, if several workers died at
+    the same item, or if dask cannot read the answer.
+    """
     from distributed import KilledWorker
     from distributed.comm import CommClosedError
 
@@ -318,7 +322,11 @@ def work_elsewhere(versions: dict[str, str], content: bytes) -> bytes:
 
 
 def _computed(versions: dict[str, str], content: bytes) -> Any:
-    """Return function(item). One item is computed at a time, because not all functions are thread-safe."""
+    """Return function(item). `content` is the pickled pair (function, item).
+
+    One item is computed at a time, because not all functions are thread-safe. Raises L3Error if a version on this worker
+    differs from `versions`, or if the worker uses several BLAS threads.
+    """
     for name, theirs in versions.items():
         if (ours := _versions()[name]) != theirs:
             raise L3Error(f"a worker has {name} {ours}, but this machine has {theirs}; install the same version on both")

@@ -62,6 +62,7 @@ def mix_for(table: TransformTable, white: NDArray[np.floating]) -> Mix | None:
     Parameters
     ----------
     table : TransformTable
+        Table with transforms for several illuminants.
     white : ndarray, (3,)
         XYZ of the white of the scene.
 
@@ -96,6 +97,7 @@ def mixed(table: TransformTable, mix: Mix | None) -> TransformTable:
     Parameters
     ----------
     table : TransformTable
+        Table with transforms for several illuminants.
     mix : Mix or None
         The mixture, or None to use the transforms trained on all illuminants together.
 
@@ -196,6 +198,7 @@ def at_gain(table: TransformTable, gain: float) -> TransformTable:
     Parameters
     ----------
     table : TransformTable
+        Table for the gain of its camera.
     gain : float
         Analog gain of the frames, relative to the camera of the table.
 
@@ -311,6 +314,7 @@ class NoiseSets:
     Parameters
     ----------
     table : TransformTable
+        Table with its sets of transforms.
     by_noise : bool
         Whether to include the sets for less noise.
 
@@ -379,6 +383,7 @@ def with_edges_for(table: TransformTable, share: float) -> TransformTable:
     Parameters
     ----------
     table : TransformTable
+        Table for the noise of its camera.
     share : float
         Noise variance of the frames, as a fraction of the noise variance of the camera.
 

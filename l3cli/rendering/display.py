@@ -137,6 +137,7 @@ def shown_adaptation(table: TransformTable, adaptation: NDArray[np.float64]) -> 
     Parameters
     ----------
     table : TransformTable
+        Table whose outputs are displayed.
     adaptation : ndarray, (3, 3)
         Converts the outputs X, Y, Z under the illuminant of the scene to XYZ under D65.
 

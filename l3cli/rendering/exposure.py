@@ -38,6 +38,7 @@ class SpreadSamples:
         Parameters
         ----------
         frame : RawFrame
+            Frame from which the patches are taken.
         gains : ndarray, (channel,), optional
             White balance gains to apply to the patches.
 

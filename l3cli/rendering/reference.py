@@ -155,6 +155,7 @@ def output_planes(frame: RawFrame, labels: Integers, table: TransformTable, firs
     labels : ndarray, (row, col)
         Class of each pixel.
     table : TransformTable
+        Table to which the layer belongs.
     first : MosaicLayer
         The first layer, with the classes of all sets of transforms.
 
@@ -186,6 +187,7 @@ def refinement_planes(
     labels : ndarray, (row, col)
         Class of each pixel.
     layer : PlaneLayer
+        The layer.
     fixed : FixedPoint
         Fixed-point transforms of the layer.
 
@@ -208,6 +210,7 @@ def refinement_outputs(
     labels : ndarray, (row, col)
         Class of each pixel.
     layer : PlaneLayer
+        The layer.
     share : float
         Noise variance of the frame, as a fraction of the noise variance of the camera.
 

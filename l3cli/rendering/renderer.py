@@ -92,6 +92,7 @@ def make_renderer(backend: str, table: TransformTable, by_noise: bool = False, *
     backend : str
         "opencl" or "reference".
     table : TransformTable
+        Table that renders the frames.
     by_noise : bool
         Whether to use the table's transforms for less noise, for pixels in which a temporal filter has left little noise.
     **options

@@ -113,6 +113,7 @@ def shown_as(
     Parameters
     ----------
     table : TransformTable
+        Table that renders the frames.
     exposure : float or None
         Factor on Y, or None for automatic exposure.
     white : str or None
@@ -158,7 +159,9 @@ def rendered(
     Parameters
     ----------
     renderer : Renderer
+        Renderer with the table.
     frame : RawFrame
+        Frame to render.
     rendition : Rendition
         Settings of the picture.
     scale : float
@@ -216,6 +219,7 @@ class FrameMeter:
     Parameters
     ----------
     table : TransformTable
+        Table that renders the frames.
     rendition : Rendition
         Settings of the pictures.
     source : WhiteSource or None
@@ -277,6 +281,7 @@ class FrameMeter:
         Parameters
         ----------
         frame : RawFrame
+            The next frame.
         brightness : float
             Brightness of the frame, from `looked_at`.
         flicker : float

@@ -112,6 +112,7 @@ def uncertainty(renderer: Renderer, frame: RawFrame, like: Uncertainty | None = 
     renderer : Renderer
         A renderer with one set of transforms, for the gain and the noise of the frame.
     frame : RawFrame
+        Frame that the renderer renders.
     like : Uncertainty, optional
         Uncertainty of another frame of the same scene, whose gains are used instead of a new bootstrap.
 
@@ -308,7 +309,10 @@ def _noise_terms(table: TransformTable, frame: RawFrame) -> tuple[Array, Array, 
 
 
 def _noise_gains(renderer: Renderer, frame: RawFrame, outputs: Array, scale: Array) -> NoiseGains:
-    """Determine the gains by a bootstrap. `outputs` are the outputs of the frame, which contain the factor `scale`."""
+    """Determine the gains by a bootstrap. `outputs` are the outputs of the frame, which contain the factor `scale`.
+
+    Raises RecipeError if the frame is too small.
+    """
     from scipy.ndimage import gaussian_filter
 
     table = renderer.table
@@ -435,6 +439,7 @@ def _raked(table: TransformTable, first: Labels, last: Labels, spread: Array, me
     Parameters
     ----------
     table : TransformTable
+        Table with one set of transforms.
     first, last : ndarray, (draw, pixel)
         Classes in the first and in the last layer.
     spread : ndarray, (draw, pixel)

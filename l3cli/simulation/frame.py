@@ -361,7 +361,10 @@ def make_pair(
 
 
 def _grey_world_scale(values: NDArray[np.uint16], picture: NDArray[np.float32], camera: CameraModel) -> float:
-    """Fit the scale of a pair, assuming that the mean of the scene is grey under D65."""
+    """Fit the scale of a pair, assuming that the mean of the scene is grey under D65.
+
+    Raises ValueError if the picture has no pixels that are neither black nor clipped.
+    """
     share = (values - camera.black_level) / (camera.white_level - camera.black_level)
     bright = picture[1] if len(picture) == 3 else picture.mean(axis=0)
     usable = (share < BRIGHT) & (bright < BRIGHT)

@@ -385,7 +385,10 @@ def framed_size(size: tuple[int, int], framing: Framing, camera: CameraModel) ->
 
 
 def _cropped(size: tuple[int, ...], framing: Framing) -> tuple[int, int, int, int]:
-    """Return the crop of a scene: first row, first column, number of rows and number of columns."""
+    """Return the crop of a scene: first row, first column, number of rows and number of columns.
+
+    Without a crop in the recipe, the result is the whole scene. Raises ValueError if the crop extends beyond the scene.
+    """
     if framing.crop is None:
         return 0, 0, size[0], size[1]
     top, left, rows, cols = framing.crop
@@ -575,7 +578,10 @@ def _photons(wavelength: np.ndarray, source: Spectral) -> np.ndarray:
 
 
 def _normalise(reflectance: np.ndarray) -> None:
-    """Scale a scene so that the reflectances of nearly all pixels are at most 1."""
+    """Scale a scene in place so that the reflectances of nearly all pixels are at most 1.
+
+    Raises ValueError if the scene is black.
+    """
     peak = float(np.quantile(reflectance.max(axis=2), BRIGHT_QUANTILE))
     if peak <= 0:
         raise ValueError("the scene is black everywhere; use another scene")
@@ -595,6 +601,12 @@ def _bands(cube: SpectralCube, source: Spectral) -> tuple[np.ndarray, np.ndarray
         Stored values.
     ndarray, (row, col), or None
         Mask of the pixels without data.
+
+    Raises
+    ------
+    ValueError
+        If there are no wavelengths, if a wavelength is not finite or occurs twice, or if the number of wavelengths differs
+        from the number of bands.
     """
     if source.wavelengths_nm is not None:
         wavelength = np.array(source.wavelengths_nm)

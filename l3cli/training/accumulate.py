@@ -40,6 +40,7 @@ def sum_sites(
     Parameters
     ----------
     pass_ : TrainingPass
+        Settings of the pass.
     blocks : iterable of (int, tuple of int, iterator of TrainingPair)
         For each block, the index of its first frame, the sites to sum, and its frames.
     weightings : mapping of int to SampleWeighting or None
@@ -139,7 +140,10 @@ class _Batch:
     def _seen(
         self, batch: slice, scale: Floats, order: TapOrder, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield the classes and the levels of the noisy patches in `batch`, once for each row of `scale` (draw, patch)."""
+        """Scale the patches in `batch` by each row of `scale` (draw, patch), and add noise.
+
+        For each row, yield the classes and the levels of the noisy patches.
+        """
         pass_, patches = self.pass_, self.patches
         signal: Floats = np.ascontiguousarray(patches.signal[batch].T)[order.taps]
         channel = self.neighbours.channel[self.site][order.taps][:, None]

@@ -39,6 +39,7 @@ class Patches:
         Parameters
         ----------
         scale : ndarray, (patch)
+            Wanted factors.
 
         Returns
         -------
@@ -78,12 +79,15 @@ def patches_of(
     frame : TrainingPair
         A simulated frame (TrainingFrame), or a real pair.
     head : TrainingSet
+        Properties that all frames of the training share, such as the camera and the outputs.
     neighbours : Neighbourhoods
+        Windows of all sites.
     site : int
         The canonical site.
     count : int
         Number of patches.
     rng : numpy.random.Generator
+        Source of the random numbers.
     allowed : tuple of int
         Orientations in which patches of real pairs may be read, as in `site_maps`. Patches of simulated frames are read in
         all orientations, because their noise is added later.
@@ -132,7 +136,7 @@ def colourless_frame(frame: TrainingPair, head: TrainingSet) -> TrainingFrame | 
 def without_colour(frame: TrainingFrame, camera: CameraModel) -> TrainingFrame:
     """Return a version of the frame in which every surface is a grey with the luminance of the original surface.
 
-    The illuminant of the frame must be known, because the greys have its colour.
+    The greys have the colour of the illuminant. Raises ValueError if the illuminant of the frame is unknown.
     """
     if frame.light is None:
         raise ValueError("the illuminant of the frame must be known")
@@ -160,13 +164,17 @@ def sample_pair(
     Parameters
     ----------
     pair : TrainingPair
+        The real pair.
     camera : CameraModel
+        Camera that took the raw frame.
     neighbours : Neighbourhoods
+        Windows of all sites.
     site : int
         The canonical site.
     count : int
         Number of patches.
     rng : numpy.random.Generator
+        Source of the random numbers.
     allowed : tuple of int
         Orientations in which patches may be read, as in `site_maps`.
 
@@ -229,7 +237,9 @@ def sample_patches(
     Parameters
     ----------
     frame : TrainingFrame
+        The simulated frame.
     head : TrainingSet
+        Properties that all frames of the training share, such as the camera and the outputs.
     unit : float
         The output unit, by which targets are divided.
     window : ndarray, (tap)
@@ -239,6 +249,7 @@ def sample_patches(
     orientations : sequence of ndarray, (tap)
         Permutations of the taps. All are used equally often.
     rng : numpy.random.Generator
+        Source of the random numbers.
 
     Returns
     -------
@@ -289,6 +300,7 @@ def levels_at(recipe: LearningRecipe, places: NDArray[np.float64]) -> NDArray[np
     Parameters
     ----------
     recipe : LearningRecipe
+        The section [learning] of the class recipe.
     places : ndarray
         Random numbers between 0 and 1.
 
@@ -354,7 +366,9 @@ def expose_patches(
     signal : ndarray, (patch, tap) or (tap, patch)
         Signals as fractions of full scale.
     camera : CameraModel
+        Camera with the noise model and the levels.
     rng : numpy.random.Generator
+        Source of the random numbers.
     carried : ndarray, optional
         Noise variance that measured signals already contain, in full scale². Only the rest of the noise is added.
         [default: 0]

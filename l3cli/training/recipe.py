@@ -169,7 +169,9 @@ def for_camera(recipe: TrainingRecipe, camera: CameraModel) -> TrainingRecipe:
     Parameters
     ----------
     recipe : TrainingRecipe
+        Class recipe.
     camera : CameraModel
+        Camera for which the table is trained.
 
     Returns
     -------

@@ -53,7 +53,9 @@ def shrunk(
     classes : ndarray, (class)
         Numbers of the classes. Either all or none of them are saturated.
     rule : ClassRule
+        Class rule of the first layer.
     recipe : LearningRecipe
+        The section [learning] of the class recipe.
 
     Returns
     -------
@@ -172,13 +174,17 @@ def solve(
     Parameters
     ----------
     sums : ClassSums
+        Sums of all classes of the site.
     rule : ClassRule
+        Class rule of the first layer.
     window : ndarray, (tap)
         Channel of each tap.
     turns : list of Turn
         Orientations that leave the CFA layout of the window unchanged. The sums are averaged over these orientations.
     recipe : LearningRecipe
+        The section [learning] of the class recipe.
     goal : Goal
+        What the transforms are trained for.
 
     Returns
     -------
@@ -305,8 +311,11 @@ def equal_responses(
     copies : list of int
         Number of CFA sites that each canonical site represents.
     rule : ClassRule
+        Class rule of the first layer.
     recipe : LearningRecipe
+        The section [learning] of the class recipe.
     goal : Goal
+        What the transforms are trained for.
 
     Returns
     -------

@@ -69,7 +69,9 @@ def add_rounded(total: Array, more: NDArray[np.float32], large: Array) -> None:
     Parameters
     ----------
     total : ndarray of float64
+        Total, which is changed in place.
     more : ndarray of float32
+        Numbers to add.
     large : ndarray of float64
         The `rounding_number` of the grid steps.
     """

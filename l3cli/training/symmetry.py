@@ -102,6 +102,7 @@ def turned_classes(rule: ClassRule, number: int) -> Indices:
     Parameters
     ----------
     rule : ClassRule
+        Class rule of the first layer.
     number : int
         Number of the orientation.
 

@@ -72,13 +72,17 @@ def take_pilot(
     Parameters
     ----------
     frames : iterable of TrainingPair
+        Training frames.
     first : int
         Index of the first frame.
     patches : sequence of int
         Number of patches per site from each frame.
     head : TrainingSet
+        Properties that all frames of the training share, such as the camera and the outputs.
     recipe : TrainingRecipe
+        Class recipe.
     seed : int
+        Seed of the random numbers.
 
     Returns
     -------
@@ -129,8 +133,11 @@ def survey(
     patches : sequence of int
         Number of training patches from each frame, which is the weight of the frame.
     head : TrainingSet
+        Properties that all frames of the training share, such as the camera and the outputs.
     recipe : TrainingRecipe
+        Class recipe.
     seed : int
+        Seed of the random numbers.
 
     Returns
     -------
@@ -198,6 +205,7 @@ def learn_site(pass_: TrainingPass, parts: Iterable[ClassSums], site: int) -> So
     Parameters
     ----------
     pass_ : TrainingPass
+        Settings of the pass.
     parts : iterable of ClassSums
         Sums of the site over all parts of the pass, in any order.
     site : int
@@ -224,6 +232,7 @@ def assemble(pass_: TrainingPass, solutions: dict[int, Solution], history: tuple
     Parameters
     ----------
     pass_ : TrainingPass
+        Settings of the pass.
     solutions : dict of int to Solution
         Solution of each canonical site.
     history : tuple of Stage
@@ -331,7 +340,10 @@ def _dark_signal(frame: TrainingPair, camera: CameraModel) -> float:
 
 
 def _unit_white(frame: TrainingPair, outputs: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the outputs of white for a frame, scaled to Y = 1, or to a mean of 1 if no output is called Y."""
+    """Return the outputs of white for a frame, scaled to Y = 1, or to a mean of 1 if no output is called Y.
+
+    Raises InputFileError if the white is dark, or does not have one value per output.
+    """
     size = float(brightness_of(frame.white, outputs))
     if frame.white.size != len(outputs) or size <= 0:
         raise InputFileError(
@@ -352,9 +364,11 @@ def layer_pass(table: TransformTable, recipe: TrainingRecipe, mosaics: tuple[int
     table : TransformTable
         Table with all previous layers.
     recipe : TrainingRecipe
+        Class recipe.
     mosaics : tuple of int
         Number of mosaics from each frame.
     seed : int
+        Seed of the random numbers.
 
     Returns
     -------
@@ -391,6 +405,7 @@ def finished_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums

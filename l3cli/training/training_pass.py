@@ -196,6 +196,7 @@ def work_shares(pass_: TrainingPass, divisors: Mapping[int, int], blocks: list[r
     Parameters
     ----------
     pass_ : TrainingPass
+        Settings of the pass.
     divisors : mapping of int to int
         For each canonical site to process, the divisor of its number of patches.
     blocks : list of range

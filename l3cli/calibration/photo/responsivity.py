@@ -119,7 +119,11 @@ def light_of(capture: PhotoCapture) -> Array:
 
 
 def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], reflectance: Array) -> Array:
-    """Return the homography from chart coordinates, in patches, to pixels."""
+    """Return the homography from chart coordinates, in patches, to pixels.
+
+    The homography maps the corners in the measurement file to pixels. If the file contains no corners, the chart is searched
+    in the photo. Raises InputFileError if no chart is found, or if the corners are outside the photo or on a line.
+    """
     rows, cols = capture.chart.grid
     if capture.corners is None:
         located = locate(mosaic, cfa, reflectance, capture.chart.grid)
@@ -179,9 +183,10 @@ def _over_white(
     grid: tuple[int, int],
     saturation: float,
 ) -> Array:
-    """Return the relative illumination of each patch and channel.
+    """Return the relative illumination of each patch and channel, measured in photos of a uniform white target in place of
+    the chart.
 
-    It is measured in a photo of a uniform white target in place of the chart.
+    Raises InputFileError if the target is clipped, dark or uneven in the area of the chart.
     """
     mosaics = [white.values.astype(np.float64) - black for white in whites]
     values = patch_values(mosaics, cfa, to_pixels, grid, saturation)
@@ -360,8 +365,9 @@ def _padded(parts: Sequence[NDArray], fill: float | bool) -> NDArray:
 def _sensor(photographs: Sequence[Photograph], measurements: Measurements) -> tuple[SensorFigures, bool]:
     """Return the noise and the levels of the sensor, and whether the noise was estimated from the patches.
 
-    If there is a data sheet, gain and noise are read from the data sheet. Otherwise they are estimated from the patches.
-    The levels are always read from the files.
+    If there is a data sheet, gain and noise are read from the data sheet. Otherwise they are estimated from the patches. The
+    levels are always read from the files. Raises InputFileError if the white level does not fit into the bits of the camera,
+    or if the noise of the patches is not that of a raw file.
     """
     first = photographs[0]
     if measurements.datasheet is not None:

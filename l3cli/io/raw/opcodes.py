@@ -89,6 +89,7 @@ def read_opcodes(page: Any, planes: Sequence[int], area: tuple[int, int]) -> Opc
     Parameters
     ----------
     page : tifffile.TiffPage
+        The page with the opcode lists.
     planes : sequence of int
         Colour code of each plane of the demosaicked picture.
     area : tuple of int

@@ -44,7 +44,9 @@ class DeviceCoarseChroma:
         Parameters
         ----------
         track : Track
+            Command queue and device buffers for the band.
         band : Band
+            Rows of the frame that are rendered together.
         share : float
             Noise variance of the frame, as a fraction of the noise variance of the camera.
 

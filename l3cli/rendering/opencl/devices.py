@@ -37,8 +37,10 @@ FORKED = (
 
 @functools.cache
 def prepare_cache() -> str:
-    """Choose the folder of PoCL's cache. This function must be called before the first OpenCL function.
+    """Set the folder of PoCL's cache. This function must be called before the first OpenCL function.
 
+    The folder is created if necessary, with access only for the user. If it cannot be used, for example because other users
+    can write to it or the disk is full, a temporary folder is used.
     Returns
     -------
     str
@@ -95,7 +97,7 @@ def _user_folder() -> Path | None:
 
 
 def _require_room(folder: Path) -> None:
-    """Raise an OSError if compiled kernels cannot be written to a folder or loaded from it."""
+    """Raise OSError if a folder has too little space for compiled kernels, or if programs in the folder cannot be run."""
     if os.statvfs(folder).f_flag & os.ST_NOEXEC:
         raise PermissionError(errno.EACCES, "programs in this folder cannot be run (noexec)")
     with tempfile.TemporaryFile(dir=folder) as room:

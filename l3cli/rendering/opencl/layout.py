@@ -196,6 +196,7 @@ def display_constants(table: TransformTable, matrix: NDArray | None) -> NDArray[
     Parameters
     ----------
     table : TransformTable
+        Table whose outputs are encoded.
     matrix : ndarray, (3, 3), or None
         Matrix from X, Y, Z to the linear values of a picture, or None if outputs are written unchanged.
 

@@ -96,6 +96,7 @@ class Programs:
     compiler : Compiler
         The compiler of the device.
     table : TransformTable
+        Table that the kernels render.
     variant : str
         A key of layout.VARIANTS.
     lanes : int or None

@@ -129,6 +129,7 @@ class OpenCLRenderer:
     Parameters
     ----------
     table : TransformTable
+        Table that renders the frames.
     device : str, optional
         Number of the device, or a part of its name. [default: the value of the environment variable L3_DEVICE, otherwise the
         first GPU, otherwise the first device]
@@ -265,6 +266,7 @@ class OpenCLRenderer:
         Parameters
         ----------
         frame : RawFrame
+            Frame that is rendered.
         display : Display or None
             Settings of the picture, or None to render outputs.
 
@@ -308,6 +310,7 @@ class OpenCLRenderer:
         Parameters
         ----------
         frame : RawFrame
+            Frame that is rendered.
         results : sequence of ndarray, (row, …)
             Arrays to which the results are written. On the device, the results are consecutive in one buffer.
         ending : dict or None

@@ -147,6 +147,7 @@ def filters(backend: str, table: TransformTable, **options: str | None) -> Calla
     backend : str
         "opencl" or "reference".
     table : TransformTable
+        Table whose camera determines the noise.
     **options
         Options of the backend, as in `make_renderer`.
 

@@ -33,6 +33,7 @@ def planes_of(values: NDArray[np.uint16], grid: Grid) -> list[Plane]:
     values : ndarray, (row, col)
         Mosaic, extended to whole blocks.
     grid : Grid
+        Division of the frame into cells and blocks.
 
     Returns
     -------
@@ -59,7 +60,9 @@ def vectors_of(now: list[Plane], before: list[Plane], grid: Grid, noise: NoiseTe
     now, before : list of ndarray
         Planes of this frame and of the previous frame, from `planes_of`.
     grid : Grid
+        Division of the frame into cells and blocks.
     noise : NoiseTerms
+        Noise of the frames.
 
     Returns
     -------

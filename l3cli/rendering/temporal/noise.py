@@ -125,6 +125,7 @@ def noise_of(camera: CameraModel, black_level: float, white_level: float, sites:
     Parameters
     ----------
     camera : CameraModel
+        Camera with the noise model.
     black_level, white_level : float
         Levels of the frames, in DN.
     sites : int

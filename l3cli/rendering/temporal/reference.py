@@ -66,6 +66,7 @@ def rescaled(before: Blend, times: float, grid: Grid, noises: tuple[NoiseTerms, 
     times : float
         Factor by which signals become larger.
     grid : Grid
+        Division of the frame into cells and blocks.
     noises : tuple of NoiseTerms
         Noise before and after the change.
 
@@ -98,7 +99,9 @@ def blended(values: NDArray[np.uint16], before: Blend, vectors: Vectors, grid: G
     vectors : ndarray, (block row, block col, 2)
         Motion vectors in pixels.
     grid : Grid
+        Division of the frame into cells and blocks.
     noise : NoiseTerms
+        Noise of the frames.
 
     Returns
     -------

@@ -330,6 +330,7 @@ def white_source(
         Value of the option ‹white›. The values "camera", "auto", "chart" and "ROW,COL[,SIZE]" select a method. Every other
         value is a fixed white point, which `given_white` parses.
     table : TransformTable
+        Table that renders the frames.
     photos : bool
         Whether to use the white balance recorded in the files if `text` is None.
     estimated_by : TransformTable, optional

@@ -70,6 +70,7 @@ def solve_layer(
     rule : PlaneRule
         Class rule of the layer.
     goal : LayerGoal
+        What the transforms are trained for.
     equal : bool
         Whether to constrain all sites to a common response.
 
@@ -329,6 +330,7 @@ def sum_layer(
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     rule : PlaneRule
         Class rule of the layer to be trained.
     blocks : iterable of (int, iterable of TrainingPair)
@@ -373,6 +375,7 @@ def learn_layer(layer: LayerPass, rule: PlaneRule, sums: dict[int, LayerSums]) -
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     rule : PlaneRule
         Class rule of the layer.
     sums : dict of int to LayerSums

@@ -86,10 +86,13 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
     Parameters
     ----------
     frame : TrainingPair
+        Simulated frame, or real pair.
     count : int
         Number of mosaics.
     exposed : Exposed
+        Settings for making mosaics from frames.
     rng : numpy.random.Generator
+        Source of the random numbers.
 
     Yields
     ------
@@ -190,6 +193,7 @@ def _drawn_turn(
     place : list of float
         Position of the mosaic along each axis of the turned frame, from 0 to 1.
     rng : numpy.random.Generator
+        Source of the random numbers.
 
     Returns
     -------
@@ -268,8 +272,11 @@ class FirstLayer:
     Parameters
     ----------
     camera : CameraModel
+        Camera for which the table is trained.
     rule : ClassRule
+        Class rule of the first layer.
     fixed : FixedPoint
+        Fixed-point transforms of the first layer.
     outputs : MosaicLayer, optional
         The first layer in floating point, if later layers correct its outputs.
     """

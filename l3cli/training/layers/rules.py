@@ -246,7 +246,9 @@ def luminance_noise(layer: LayerPass, frames: Iterable[TrainingPair], first: int
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     frames : iterable of TrainingPair
+        Training frames.
     first : int
         Index of the first frame.
     every : int
@@ -285,6 +287,7 @@ def gradient_scale(layer: LayerPass, noise: Iterable[NDArray[np.float64]]) -> Gr
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     noise : iterable of ndarray, (2, level)
         Results of `luminance_noise` for all measured frames.
 
@@ -321,8 +324,11 @@ def sample_tree(
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     scale : GradientScale
+        Result of `gradient_scale`.
     frames : iterable of TrainingPair
+        Training frames.
     first : int
         Index of the first frame.
 
@@ -390,7 +396,9 @@ def tree_rule(
     Parameters
     ----------
     layer : LayerPass
+        Settings for the training of the refinement layer, and results of the earlier layers.
     scale : GradientScale
+        Result of `gradient_scale`.
     samples : sequence of dict of int to TreeSamples
         Results of `sample_tree` for all frames, in the order of the frames.
     mapped : callable
