@@ -68,7 +68,7 @@ class ChannelRecipe(Recipe):
 
 
 def channel_faults(channel: Mapping[str, ChannelRecipe], channels: Sequence[str]) -> Iterator[Fault]:
-    """Yield the faults of [channel.NAME]: unknown channels, and settings that contradict each other."""
+    """Yield the faults of [channel.NAME]: unknown channels, contradictory settings, and exposures of which none is 1."""
     for name, one in channel.items():
         if name not in channels:
             yield fault(f'"{name}" is not a channel of cfa.channels; {suggestion(name, channels)}', ("channel", name))
@@ -125,7 +125,7 @@ def settings_from(channel: Mapping[str, ChannelRecipe], channels: Sequence[str],
 
 
 def readout_of(channel: Mapping[str, ChannelRecipe], channels: Sequence[str], read_noise: float) -> Readout | None:
-    """Return the readout of a recipe without `channel_faults`.
+    """Return the readout that the sections [channel.NAME] of a recipe describe. The sections must not have `channel_faults`.
 
     The result is None if the recipe has no [channel.NAME], or if these sections only describe polarisers. `read_noise`, in
     e-, applies to channels without a `read_noise_e`.

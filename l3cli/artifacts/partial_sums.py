@@ -185,6 +185,11 @@ class PartialSumsReader:
         Header of the file.
     conditions : int
         Number of other noise levels for which the file contains sums.
+
+    Raises
+    ------
+    InputFileError
+        If the sums of a site are missing.
     """
 
     def __init__(self, root: h5py.File, path: Path) -> None:

@@ -151,7 +151,12 @@ def _fixed_point(
     weights: NDArray[np.float32], intercept: NDArray[np.float32], basis: NDArray[np.float64], read: _Read,
     layouts: Iterable[tuple[slice, Integers]],
 ) -> FixedPoint:  # fmt: skip
-    """Convert transforms to integers. `layouts` contains ranges of classes, with the channel of each of their taps."""
+    """Convert the transforms of all classes to integers.
+
+    The transforms are first converted to planes with `basis`. Each class has the largest number of fractional bits with
+    which its weights and sums fit the integer formats. `layouts` contains ranges of classes, with the channel of each of
+    their taps.
+    """
     offset = _to_planes(intercept.T, basis) / PLANE_STEP
     shape = len(weights), basis.shape[1]
     made = FixedPoint(

@@ -119,7 +119,10 @@ def evidence(planes: Integers, factor: Integers, shift: Integers) -> Evidence:
 
 
 def leaves(seen: Evidence, site: Integers, rule: TreeRule) -> Integers:
-    """Return the leaf of each pixel. `site` contains the CFA sites of the pixels."""
+    """Return the leaf that each pixel reaches in the decision tree, from the root to a leaf.
+
+    `site` contains the CFA sites of the pixels, which determine the orientation in which the windows are read.
+    """
     turned, sign = (np.array(each) for each in zip(*(turned_tests(turn) for turn in range(8)), strict=True))
     turn = rule.turns.astype(np.int64)[np.broadcast_to(site, seen.numerators.shape[1:]).ravel()]
     numerators, denominators = seen.numerators.reshape(-1), seen.denominators.reshape(-1)

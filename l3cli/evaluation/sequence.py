@@ -274,7 +274,11 @@ class SequenceEvaluation:
         return FrameFigures(len(self._frames), mean, jump, None, warped, quality, difference)
 
     def figures(self) -> SequenceFigures:
-        """Return the metrics of the sequence. Raises ValueError if the sequence has fewer than two frames."""
+        """Return the metrics of the sequence, and complete the metrics of its frames with the temporal noise of still
+        patches.
+
+        Raises ValueError if the sequence has fewer than two frames.
+        """
         count = len(self._frames)
         if count < 2:
             raise ValueError("a sequence needs at least two frames")

@@ -112,7 +112,11 @@ def offset_of(table: TransformTable) -> int:
 
 
 def short_words(table: TransformTable) -> ShortWords:
-    """Convert the last layer of a table to 16-bit words. Raises InputFileError if the transforms are too large."""
+    """Convert the last layer of a table to 16-bit words.
+
+    Each class and output has the largest number of fractional bits with which its weights and sums fit into the words.
+    Raises InputFileError if the transforms are too large.
+    """
     split, offset = split_of(table), offset_of(table)
     layer, black = table.layers[-1], 0.0 if table.later else table.black_level - offset
     # in output steps per unit of a value

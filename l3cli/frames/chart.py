@@ -332,7 +332,11 @@ def _steepest(picture: Array) -> Array:
 
 
 def _plain_regions(steepest: Array, slope: float) -> tuple[Array, Array]:
-    """Return the centres (region, 2) and the areas of uniform regions that may be patches. A centre is (column, row)."""
+    """Return the centres (region, 2) and the areas of uniform regions that may be patches. A centre is (column, row).
+
+    A region consists of connected pixels whose relative gradient is below `slope`. It may be a patch if it is neither too
+    small nor too large, is not elongated, and fills its parallelogram.
+    """
     from scipy import ndimage
 
     label, count = ndimage.label(steepest < slope)

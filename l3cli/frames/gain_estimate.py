@@ -101,7 +101,10 @@ class _Patches:
 
 
 def _patches_of(frame: RawFrame, camera: CameraModel) -> _Patches:
-    """Return the patches of a frame that contain few clipped pixels. Raises ValueError if the frame is too small."""
+    """Return the patches of a frame that contain few clipped pixels, at most about MAX_PATCHES.
+
+    Their values are converted to the levels of the camera model. Raises ValueError if the frame is too small.
+    """
     starts = [-phase % period for phase, period in zip(frame.phase, camera.cfa.shape, strict=True)]
     aligned = frame.values[starts[0] :, starts[1] :]
     if min(aligned.shape) < PATCH_SIDE_PIXELS:
@@ -159,7 +162,11 @@ def _variance(signal: Array, sites: NDArray[np.uint8], camera: CameraModel, gain
 
 
 def _plain(patches: _Patches, camera: CameraModel, gain: float, excess: float) -> _Plain:
-    """Select the uniform patches for an assumed gain. Raises ValueError if no patch is uniform."""
+    """Select the uniform patches for an assumed gain.
+
+    Patches near black or white are left out. The others are divided into signal ranges, and the most uniform patches of each
+    range are selected. Raises ValueError if nearly all patches are near black or white, or if no patch is uniform.
+    """
     signal = np.maximum(patches.means, 0.0)
     room = MIN_DEVIATIONS * np.sqrt(_variance(signal, patches.sites, camera, gain, excess))
     clear = np.asarray(((patches.means - room > -patches.black) & (patches.means + room < patches.span)).all(axis=1))

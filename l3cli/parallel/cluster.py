@@ -146,7 +146,7 @@ class _Workers:
         self._count = 0
 
     def first(self) -> int:
-        """Wait for the first worker, and return the number of workers."""
+        """Wait for the first worker, and return the number of workers. Raises the same errors as `count`."""
         while not self.count():
             time.sleep(CHECK_SECONDS / 10)
         return self._count

@@ -84,7 +84,8 @@ def _script_left_alone(function: Callable[..., object]) -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Set up a worker process."""
+    """Set up a worker process: SIGTERM ends it, colour-science imports no plotting library, and it ends when its
+    parent ends."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     without_plots()
     _end_with_parent()

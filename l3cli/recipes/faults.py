@@ -116,7 +116,10 @@ class _Judge:
         return repaired
 
     def value(self, kind: Any, value: Any, path: KeyPath) -> Any:
-        """Check a value, and return the value or a valid example of its type."""
+        """Check a value, including the entries of a list or table, and collect the faults.
+
+        Return the value, in which invalid parts are replaced by valid examples.
+        """
         if path in self._faulty:
             return example(kind)
         table, entries = _table(kind, value), _entries(kind, value)

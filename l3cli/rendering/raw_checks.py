@@ -101,7 +101,7 @@ class FrameWarnings:
         )
 
     def lines(self) -> Iterator[str]:
-        """Yield the warnings, one line each."""
+        """Yield the warnings, one line each. A warning that concerns several frames names the first or the worst frame."""
         darkest, brightest = self._meter.learned_range()
         texts = {
             "darker": f"are darker than all training samples ({darkest:.2g} of full scale); reduce learning.darkest or "
@@ -219,7 +219,10 @@ def value_warnings(frame: RawFrame, table: TransformTable) -> Iterator[str]:
 
 
 def _too_high(frame: RawFrame, bits: int, top: int) -> str:
-    """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame."""
+    """Return a warning about values far above the white level, otherwise "". `top` is the largest value of the frame.
+
+    The warning also says whether the bytes of the values are exchanged, or whether all values are multiples of a number.
+    """
     every, most = int(np.bitwise_or.reduce(frame.values, axis=None)), 2**bits - 1
     step = every & -every
     if 0 < every & 0xFF <= most >> 8 and bits < 16:

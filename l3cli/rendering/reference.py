@@ -66,7 +66,11 @@ class ReferenceRenderer:
         return (self.picture(frame, display) for frame, display in frames)
 
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
-        """Return the outputs (output, row, col) in float64, without the rounding to float32 of `outputs`."""
+        """Return the outputs (output, row, col) in float64, without the rounding to float32 of `outputs`.
+
+        The outputs include all steps after the layers: clipped areas, the gain of the shading, and the smoothing of spectra
+        or chroma.
+        """
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)
         gain = 1.0 if frame.shading is None else frame.shading.gain_map(frame.values.shape[1])

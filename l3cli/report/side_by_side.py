@@ -157,7 +157,10 @@ def _mean(side: Side, places: list[Place], pipeline: str, figure: str) -> float 
 
 
 def _verdict(sides: list[Side], shared: list[Place]) -> str:
-    """Rank the tables in a sentence, or state why the tables cannot be compared."""
+    """Rank the tables by their mean error over the shared frames, or state why the tables cannot be compared.
+
+    The text warns if the cameras may not be comparable, and states how many frames were not compared.
+    """
     if len({main_of(side.document) for side in sides}) > 1:
         return "The tables have different outputs, so their metrics cannot be compared."
     others = len(_alike(sides)) - len(shared)

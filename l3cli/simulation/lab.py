@@ -245,7 +245,11 @@ class _Session:
         polarisation: float = 0.0,
         angle: float = 0.0,
     ) -> None:
-        """Plan a capture of the given radiance, (spectrum, wavelength), and linear polarisation at an angle in degrees."""
+        """Plan a capture of the given radiance, (spectrum, wavelength), and linear polarisation at an angle in degrees.
+
+        The drift of the lamp and the error of the angle are drawn at random and applied to the light. The capture also
+        contains the spectra that the spectrometer measures.
+        """
         last = self.captures[-1] if self.captures else None
         name = f"{kind}/{len(self.captures):03d}_{re.sub(r'[^A-Za-z0-9.]+', '-', light)}"
         lamp, reading = self._next_light()

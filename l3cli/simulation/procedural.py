@@ -148,7 +148,10 @@ def _draw(
     light: NDArray[np.float32],
     rows: slice,
 ) -> None:
-    """Compute the reflectance of some rows of a scene and write it into `cube`. Each pixel is the mean of its samples."""
+    """Compute the reflectance of some rows of a scene and write it into `cube`.
+
+    Each pixel is the mean of its samples. Highlights are added, and values are limited to MAX_TIMES_WHITE.
+    """
     label = cover.label[rows].astype(np.intp)
     down = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None]
     across = np.arange(label.shape[1], dtype=np.float32)

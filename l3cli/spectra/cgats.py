@@ -90,7 +90,10 @@ def read_cgats(text: str, path: Path) -> Spectra:
 
 
 def _tables(text: str, path: Path) -> list[CgatsTable]:
-    """Split a file into its tables. Raises InputFileError if a row is incomplete."""
+    """Split a file into its tables. A row of data may extend over several lines.
+
+    Raises InputFileError if a row is incomplete.
+    """
     tables, inside = [CgatsTable()], ""
     for line in text.splitlines():
         plain = COMMENT.sub(r"\1", line)

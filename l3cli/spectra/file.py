@@ -69,7 +69,10 @@ def read_text_table(path: Path) -> TextTable:
 
 
 def _text_table(text: str, path: Path) -> TextTable:
-    """Parse a text table. Raises InputFileError in the same cases as `read_text_table`."""
+    """Parse a text table: find the separator, the rows of numbers, the heading and the units.
+
+    Raises InputFileError in the same cases as `read_text_table`.
+    """
     lines = [line.strip(" \r") for line in text.splitlines() if line.strip()]
     comments = list(itertools.takewhile(lambda line: line.startswith("#"), lines))
     lines = [line for line in lines if not line.startswith("#")]
@@ -470,7 +473,10 @@ def _result(table: CurveTable) -> CurveTable:
 
 
 def _text_curves(content: str, path: Path) -> CurveTable:
-    """Read the curves of a text table. Raises InputFileError if the wavelengths are implausible in the stated unit."""
+    """Read the curves of a text table, sorted by increasing wavelength.
+
+    Raises InputFileError if there are too many rows, or if the wavelengths are implausible in the stated unit.
+    """
     text = _text_table(content, path)
     if text.pairs:
         return _digitised(text.pairs, text.faults, path)

@@ -352,7 +352,11 @@ def _constrained(
     goal: Goal,
     equations: list[OutputKind],
 ) -> list[Array]:
-    """Return the taps (class, tap + 1, output) of each site, constrained to the common response with the least error."""
+    """Return the taps (class, tap + 1, output) of each site, constrained to the common response with the least error.
+
+    White is rendered exactly as white, if `_exact_white` returns its signals. The luminance of a grey does not fall when its
+    last channel clips (`steps_back`).
+    """
     constrained = [solution.taps.copy() for solution in solutions]
     saturated = rule.case(rule.split(np.arange(solved.size)).kind) > 0
     white = _exact_white(solutions, goal)

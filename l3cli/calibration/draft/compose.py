@@ -353,7 +353,10 @@ class Composer:
             self.out.todo("corners", CORNERS, what, path)
 
     def _charts(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[chart]] captures that accompany monochromatic captures."""
+        """Add the [[chart]] captures that accompany monochromatic captures.
+
+        Each capture is matched with a table of radiances. If a capture has no table, a TODO for this table is added.
+        """
         out, seen = self.out, self.seen
         tables = match_charts(self.charts, seen.tables, seen.notes)
         for number, (group, table) in enumerate(zip(self.charts, tables, strict=True), 1):
@@ -374,7 +377,11 @@ class Composer:
                 self._unit(table.table, None)
 
     def _bands(self) -> None:
-        """Add the [[band]] captures, which show a chart behind narrow-band filters."""
+        """Add the [[band]] captures, which show a chart behind narrow-band filters.
+
+        The corners of the chart are searched in the brightest captures. If a capture has no table of radiances, a TODO for
+        this table is added.
+        """
         out, seen = self.out, self.seen
         corners = sorting.corners_of_series(self.bands, seen.scale, seen.period, self.read)
         by_band = {table.name.nm: table for table in reversed(seen.tables) if table.has_patches}
@@ -395,7 +402,12 @@ class Composer:
                 out.todo("unit", "relative power", "unit of the radiances, because the heading contains no unit", path)
 
     def _photos(self, corners: dict[int, sorting.Corners]) -> None:
-        """Add the [[photo]] captures, which show charts without monochromatic captures."""
+        """Add the [[photo]] captures, which show charts without monochromatic captures.
+
+        The illuminant is the measured spectrum that matches a photo, or the illuminant in the file name. If neither exists,
+        a comment explains the key `light`. Dark frames with the same exposure time are added. If there are none and the
+        black level is unknown, a TODO for dark frames is added.
+        """
         out, seen = self.out, self.seen
         for group in self.charts:
             path = group.first.name.path
@@ -422,9 +434,10 @@ class Composer:
     # ---------------------------------------------------------------------------------------------------- sensor
 
     def _sensor_frames(self) -> None:
-        """Add [[white]] and [[dark]] captures, or [datasheet] for captures behind filters.
+        """Add the [[white]] and [[dark]] captures, or the section [datasheet] for captures behind filters.
 
-        Photos alone need none of these.
+        Missing captures are added as TODOs, and so are missing [[chart]] captures of a monochromator sweep. Photos alone
+        need none of these sections.
         """
         out = self.out
         if self.steps and len(self.charts) < LEAST_CHARTS:

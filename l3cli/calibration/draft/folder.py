@@ -122,7 +122,10 @@ def _with_wavelengths(usable: list[Frame], notes: list[str]) -> list[Frame]:
 
 
 def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_Fact]:
-    """Read the metadata of every file. Pixel values are kept as long as they fit into 64 MiB."""
+    """Read the metadata of every file. Pixel values are kept as long as they fit into 64 MiB.
+
+    Files that cannot be read are left out, and notes about them are added.
+    """
     facts, room = [], 64 << 20
     refused: list[str] = []
     for path in reading.progress(listing.frames, len(listing.frames), "files"):
@@ -171,7 +174,11 @@ def _period(facts: Sequence[_Fact], camera: CameraModel | None, reading: Reading
 
 
 def _summarised(facts: Sequence[_Fact], period: tuple[int, int], notes: list[str], reading: Reading) -> list[Frame]:
-    """Summarise every frame. Drawings are left out, and a note is added about frames that seem to be processed."""
+    """Summarise every frame.
+
+    Drawings are left out. Notes are added about drawings, about frames that seem to be processed, and about frames whose
+    exposure time differs between the file name and the metadata. The exposure time in the metadata is used.
+    """
     usable, refused, changed = [], [], Counter[str]()
     for fact in reading.progress(facts, len(facts), "frames"):
         raw = fact.raw if fact.raw.values.size else reading.read(fact.path)

@@ -124,7 +124,11 @@ def sort_frames(frames: Sequence[Frame], scale: Scale, notes: list[str]) -> list
 
 
 def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
-    """Determine the type of a capture from the name of a frame or, if the name does not contain it, from the content."""
+    """Determine the type of a capture from the name of a frame or, if the name does not contain it, from the content.
+
+    The result is the type in the name, "dark", "mono", "band", "structured" or "plain". A note is added if a frame with
+    "dark" in its name is bright.
+    """
     name, black = frame.name, float(scale.black.mean())
     signal = frame.summary.level - scale.black
     share = float(signal.max()) / scale.range

@@ -76,7 +76,12 @@ class Photograph:
 
 
 def measure(capture: PhotoCapture, body: Body) -> Photograph:
-    """Measure the patches of a photo. Raises InputFileError if the chart is not found or if too few patches are usable."""
+    """Measure the patches of a photo.
+
+    The black level is the mean of the dark frames, if there are any. If there are photos of a white target, the patches are
+    divided by the illumination that these photos show. Raises InputFileError if the chart is not found, if too few patches
+    are usable, or if the dark frames are too bright.
+    """
     frame = capture.frames[0]
     black = frame.black_level if not capture.darks else float(np.mean([dark.values.mean() for dark in capture.darks]))
     if not black < frame.white_level:
@@ -151,7 +156,11 @@ def _geometry(capture: PhotoCapture, mosaic: Array, cfa: NDArray[np.uint8], refl
 
 
 def _check(capture: PhotoCapture, values: PatchValues, body: Body, reflectance: Array) -> None:
-    """Raise InputFileError if too few patches are usable, or if their values do not resemble the patches of the chart."""
+    """Raise InputFileError if the patches of a photo cannot be used.
+
+    This is the case if too few patches are usable, if a channel is too dark, or if the values do not resemble the patches of
+    the chart.
+    """
     count = len(values.mean)
     for channel, name in enumerate(body.channels):
         used = values.used[:, channel]

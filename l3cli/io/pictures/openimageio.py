@@ -43,7 +43,11 @@ XMP = (
 
 
 def encode(path: Path, picture: Picture) -> bytes:
-    """Return the bytes of a picture file, with the ICC profile of the colour space and with the label of the picture."""
+    """Return the bytes of a picture file, with the label of the picture and a description of its colour space.
+
+    The colour space is described by an ICC profile or, in EXR files, by the chromaticities of the primaries and the white.
+    EXR files with spectra state that they use the layout for spectral images.
+    """
     pixels, space, suffix = picture.pixels, picture.space, path.suffix.lower()
     spec = _spec(pixels)
     if pixels.dtype.kind == "f":

@@ -253,7 +253,11 @@ def _raw_page(path: Path, file: Any) -> Any:
 
 
 def _refuse_unsupported(path: Path, first: Any, raw: Any) -> None:
-    """Raise InputFileError if the file requires a newer DNG version, or if an unsupported tag changes pixels."""
+    """Raise InputFileError if l3 or LibRaw does not support the file.
+
+    This is the case if the file requires a newer DNG version, is demosaicked, has an unsupported compression or arrangement
+    of the data, or contains an unsupported tag that changes pixels.
+    """
     version = tuple(first.tags.valueof("DNGBackwardVersion") or LATEST)[:2]
     if version > LATEST:
         raise InputFileError(

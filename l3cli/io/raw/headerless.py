@@ -248,7 +248,7 @@ def read_frame(path: Path, layout: Layout, number: int) -> RawContent:
 
 
 def stdin(layout: Layout) -> MultiFrameFile:
-    """Return the frames on stdin, read one by one.
+    """Return the frames on stdin, read one by one. The first `layout.skip` bytes are skipped.
 
     Reading raises InputFileError if stdin ends in the middle of a frame.
     """

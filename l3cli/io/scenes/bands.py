@@ -191,7 +191,11 @@ def _bands_of(path: Path, file: Any) -> Any:
 
 
 def _stated(file: Any, page: Any, bands: int) -> dict[str, Any]:
-    """Return the metadata of the bands from the tags of a page."""
+    """Return the metadata of the bands from the tags of a page: wavelengths in nm, no-data value, scales, offsets and
+    descriptions.
+
+    The metadata are those of tifffile and GDAL. Entries that the file does not contain are empty or None.
+    """
     stated: dict[str, Any] = {"wavelengths": [], "nodata": None, "SCALE": [], "OFFSET": [], "DESCRIPTION": []}
     for metadata in file.shaped_metadata or ():
         for name, value in metadata.items():

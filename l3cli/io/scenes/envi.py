@@ -361,7 +361,11 @@ def _good_bands(header: Header) -> NDArray[np.bool_] | None:
 
 
 def _scale(header: Header, holds: str) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
-    """Return the gain and the offset of each band, and the scaled value of a perfect white, or None if it is unknown."""
+    """Return the gain and the offset of each band, and the scaled value of a perfect white, or None if it is unknown.
+
+    The gains for reflectance are used if the cube contains reflectance, otherwise the gains for radiance. Raises
+    InputFileError if a field is invalid, or if two fields scale the data.
+    """
     bands = header.whole("bands", 1)
     white = None
     if text := header.text("reflectance scale factor"):

@@ -235,7 +235,11 @@ def choose_device(wanted: str) -> Any:
 
 @contextlib.contextmanager
 def refusals(device: Any) -> Iterator[None]:
-    """Convert OpenCL errors in the `with` block to a DeviceError with a message of one line."""
+    """Convert OpenCL errors in the `with` block to a DeviceError with a message of one line.
+
+    The message says what to do about too little memory, an old PoCL and damaged kernels in the cache. For other errors, it
+    contains the error of the driver.
+    """
     cl = pyopencl()
     try:
         yield

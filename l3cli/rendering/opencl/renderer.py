@@ -438,9 +438,10 @@ class OpenCLRenderer:
         self, kernel: Any, encoding: Any, track: Track, band: Band, result: Any, frame: RawFrame, work: Work,
         ending: layout.Macros,
     ) -> None:  # fmt: skip
-        """Enqueue the transforms of the last layer for a band, and the encoding or smoothing of the outputs.
+        """Enqueue all steps of the last layer for a band, and write the results to `result`.
 
-        The results are written to `result`.
+        The steps are coarse chroma and the replacement of clipped areas, then the transforms with the encoding, and finally
+        the smoothing of spectra or chroma. Steps that the table does not use are left out.
         """
         number = len(self._layers)
         smooths = self._spectra or self._chroma

@@ -218,7 +218,11 @@ class Band:
 
 
 def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDArray], Source]) -> Iterator[Band]:
-    """Yield the bands of a frame with this shape (rows, columns). `constant` copies an index array to the device."""
+    """Yield the bands of a frame with this shape (rows, columns), from top to bottom.
+
+    For each band, the rows that each layer reads are computed from the margins of the later steps. `constant` copies an
+    index array to the device.
+    """
     (rows, columns), radius, cfa = shape, table.first.rule.radius, table.cfa
     row_source = mirrored_indices(rows, radius, cfa.shape[0])
     column_source = constant(_int32(mirrored_indices(columns, radius, cfa.shape[1])))

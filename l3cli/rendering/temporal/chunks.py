@@ -106,7 +106,10 @@ class AnyOrder:
         self._chunks = Chunks(make)
 
     def filtered(self, place: int, frame: RawFrame) -> RawFrame:
-        """Return the filtered frame. `place` is the index of the frame in the sequence."""
+        """Return the filtered frame. `place` is the index of the frame in the sequence.
+
+        If an earlier frame of the chunk has not been filtered yet, the necessary earlier frames are read and filtered first.
+        """
         with self._alone:
             if place in self._made:
                 return self._made[place]

@@ -164,7 +164,11 @@ class OpenCLFilter:
         self._settings: tuple[float, float | None] = (1.0, None)  # gain and exposure time of the previous frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the previous frames if all have the same size, phase and levels."""
+        """Return the next frame, blended with the previous frames, and with the fraction of the noise that remains.
+
+        If the frame differs from the previous frame in size, phase or levels, the filter begins again. If the gain or the
+        exposure time differs, the previous frames are converted first.
+        """
         with refusals(self._device.device):
             first = kind_of(frame) != self._kind
             if first:

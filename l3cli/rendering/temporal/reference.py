@@ -193,7 +193,11 @@ class ReferenceFilter:
         self.vectors: Vectors | None = None  # motion vectors of the latest frame, or None for the first frame
 
     def filtered(self, frame: RawFrame) -> RawFrame:
-        """Return the next frame, blended with the previous frames if all have the same size, phase and levels."""
+        """Return the next frame, blended with the previous frames, and with the fraction of the noise that remains.
+
+        If the frame differs from the previous frame in size, phase or levels, the filter begins again. If the gain or the
+        exposure time differs, the previous frames are converted first.
+        """
         kind = kind_of(frame)
         grid = Grid.of(frame.values.shape, self._period)
         noise = noise_of(

@@ -341,7 +341,10 @@ def _protect_frames(sequence: FrameSequence, guard: OutputGuard) -> None:
 
 
 def _refuse_frames(sequence: FrameSequence, destination: Destination, table: TransformTable, options: RenderOptions) -> None:
-    """Raise RecipeError or InputFileError if an option cannot be used for the frames, or if frames are missing."""
+    """Raise an error if an option cannot be used for the frames, or if frames are missing and `skip_bad` is not set.
+
+    The error is a RecipeError for options, and an InputFileError for missing frames.
+    """
     if options.deflicker and sequence.stills and destination.pictures:
         raise RecipeError(
             f"‹deflicker› applies only to sequences, but {sequence.what} is not a sequence; leave ‹deflicker› out"

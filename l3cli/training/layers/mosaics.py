@@ -114,7 +114,10 @@ def mosaics_of(frame: TrainingPair, count: int, exposed: Exposed, rng: np.random
 def _shown(
     frame: TrainingFrame, count: int, shape: tuple[int, int], exposed: Exposed, rng: np.random.Generator
 ) -> Iterator[Mosaics]:
-    """Yield mosaics from a simulated frame."""
+    """Yield `count` mosaics from a simulated frame.
+
+    Each mosaic is a random part of the frame in a random orientation, scaled to a random level, with or without noise.
+    """
     camera = exposed.camera
     channel = camera.channel_map(shape)
     gains = (camera.channel_gains / camera.full_scale).astype(np.float32)

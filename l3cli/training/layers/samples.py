@@ -218,7 +218,10 @@ class GatheredSamples:
         self._cols = 0  # width in pixels of the sheets gathered so far, which is equal for all
 
     def add(self, seen: Seen, label: Integers, pixels: Integers, weight: Floats) -> None:
-        """Collect the samples at the indices `pixels`. `label` and `weight` contain values for all pixels."""
+        """Collect the samples at the indices `pixels`. `label` and `weight` contain values for all pixels.
+
+        If the mosaics have another width than the collected samples, these samples are first added to the sums.
+        """
         if seen.label.shape[1] != self._cols:  # mosaics of different widths cannot be joined
             self.add_up()
             self._cols = seen.label.shape[1]
