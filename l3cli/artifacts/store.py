@@ -59,7 +59,10 @@ def write_fields(group: h5py.Group, instance: Any, compressed: bool = True) -> N
 
 
 def _write_dataset(group: h5py.Group, name: str, spec: Spec, value: Any, compressed: bool = True) -> None:
-    """Write a dataset, with its axes, unit and meaning as attributes."""
+    """Write a dataset, with its axes, unit and meaning as attributes.
+
+    Arrays get a checksum and, if `compressed` is set, are compressed. Texts are stored as bytes.
+    """
     is_text = spec.dtype == "str"
     array = encoded(value) if is_text else np.asarray(value, dtype=spec.dtype, order="C")
     storage: dict[str, Any] = {}

@@ -269,7 +269,10 @@ class TransformTable(Artifact):
         return replace(self.under(usual), conditions=tuple(replace(each, light=None) for each in noises))
 
     def under(self, condition: Condition) -> "TransformTable":
-        """Return a table that contains only the transforms of one of its conditions."""
+        """Return a table that contains only the transforms of one of its conditions.
+
+        The white, the illuminant, the camera, the output unit and the exposure time of the table are those of the condition.
+        """
         light, noise = condition.light, condition.noise or NoiseScale()
         table = self._with_edges(condition.edges) if condition.edges else self
         return replace(

@@ -187,7 +187,10 @@ def _step_factor(sweep: Sweep, order: Sequence[int], place: int) -> float:
 
 
 def _check_alike(captures: Sequence[Capture], rates: Array, kind: str) -> None:
-    """Raise InputFileError if the signal per second of one capture differs too much from the other captures."""
+    """Raise InputFileError if the signals per second of two captures differ by more than FACTOR.
+
+    If there are more than two captures, each capture is compared with the median.
+    """
     if len(captures) < 2:
         return
     off = np.abs(np.log(rates / np.median(rates)))

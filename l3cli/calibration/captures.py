@@ -451,7 +451,11 @@ def _figures_of(camera: CameraModel) -> SensorFigures:
 def measure_series(
     captures: Sequence[BandCapture], darks: Sequence[Capture], body: Body, black_level: float, limit: float
 ) -> Series:
-    """Measure the patches in every capture. The filters are sorted by central wavelength."""
+    """Measure the patches in every capture of a series behind filters.
+
+    The dark signal is subtracted, and values at or above `limit` are marked as invalid. The filters are sorted by central
+    wavelength.
+    """
     names = list(dict.fromkeys(capture.illuminant for capture in captures))
     names.sort(key=lambda name: next(band_centre(capture) for capture in captures if capture.illuminant == name))
     dark = dark_levels([capture.exposure for capture in captures], darks, body, black_level)

@@ -260,7 +260,10 @@ def _check_captures(captures: Sequence[PolariserCapture], fit: PolariserFit) -> 
 
 
 def _with_reference(fit: PolariserFit, reference: str, body: Body) -> PolariserFit:
-    """Return the fit with all angles shifted so that one channel has its stated angle."""
+    """Return the fit with all angles shifted so that the channel `reference` has its stated angle.
+
+    The error of the angle of this channel becomes 0, and is added to the errors of the other angles.
+    """
     channel = body.channels.index(reference)
     assert body.polarisers is not None
     shift = difference(body.polarisers.polariser_deg[channel], fit.angle[channel])

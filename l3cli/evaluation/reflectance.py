@@ -94,7 +94,12 @@ class Estimates:
         return {name: np.einsum("oc,crk->ork", matrix, bands) * unit for name, matrix in self._fitted[key].items()}
 
     def _fit(self, like: TrainingPair) -> dict[str, Array]:
-        """Fit the matrix (output, channel) of each estimator. Outputs and bands are fractions of a perfect white."""
+        """Fit the matrix (output, channel) of each estimator by least squares to random scenes under the illuminant of a
+        frame.
+
+        The Wiener estimate takes the noise of the demosaicked bands into account, and the pseudo-inverse does not. Outputs
+        and bands are fractions of a perfect white.
+        """
         white = white_electrons(like, self._camera)
         balance = balance_of(white, like.exposure, self._camera)[:, None, None]
         squares, noises = np.zeros((2, white.size, white.size))

@@ -105,7 +105,10 @@ def warped(outputs: NDArray[np.float32], names: Sequence[str], warps: Sequence[L
 
 
 def _resampled(planes: NDArray[np.float32], warps: Sequence[LensWarp], colour: int) -> NDArray[np.float32]:
-    """Return planes (plane, row, col) at the places from which the pixels of a colour come."""
+    """Return planes (plane, row, col) at the places from which the pixels of a colour come, interpolated by cubic splines.
+
+    Places outside the planes are replaced by the nearest places at the edge.
+    """
     from scipy import ndimage  # imported here to save start-up time, because few files contain a warp
 
     moved = np.empty_like(planes)

@@ -232,7 +232,10 @@ class _Worker:
 
 
 def _decode(connection: socket.socket, path: Path, arrays: int, cpu_seconds: float) -> None:
-    """Restrict this process to one file, process requests for this file until the connection closes, then exit."""
+    """Restrict this process to one file, process requests for this file until the connection closes, then exit.
+
+    Each request gets a new limit of CPU time.
+    """
     global _measures
     _measures = confine([path])
     while True:

@@ -484,7 +484,7 @@ def _assembled(
 
 
 def _corrections(recipe: CorrectionRecipe, camera: CameraModel, folder: Path) -> Measurements:
-    """Return the captures for a known camera."""
+    """Return the dark, white and polariser captures of a measurement file that has a `base`, for the known camera."""
     geometry = camera.name, camera.rows, camera.cols, camera.pixel_pitch, camera.bits, camera.channels, camera.cfa
 
     def frames(capture: CaptureRecipe) -> dict[str, Any]:

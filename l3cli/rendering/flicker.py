@@ -143,7 +143,11 @@ def flicker_at(time: float, times: Sequence[float], ratios: Sequence[float], rat
 
 
 def _robust(basis: Array, values: Array) -> tuple[Array, float]:
-    """Return a robust solution x of basis · x = values, and the standard deviation of the residuals."""
+    """Return a robust solution x of basis · x = values, and the standard deviation of the residuals.
+
+    The solution is refined by reweighted least squares: first for the least absolute deviations, then with outliers left
+    out.
+    """
     weights = np.ones(values.size)
     for number in range(L1_ROUNDS + BIWEIGHT_ROUNDS):
         root = np.sqrt(weights)

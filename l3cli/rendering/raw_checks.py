@@ -53,7 +53,10 @@ class FrameWarnings:
         self._meter = RangeMeter(self.table)
 
     def measure(self, frame: RawFrame) -> None:
-        """Check a frame, and store its warnings."""
+        """Check the metadata and the values of a frame, and store the warnings.
+
+        The fractions of pixels that are outside the trained range are also measured, and the worst frame is stored.
+        """
         self._seen += 1
         if self.table.dark_signal(1.0) and frame.exposure is None and not frame.dark_measured:
             self._untimed.append(frame.name)

@@ -189,7 +189,10 @@ def _collected(
     camera: CameraModel, pattern: FixedPattern, electrons: NDArray[np.floating], time: Any, read_noise: Any,
     rng: np.random.Generator, noises: str,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the electrons in each pixel, with dark current and the types of noise that `noises` selects."""
+    """Return the electrons in each pixel, with dark current and noise.
+
+    `noises` is "none", "all", or another value for shot noise alone. Signals are limited to MAX_ELECTRONS.
+    """
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)
     if noises != "none":

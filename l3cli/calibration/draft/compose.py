@@ -294,7 +294,11 @@ class Composer:
         note_unused(columns, matched, seen.notes)
 
     def _share(self, groups: Sequence[Group], unitless: Sequence[str], unit: str) -> None:
-        """Add the section [common] with keys that several captures lack."""
+        """Add the section [common] with TODOs for keys that several captures lack: the exposure time and the unit of the
+        radiances.
+
+        `unitless` contains the captures whose radiances have no unit.
+        """
         out, untimed = self.out, [group for group in groups if group.first.seconds is None]
         if len(untimed) < SEVERAL and len(unitless) < SEVERAL:
             return

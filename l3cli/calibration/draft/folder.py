@@ -144,7 +144,10 @@ def _facts(listing: CaptureFolder, notes: list[str], reading: Reading) -> list[_
 
 
 def _frames_of_one_sensor(facts: Sequence[_Fact], notes: list[str]) -> list[_Fact]:
-    """Return the frames with the most common combination of size and colour filter array."""
+    """Return the frames with the most common combination of size and colour filter array.
+
+    Notes about the other frames are added.
+    """
     count = Counter(fact.sensor for fact in facts)
     usual = max(count, key=lambda sensor: (count[sensor], -[fact.sensor for fact in facts].index(sensor)))
     for sensor in count:
@@ -319,7 +322,10 @@ def _body(out: DraftText, names: list[str] | None, columns: int) -> None:
 
 
 def _photodiode(out: DraftText, sweep: Spectra, tables: Sequence[Spectra]) -> None:
-    """Add the table of the photodiode, which has one column and covers the wavelengths of the sweep."""
+    """Add the table of the photodiode, which has one column and covers the wavelengths of the sweep.
+
+    If there is no such table, a TODO is added. If there are several, the first table is used and marked as an assumption.
+    """
     grid = sweep.table.wavelength
     single = [table for table in tables if table is not sweep and len(table.table.values) == 1]
     single = [table for table in single if table.table.wavelength[0] <= grid[0] and grid[-1] <= table.table.wavelength[-1]]
@@ -353,7 +359,10 @@ def _has_unit(curves: Spectra, per_energy: bool) -> bool:
 
 
 def sensor_figures(out: DraftText, camera: CameraModel | None) -> None:
-    """Add [datasheet], because tables of curves do not contain the noise and the levels of the sensor."""
+    """Add [datasheet], because tables of curves do not contain the noise and the levels of the sensor.
+
+    The values are those of the camera. If the camera is unknown, the section is a TODO.
+    """
     if camera is None:
         out.todo_table("[datasheet]", "levels and noise of the sensor, from its data sheet", *SHEET)
         return

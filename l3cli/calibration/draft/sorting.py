@@ -150,7 +150,7 @@ def _kind(frame: Frame, scale: Scale, notes: list[str]) -> str:
 
 
 def _alike(members: Sequence[Frame], scale: Scale) -> Iterable[list[Frame]]:
-    """Split frames with similar names into groups with the same signal."""
+    """Split frames with similar names into groups with about the same signal at each CFA site."""
     parts: list[list[Frame]] = []
     for frame in members:
         signal = frame.summary.level - scale.black
@@ -315,7 +315,10 @@ class Column:
 
 
 def columns_of(tables: Sequence[Spectra]) -> list[Column]:
-    """Return all narrow-band spectra in the tables, in order."""
+    """Return all narrow-band spectra in the tables, in order.
+
+    The wavelength of a spectrum is the wavelength in the name of its column or file, otherwise the wavelength of its peak.
+    """
     columns = []
     for spectra in tables:
         if not spectra.narrow:

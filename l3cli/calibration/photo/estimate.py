@@ -263,7 +263,11 @@ class _Solution:
     evidence: float
 
     def posterior(self) -> Posterior:
-        """Return the posterior. Its responsivities are not negative."""
+        """Return the posterior, with the values that it predicts for each patch.
+
+        If a responsivity of the most probable state is negative, the most probable state without negative responsivities is
+        used.
+        """
         count, size = self.shape
         curves = count * size
         state = self.state if self.state[:curves].min() >= 0 else self._not_negative()

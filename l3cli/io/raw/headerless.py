@@ -214,7 +214,11 @@ def _cure(size: int, layout: Layout) -> str:
 
 
 def content_of(stored: bytes | bytearray | NDArray[np.uint8], layout: Layout) -> RawContent:
-    """Convert the bytes of a frame to its content."""
+    """Convert the bytes of a frame to its content.
+
+    The content includes other readings of the bytes, from which a wrong layout can be recognised, and the CFA if the layout
+    states one.
+    """
     content = RawContent(values=layout.unpack(stored), exchangeable=layout.exchangeable)
 
     def readings() -> Iterator[tuple[str, NDArray[np.uint16], int]]:

@@ -107,7 +107,11 @@ def _stacked(pictures: list[Path]) -> NDArray:
 
 
 def _of_tiff(values: NDArray, names: list[str], stated: dict[str, Any]) -> SpectralCube:
-    """Convert the result of `_read_tiff` to a cube."""
+    """Convert the result of `_read_tiff` to a cube.
+
+    The wavelengths come from the metadata or, if there are none, from the names of the bands. Scales and offsets are
+    applied, and pixels with the no-data value are marked.
+    """
     if stated["wavelengths"]:
         wanted, wavelength = list(range(values.shape[2])), in_nm(stated["wavelengths"], "")
     else:

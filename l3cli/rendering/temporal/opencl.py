@@ -235,7 +235,10 @@ class OpenCLFilter:
         return work.upload(device.queue, values, buffers.borders[0]), buffers.borders[1]
 
     def _search(self, raw: Any) -> Any:
-        """Compute the motion vectors, and return their buffer. Vectors are in CFA periods."""
+        """Compute the motion vectors from the coarsest plane to the finest, and return their buffer.
+
+        Vectors are in CFA periods.
+        """
         device, buffers, grid = self._device, self._buffers, self._grid
         self._planes(raw, buffers.now, buffers.before, self._noise.protect)
         for level in reversed(range(grid.planes)):

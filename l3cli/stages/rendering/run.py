@@ -121,7 +121,10 @@ def _filtered(tasks: Iterable[FrameTask], temporal: Chunks) -> Iterator[FrameTas
 def _unfinished(
     tasks: Iterable[FrameTask], job: Job, tally: Tally, warnings: FrameWarnings, whites: WhiteReport
 ) -> Iterator[FrameTask]:
-    """Yield the frames whose pictures are not finished yet. Count all frames, and raise or report their errors."""
+    """Yield the frames whose pictures are not finished yet, and count all frames.
+
+    Errors of frames are raised or reported. The whites of the frames are reported, and each frame is checked for warnings.
+    """
     for task in tasks:
         if task.error is not None:
             if task.is_counted or not job.options.skip_bad:

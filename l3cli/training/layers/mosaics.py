@@ -294,7 +294,7 @@ class FirstLayer:
         self._apply = _Transforms(fixed, exact)
 
     def see(self, mosaics: Mosaics) -> Seen:
-        """Determine the classes of mosaics and render the planes."""
+        """Determine the classes and the brightness of mosaics, and render their planes with and without noise."""
         camera, rule, count, margin = self.camera, self.rule, mosaics.count, self.rule.radius
         statistics = mosaic_statistics(mosaics.values, rule, self._neighbours, camera.cfa, (0, 0))
         mean = (statistics.sums / self._neighbours.count[statistics.site]).mean(axis=-1) * 2**rule.shift
@@ -318,7 +318,10 @@ class PlaneStage:
         self._apply = _Transforms(refined_fixed_point(layer, basis))
 
     def see(self, seen: Seen) -> Seen:
-        """Render planes from the planes that the previous layers have output."""
+        """Render planes with and without noise from the planes of the previous layers.
+
+        The margin that the windows need is cut off.
+        """
         count, margin = seen.count, margin_of(self.layer.side)
         label = within(label_planes(seen.noisy, seen.label, self.layer.rule, self.first), count, margin)
         edge = margin - self.layer.radius
