@@ -38,6 +38,10 @@ MIN_SIGNAL = 0.02  # fraction of full scale; smallest signal by which signals ar
 # If the likeness of the surroundings, as a fraction of its maximum, has the value HUE_DOUBT, the weight of their hue is one
 # half. GREY_DOUBT times the likeness of the clipped block to a white is added to this value.
 HUE_DOUBT, GREY_DOUBT = 0.1, 3.0
+SPREADS = 4  # number of steps in which the estimates of clipped blocks spread over uniform areas
+SPREAD_REACH = 32  # pixels; distance over which one step spreads the estimates
+MAX_CHANGE = 0.6  # mean squared relative difference of the unclipped channels from which estimates do not spread
+WHITE_DOUBT = 0.002  # the larger this value, the less white is mixed with the colour of the surroundings
 MAX_HUE = 10.0  # largest X/Y and Z/Y of a hue
 Array = NDArray[np.float64]
 
@@ -116,7 +120,7 @@ def clipping_maps(mosaic: Mosaic, response: Array, white: Array) -> Array:
     `replaced` describes the parameters. The result has the shape (map, row, col).
     """
     (means, spread), sides = block_means(mosaic, len(response) - 1), block_sides(mosaic.cfa)
-    maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, response, white, sides)])
+    maps = np.concatenate([block_maps(means, spread, response, white), hue_maps(means, spread, response, white, sides)])
     for axis, (length, side) in enumerate(zip(mosaic.values.shape, sides, strict=True), 1):
         place = (np.arange(length) // QUAD * QUAD + QUAD / 2) / side - 0.5  # position of the quad, in blocks
         low = np.floor(place).astype(int)
@@ -220,17 +224,85 @@ def hue_spacing(side: int) -> int:
     return max(HUE_REACH // (HUE_STEPS * side), 1)
 
 
-def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
-    """Compute the hue that each clipped block gets from unclipped blocks nearby.
+def spread_spacing(side: int) -> int:
+    """Return the distance over which one step spreads the estimates, in blocks with this side in pixels."""
+    return max(SPREAD_REACH // side, 1)
+
+
+def reach(cfa: NDArray[np.uint8]) -> int:
+    """Return the number of rows above and below a pixel that may influence its values (`clipping_maps`)."""
+    side = block_sides(cfa)[0]
+    return (HUE_STEPS * hue_spacing(side) + SPREADS * spread_spacing(side) + 3) * side
+
+
+@dataclass(frozen=True)
+class ClippedBlocks:
+    """Blocks in which some channels clip, but not all, and the comparison of other signals with their signals."""
+
+    numbers: NDArray[np.intp]  # (block,) indices of the blocks, counted row by row
+    own: Array  # (channel, block) channel means, at least MIN_SIGNAL
+    clipped: Array  # (channel, block) degree to which each channel clips
+    shape: tuple[int, int]  # number of block rows and block columns of the frame
+
+    def neighbour(self, down: int, right: int) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the indices of the blocks at an offset (0 outside the frame), and whether they are inside the frame."""
+        row, col = np.divmod(self.numbers, self.shape[1])
+        row, col = row + down, col + right
+        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        return np.where(inside, row * self.shape[1] + col, 0), inside
+
+    def scaled(self, signal: Array) -> tuple[Array, Array]:
+        """Scale signals (channel, block) to the signals of the blocks.
+
+        Returns
+        -------
+        signal : ndarray, (channel, block)
+            The scaled signals.
+        likeness : ndarray, (block,)
+            From 1, if the scaled signals equal the signals of the unclipped channels and reach full scale in the clipped
+            channels, to 0.
+        """
+        ratio, unclipped = signal / self.own, 1 - self.clipped
+        scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
+        missing = 1 - scale * ratio
+        difference = (unclipped * missing**2 + self.clipped * np.maximum(missing, 0.0) ** 2).sum(axis=0)
+        return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0)
+
+    def change(self, signal: Array) -> Array:
+        """Return the mean squared relative difference between signals and the blocks, over the unclipped channels."""
+        unclipped = 1 - self.clipped
+        return np.asarray((unclipped * (1 - signal / self.own) ** 2).sum(axis=0) / (unclipped.sum(axis=0) + MIN_WEIGHT))
+
+    def estimated(self, colour: Array, white: Array) -> Array:
+        """Estimate the signals that the blocks would have if no channel clipped.
+
+        The signals of the unclipped channels are known. The signals of the clipped channels follow from the mixture of a
+        colour (channel, block) and white that fits the unclipped channels best.
+        """
+        unclipped, ratio, of_white = 1 - self.clipped, colour / self.own, white[:, None] / self.own
+        squares = (unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT
+        scale, white_scale = ((unclipped * ratio * each).sum(axis=0) / squares for each in (1.0, of_white))
+        rest = of_white - white_scale * ratio
+        added = (unclipped * rest * (1 - scale * ratio)).sum(axis=0) / ((unclipped * rest**2).sum(axis=0) + WHITE_DOUBT)
+        added = np.maximum(added, 0.0)
+        mixture = np.maximum(scale - added * white_scale, 0.0) * colour + added * white[:, None]
+        return unclipped * self.own + self.clipped * np.maximum(mixture, self.own)
+
+
+def hue_maps(means: Array, spread: Array, response: Array, white: Array, sides: tuple[int, int]) -> Array:
+    """Compute the hue that each clipped block gets from unclipped blocks.
 
     A block nearby may show the same surface under more or less light. For this test, its signals are scaled to the
     signals of the clipped block. They must then agree in the channels that do not clip, and reach full scale in the
-    channels that clip.
+    channels that clip. The estimated signals of clipped blocks then spread in several steps over uniform areas, for
+    example over a sky.
 
     Parameters
     ----------
     means : ndarray, (channel, block row, block col)
         Channel means from `block_means`.
+    spread : ndarray, (block row, block col)
+        Ranges from `block_means`.
     response : ndarray, (clipped, signal, output)
         `Clipping.response` of the table.
     white : ndarray, (channel,)
@@ -244,35 +316,52 @@ def hue_maps(means: Array, response: Array, white: Array, sides: tuple[int, int]
         Weight of the hue, and X/Y and Z/Y of the hue, multiplied by the weight.
     """
     channels, *shape = means.shape
-    clipped = smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
-    trust, signals = (1 - clipped.max(axis=0)) ** 2, means.reshape(channels, -1)
-    numbers = np.flatnonzero((clipped.max(axis=0) > 0) & (clipped.min(axis=0) < 1))
-    (row, col), clipped = np.divmod(numbers, shape[1]), clipped[:, numbers]
-    own, unclipped = np.maximum(signals[:, numbers], MIN_SIGNAL), 1 - clipped
-
-    def scaled(signal: Array) -> tuple[Array, Array]:
-        """Scale signals to the signals of the clipped blocks, and return them with their likeness."""
-        ratio = signal / own
-        scale = (unclipped * ratio).sum(axis=0) / ((unclipped * ratio**2).sum(axis=0) + MIN_WEIGHT)
-        missing = 1 - scale * ratio
-        difference = (unclipped * missing**2 + clipped * np.maximum(missing, 0.0) ** 2).sum(axis=0)
-        return scale * signal, np.maximum(1 - difference / MAX_DIFFERENCE, 0.0) ** 2
+    signals, every = means.reshape(channels, -1), smooth_step(means, KEPT, REPLACED).reshape(channels, -1)
+    numbers = np.flatnonzero((every.max(axis=0) > 0) & (every.min(axis=0) < 1))
+    own = np.maximum(signals[:, numbers], MIN_SIGNAL)
+    blocks = ClippedBlocks(numbers, own, every[:, numbers], (shape[0], shape[1]))
+    most, partial = blocks.clipped.max(axis=0), 1 - blocks.clipped.min(axis=0)
+    trust = np.where(signals.any(axis=0), (1 - every.max(axis=0)) ** 2, 0.0)
 
     total, likeness, steps = np.zeros_like(own), np.zeros(numbers.size), np.arange(-HUE_STEPS, HUE_STEPS + 1)
     for i, j in np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2):
-        down, right = row + i * hue_spacing(sides[0]), col + j * hue_spacing(sides[1])
-        inside = (down >= 0) & (down < shape[0]) & (right >= 0) & (right < shape[1])
-        there = np.where(inside, down * shape[1] + right, 0)
-        signal, alike = scaled(signals[:, there])
+        there, inside = blocks.neighbour(i * hue_spacing(sides[0]), j * hue_spacing(sides[1]))
+        signal, alike = blocks.scaled(signals[:, there])
         near = (HUE_STEPS + 1 - abs(i)) * (HUE_STEPS + 1 - abs(j)) / (HUE_STEPS + 1) ** 4
-        weight = near * inside * trust[there] * alike
+        weight = near * inside * trust[there] * alike**2
         likeness += weight
         total += weight * signal
-    doubt = HUE_DOUBT + GREY_DOUBT * scaled(white[:, None])[1]
-    taken = clipped.max(axis=0) * (1 - clipped.min(axis=0)) * likeness / (likeness + doubt)
-    x, y, z = np.einsum("so,sb->ob", response[0, :-1], total)
+    doubt = HUE_DOUBT + GREY_DOUBT * blocks.scaled(white[:, None])[1] ** 2
+    # Signals that each block would have if no channel clipped, and the reliability of this estimate
+    estimates, reliability = signals.copy(), trust.copy()
+    found = blocks.estimated(total / np.where(likeness > 0, likeness, 1.0), white)
+    estimates[:, numbers] = np.where(likeness > 0, found, own)
+    reliability[numbers] = partial * np.maximum(trust[numbers], likeness / (likeness + doubt))
+
+    plain = np.zeros(signals.shape[1])
+    uniform, _, uniformity, _ = plain_blocks(means, spread)
+    plain[uniform] = uniformity
+    half = [spread_spacing(side) // 2 for side in sides]
+    for _ in range(SPREADS):
+        best = reliability[numbers].copy()
+        likeness, total = best.copy(), best * estimates[:, numbers]
+        for i, j in [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]:
+            there, inside = blocks.neighbour(i * spread_spacing(sides[0]), j * spread_spacing(sides[1]))
+            between, _ = blocks.neighbour(i * half[0], j * half[1])
+            signal, alike = blocks.scaled(estimates[:, there])
+            weight = inside * plain[numbers] * plain[between] * plain[there] * partial * reliability[there]
+            weight *= np.maximum(alike - blocks.change(signals[:, there]) / MAX_CHANGE, 0.0)
+            best = np.maximum(best, weight)
+            weight *= (2 - abs(i)) * (2 - abs(j)) / 4
+            likeness += weight
+            total += weight * signal
+        found = blocks.estimated(total / np.where(likeness > 0, likeness, 1.0), white)
+        estimates, reliability = estimates.copy(), reliability.copy()
+        estimates[:, numbers], reliability[numbers] = np.where(likeness > 0, found, own), best
+
+    x, y, z = np.einsum("so,sb->ob", response[0, :-1], estimates[:, numbers])
     hue = np.clip(np.stack([x, z]) / np.maximum(y, MIN_WEIGHT * MIN_WEIGHT), 0.0, MAX_HUE)
-    maps = np.zeros((MAPS - REPLACEMENT_MAPS, means[0].size))
+    taken, maps = most * reliability[numbers], np.zeros((MAPS - REPLACEMENT_MAPS, means[0].size))
     maps[:, numbers] = np.concatenate([taken[None], taken * hue])
     return maps.reshape(-1, *shape)
 

@@ -286,6 +286,11 @@ def _clipping_known(table: TransformTable) -> dict[str, float | int]:
         "hue_doubt": clipping.HUE_DOUBT,
         "hue_grey_doubt": clipping.GREY_DOUBT,
         "hue_most": clipping.MAX_HUE,
+        "hue_white_doubt": clipping.WHITE_DOUBT,
+        "spreads": clipping.SPREADS,
+        "spread_rows": clipping.spread_spacing(rows),
+        "spread_columns": clipping.spread_spacing(columns),
+        "spread_change": clipping.MAX_CHANGE,
     }
 
 

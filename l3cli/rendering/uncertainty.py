@@ -251,7 +251,7 @@ def _replaced(table: TransformTable, frame: RawFrame) -> NDArray[np.uint8]:
         return none
     (means, spread), sides = block_means(mosaic, len(table.channels)), block_sides(mosaic.cfa)
     numbers, _, _, share = plain_blocks(means, spread)
-    blocks = np.where(hue_maps(means, clipping.response, clipping.white, sides)[0] > 0, CLIPPED, 0).astype(np.uint8)
+    blocks = np.where(hue_maps(means, spread, clipping.response, clipping.white, sides)[0] > 0, CLIPPED, 0).astype(np.uint8)
     np.put(blocks, numbers[share > 0], CLIPPED)
     replaced = np.pad(blocks, 1, mode="edge")
     for axis, side in enumerate(sides):

@@ -1,8 +1,8 @@
 // Areas where channels clip (l3cli/classes/clipping.py). The kernels compute the means and the range of each block of the mosaic, and from
 // the means and the range seven map values. The first four maps replace the outputs in uniform areas. Map 0 is the replaced fraction of the
 // outputs, and maps 1 to 3 are the values added to X, Y and Z. The last three maps then change the hue of pixels to the hue of unclipped
-// blocks nearby. Map 4 is the degree of this change, maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by the degree. The maps are
-// interpolated at quads (2 × 2 pixels).
+// blocks. Map 4 is the degree of this change, maps 5 and 6 are X/Y and Z/Y of the new hue multiplied by the degree. The maps are
+// interpolated at quads (2 × 2 pixels). The eighth value of a block is its uniformity.
 
 // Built-in functions are function calls in PoCL 3.0, and therefore slow. These macros replace max, min and clamp.
 #define MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -98,12 +98,12 @@ INLINE void add_clipped(float added[3], const float *signal, float factor, __glo
     }
 }
 
-// Computes the first four maps of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks whose
+// Computes the first four maps and the uniformity of block (y, x). `response` is (clipped, signal, output), followed by the signals of a white. Blocks whose
 // means are far below BEGINS are skipped, because a uniform area that contains such a block has no bright blocks. Ignored blocks are
 // skipped, too, because they differ from neighbours that are not ignored. Blocks without a clipped channel are not skipped, because the
 // grey of the same brightness may clip.
 INLINE float4 replacement_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
-                             int columns) {
+                             int columns, float *uniformity) {
     const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
     float widest = means[CHANNELS * plane + at], brightest = 0.0f, signal[MEANS];
     float4 made = 0.0f;
@@ -128,6 +128,7 @@ INLINE float4 replacement_of(int y, int x, __global const float *restrict means,
     }
     const float plain = 1.0f - smooth_step(widest, PLAIN_UP_TO, TEXTURED_FROM);
     if (plain <= 0.0f) return made;
+    *uniformity = plain;
     const float share = plain * smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
     __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
     const float level = grey_level(signal, white);
@@ -142,42 +143,87 @@ INLINE float4 replacement_of(int y, int x, __global const float *restrict means,
     return (float4)(share, added[0], added[1], added[2]);
 }
 
-// Returns the factor that scales the signals of a block to the signals of a clipped block, and computes the likeness of the scaled signals
-// to the signals of the clipped block. `inverse` contains the reciprocals of the signals of the clipped block. `open` is 1 for a channel of
-// the clipped block that does not clip and 0 for a channel that clips.
-INLINE float scale_to(const float *inverse, const float *open, const float *signal, float *likeness) {
+// A block in which some channels clip, but not all
+typedef struct {
+    float own[CHANNELS];      // signals, at least MIN_SIGNAL
+    float inverse[CHANNELS];  // reciprocals of these signals
+    float open[CHANNELS];     // 1 for a channel that does not clip, 0 for a channel that clips
+    float most, least;        // degree of clipping of the channel that clips most, and of the channel that clips least
+} Clipped;
+
+INLINE Clipped clipped_at(size_t at, size_t plane, __global const float *restrict means) {
+    Clipped made;
+    made.most = 0.0f;
+    made.least = 1.0f;
+    for (int k = 0; k < CHANNELS; k++) {
+        const float mean = means[k * plane + at], clipped = smooth_step(mean, KEPT_UP_TO, REPLACED_FROM);
+        made.own[k] = MORE(mean, MIN_SIGNAL);
+        made.inverse[k] = 1.0f / made.own[k];
+        made.open[k] = 1.0f - clipped;
+        made.most = MORE(made.most, clipped);
+        made.least = LESS(made.least, clipped);
+    }
+    return made;
+}
+
+// Returns the factor that scales the signals of another block to the signals of a clipped block, and computes the likeness of the scaled
+// signals to the signals of the clipped block.
+INLINE float scale_to(const Clipped *block, const float *signal, float *likeness) {
     float ratio[CHANNELS], sum = 0.0f, squares = FAINTEST, difference = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
-        ratio[k] = signal[k] * inverse[k];
-        const float part = open[k] * ratio[k];
+        ratio[k] = signal[k] * block->inverse[k];
+        const float part = block->open[k] * ratio[k];
         sum += part;
         squares += part * ratio[k];
     }
     const float scale = sum / squares;
     for (int k = 0; k < CHANNELS; k++) {
-        const float missing = 1.0f - scale * ratio[k], counted = missing > 0.0f ? 1.0f : open[k];
+        const float missing = 1.0f - scale * ratio[k], counted = missing > 0.0f ? 1.0f : block->open[k];
         difference += counted * missing * missing;
     }
-    const float alike = 1.0f - difference * (1.0f / MAX_DIFFERENCE), part = MORE(alike, 0.0f);
-    *likeness = part * part;
+    const float alike = 1.0f - difference * (1.0f / MAX_DIFFERENCE);
+    *likeness = MORE(alike, 0.0f);
     return scale;
 }
 
-// Computes the last three maps of block (y, x), which describe the hue of similar unclipped blocks nearby.
-INLINE float3 hue_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
-                     int columns) {
-    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
-    float inverse[CHANNELS], open[CHANNELS], signal[CHANNELS], total[CHANNELS] = {0.0f};
-    float most = 0.0f, least = 1.0f, likeness = 0.0f, alike;
+// Estimates the signals that a clipped block would have if no channel clipped, from the mixture of a colour and white that fits the unclipped
+// channels best.
+INLINE void estimate(float *made, const Clipped *block, const float *colour, __global const float *white) {
+    float ratio[CHANNELS], of_white[CHANNELS], squares = FAINTEST, scale = 0.0f, white_scale = 0.0f, rests = WHITE_DOUBT, added = 0.0f;
     for (int k = 0; k < CHANNELS; k++) {
-        const float mean = means[k * plane + at];
-        const float clipped = smooth_step(mean, KEPT_UP_TO, REPLACED_FROM);
-        inverse[k] = 1.0f / MORE(mean, MIN_SIGNAL);
-        open[k] = 1.0f - clipped;
-        most = MORE(most, clipped);
-        least = LESS(least, clipped);
+        ratio[k] = colour[k] * block->inverse[k];
+        of_white[k] = white[k] * block->inverse[k];
+        const float part = block->open[k] * ratio[k];
+        squares += part * ratio[k];
+        scale += part;
+        white_scale += part * of_white[k];
     }
-    if (most == 0.0f || least == 1.0f) return 0.0f;
+    scale /= squares;
+    white_scale /= squares;
+    for (int k = 0; k < CHANNELS; k++) {
+        const float rest = of_white[k] - white_scale * ratio[k], part = block->open[k] * rest;
+        rests += part * rest;
+        added += part * (1.0f - scale * ratio[k]);
+    }
+    added = MORE(added, 0.0f) / rests;
+    const float rest = scale - added * white_scale, of_colour = MORE(rest, 0.0f);
+    for (int k = 0; k < CHANNELS; k++) {
+        const float mixed = of_colour * colour[k] + added * white[k], own = block->own[k];
+        made[k] = block->open[k] * own + (1.0f - block->open[k]) * MORE(mixed, own);
+    }
+}
+
+// Estimates the signals of block (y, x) from similar unclipped blocks nearby, and stores the signals and the reliability of the estimate. If
+// no channel of the block clips or all channels clip, the function stores only the reliability NOT_ESTIMATED.
+#define NOT_ESTIMATED (-1.0f)
+
+INLINE void store_estimate(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                           __global float *restrict estimates, int rows, int columns) {
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
+    const Clipped block = clipped_at(at, plane, means);
+    estimates[CHANNELS * plane + at] = NOT_ESTIMATED;
+    if (block.most == 0.0f || block.least == 1.0f) return;
+    float signal[CHANNELS], total[CHANNELS] = {0.0f}, likeness = 0.0f, alike;
     for (int i = -HUE_STEPS; i <= HUE_STEPS; i++)
         for (int j = -HUE_STEPS; j <= HUE_STEPS; j++) {
             const int down = y + i * HUE_ROWS, right = x + j * HUE_COLUMNS;
@@ -190,25 +236,81 @@ INLINE float3 hue_of(int y, int x, __global const float *restrict means, __globa
             if (brightest == 0.0f || brightest >= REPLACED_FROM) continue;
             const float trust = 1.0f - smooth_step(brightest, KEPT_UP_TO, REPLACED_FROM);
             const int near = (HUE_STEPS + 1 - (i < 0 ? -i : i)) * (HUE_STEPS + 1 - (j < 0 ? -j : j));
-            const float scale = scale_to(inverse, open, signal, &alike);
-            const float weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike;
+            const float scale = scale_to(&block, signal, &alike);
+            const float weight = near * (1.0f / HUE_WEIGHTS) * trust * trust * alike * alike;
             likeness += weight;
             for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
         }
-    if (likeness == 0.0f) return 0.0f;
-    for (int k = 0; k < CHANNELS; k++) signal[k] = response[(CHANNELS + 1) * (CHANNELS + 1) * 3 + k];
-    scale_to(inverse, open, signal, &alike);
-    const float taken = most * (1.0f - least) * likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike);
-    float output[3] = {0.0f, 0.0f, 0.0f};
-    for (int k = 0; k < CHANNELS; k++)
-        for (int o = 0; o < 3; o++) output[o] += total[k] * response[k * 3 + o];
-    const float luminance = MORE(output[1], FAINTEST * FAINTEST);
-    return taken * (float3)(1.0f, WITHIN(output[0] / luminance, 0.0f, MAX_HUE), WITHIN(output[2] / luminance, 0.0f, MAX_HUE));
+    __global const float *white = response + (CHANNELS + 1) * (CHANNELS + 1) * 3;
+    for (int k = 0; k < CHANNELS; k++) {
+        total[k] = likeness > 0.0f ? total[k] / likeness : block.own[k];
+        signal[k] = white[k];
+    }
+    scale_to(&block, signal, &alike);
+    const float own = 1.0f - block.most, found = likeness / (likeness + HUE_DOUBT + GREY_DOUBT * alike * alike);
+    estimates[CHANNELS * plane + at] = (1.0f - block.least) * MORE(own * own, found);
+    if (likeness > 0.0f) estimate(signal, &block, total, white);
+    else for (int k = 0; k < CHANNELS; k++) signal[k] = block.own[k];
+    for (int k = 0; k < CHANNELS; k++) estimates[k * plane + at] = signal[k];
 }
 
-INLINE float8 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response, int rows,
+// Computes the first four maps of a block and its uniformity, and stores the estimate of its signals. The hue maps follow in `spread_at`.
+INLINE float8 maps_of(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                      __global float *restrict estimates, int rows, int columns) {
+    float plain = 0.0f;
+    const float4 replacement = replacement_of(y, x, means, response, rows, columns, &plain);
+    store_estimate(y, x, means, response, estimates, rows, columns);
+    return (float8)(replacement, 0.0f, 0.0f, 0.0f, plain);
+}
+
+// Spreads the estimates `from` over uniform areas by one step: stores the new estimate of block (y, x) in `to`, and its hue in `maps`.
+INLINE void spread_at(int y, int x, __global const float *restrict means, __global const float *restrict response,
+                      __global const float *restrict from, __global float *restrict to, __global float *restrict maps, int rows,
                       int columns) {
-    return (float8)(replacement_of(y, x, means, response, rows, columns), hue_of(y, x, means, response, rows, columns), 0.0f);
+    const size_t plane = (size_t)rows * columns, at = (size_t)y * columns + x;
+    float best = from[CHANNELS * plane + at], likeness = best, signal[CHANNELS], total[CHANNELS], alike;
+    to[CHANNELS * plane + at] = best;
+    if (best == NOT_ESTIMATED) return;
+    const Clipped block = clipped_at(at, plane, means);
+    for (int k = 0; k < CHANNELS; k++) total[k] = best * from[k * plane + at];
+    const float plain = maps[8 * at + 7] * (1.0f - block.least);
+    for (int n = 0; n < 9 && plain > 0.0f; n++) {
+        const int i = n / 3 - 1, j = n % 3 - 1, down = y + i * SPREAD_ROWS, right = x + j * SPREAD_COLUMNS;
+        if (n == 4 || down < 0 || down >= rows || right < 0 || right >= columns) continue;
+        const size_t there = (size_t)down * columns + right;
+        const size_t between = (size_t)(y + i * (SPREAD_ROWS / 2)) * columns + x + j * (SPREAD_COLUMNS / 2);
+        float reliable = from[CHANNELS * plane + there], change = 0.0f, opens = FAINTEST, brightest = 0.0f;
+        const bool estimated = reliable != NOT_ESTIMATED;
+        for (int k = 0; k < CHANNELS; k++) {
+            const float mean = means[k * plane + there], differs = 1.0f - mean * block.inverse[k];
+            brightest = MORE(brightest, mean);
+            change += block.open[k] * differs * differs;
+            opens += block.open[k];
+            signal[k] = estimated ? from[k * plane + there] : mean;
+        }
+        if (!estimated) reliable = brightest > 0.0f && brightest <= KEPT_UP_TO ? 1.0f : 0.0f;
+        const float scale = scale_to(&block, signal, &alike), same = alike - change / opens * (1.0f / MAX_CHANGE);
+        float weight = plain * maps[8 * between + 7] * maps[8 * there + 7] * reliable * MORE(same, 0.0f);
+        best = MORE(best, weight);
+        weight *= i && j ? 0.25f : 0.5f;
+        likeness += weight;
+        for (int k = 0; k < CHANNELS; k++) total[k] += weight * scale * signal[k];
+    }
+    if (likeness > 0.0f) {
+        for (int k = 0; k < CHANNELS; k++) total[k] /= likeness;
+        estimate(signal, &block, total, response + (CHANNELS + 1) * (CHANNELS + 1) * 3);
+    } else
+        for (int k = 0; k < CHANNELS; k++) signal[k] = block.own[k];
+    to[CHANNELS * plane + at] = best;
+    float output[3] = {0.0f, 0.0f, 0.0f};
+    for (int k = 0; k < CHANNELS; k++) {
+        to[k * plane + at] = signal[k];
+        for (int o = 0; o < 3; o++) output[o] += signal[k] * response[k * 3 + o];
+    }
+    const float luminance = MORE(output[1], FAINTEST * FAINTEST), taken = block.most * best;
+    maps[8 * at + 4] = taken;
+    maps[8 * at + 5] = taken * WITHIN(output[0] / luminance, 0.0f, MAX_HUE);
+    maps[8 * at + 6] = taken * WITHIN(output[2] / luminance, 0.0f, MAX_HUE);
 }
 
 // Position of a quad between two blocks along one axis.

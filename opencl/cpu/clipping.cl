@@ -57,8 +57,14 @@ KERNEL_OF_ONE measure_blocks(__global const ushort *restrict raw, __global const
 }
 
 KERNEL_OF_ONE map_blocks(__global const float *restrict means, __global const float *restrict response,
-                         __global float8 *restrict maps, int rows, int columns) {
-    EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, rows, columns);
+                         __global float8 *restrict maps, __global float *restrict estimates, int rows, int columns) {
+    EACH_OF_TILE maps[(size_t)y * columns + x] = maps_of(y, x, means, response, estimates, rows, columns);
+}
+
+KERNEL_OF_ONE spread_estimates(__global const float *restrict means, __global const float *restrict response,
+                               __global const float *restrict from, __global float *restrict to, __global float *restrict maps,
+                               int rows, int columns) {
+    EACH_OF_TILE spread_at(y, x, means, response, from, to, maps, rows, columns);
 }
 
 // Number of blocks in a row from which the maps of LANES quads are interpolated
@@ -75,6 +81,7 @@ COMPILED_ONCE read_maps_of_tile(int x0, int y0, __global const float8 *restrict 
             const size_t at = (size_t)y * QUADS_STRIDE(plane_columns) + x;
             float8 any = 0.0f;
             for (int b = start; b < end; b++) any += above[b] * above[b] + below[b] * below[b];
+            any.s7 = 0.0f;  // the uniformity
             const float4 sums = any.lo + any.hi;
             if (sums.x + sums.y + sums.z + sums.w == 0.0f)
                 for (int m = 0; m < MAPS; m++) STORE_FIRST(to + m * quads + at, (floats)0.0f, columns - x);

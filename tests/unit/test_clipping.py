@@ -190,6 +190,29 @@ def test_clipped_areas_take_the_hue_of_the_same_surface_nearby() -> None:
     np.testing.assert_allclose(z / taken, colour[2] / colour[1], rtol=0.06)
 
 
+@pytest.mark.parametrize(("name", "most"), [("bayer", 0.035), ("fiveband", 0.055)])
+def test_an_over_exposed_sky_keeps_its_hue_far_from_unclipped_sky(name: str, most: float) -> None:
+    """Rows of sky become brighter and less blue downwards. The mean error of X/Y and Z/Y is relative to a white."""
+    camera, radiance, white, to_signals, clipping = learned(name)
+    blue = np.interp(camera.wavelength, [400, 480, 600, 700], [0.6, 0.6, 0.2, 0.15])[:, None]
+    brightness, share = np.linspace(0.6, 1.2, 240), np.linspace(0, 0.6, 240)
+    sky = radiance[:, None] * ((1 - share) * blue + share)
+    signals, colours = to_signals.T @ sky, sky.T @ spectra.xyz_weights(camera.wavelength).T
+    level = brightness / (signals[:, 0].max() / 0.9)
+    rows, cols = np.indices((240, 48))
+    channel = camera.cfa[rows % camera.cfa.shape[0], cols % camera.cfa.shape[1]]
+    values = np.minimum((level * signals)[channel, rows], 1.0)
+    mosaic = Mosaic((60000 * values).astype(np.uint16), camera.cfa, 0.0, 60000.0)
+    taken, *maps = clipping_maps(mosaic, clipping.response, clipping.white)[4:, :, 24]
+    clips = (level * signals).max(axis=0) > 1
+    partly = clips & ((level * signals).min(axis=0) < 0.85)
+    far = np.flatnonzero(partly)[40:]  # rows that are at least 40 pixels from unclipped sky
+    assert far.size > 30
+    assert taken[far].min() > 0.5
+    truth, of_white = colours[far][:, ::2] / colours[far][:, 1:2], white[::2] / white[1]
+    assert np.abs((np.stack(maps, 1)[far] / taken[far, None] - truth) / of_white).mean() < most
+
+
 def test_a_white_that_clips_keeps_its_hue_beside_vivid_surfaces() -> None:
     camera, radiance, _, to_signals, clipping = learned("bayer")
     signals = radiance @ to_signals

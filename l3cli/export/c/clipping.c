@@ -1,14 +1,16 @@
 
 /* --------------------------------------------------------------------------------------------------- uniform clipped areas */
 
-#define MAPS 7
+#define MAPS 8
 #define CLIP_BLOCKS(length, side) (((length) + (side) - 1) / (side))
 
 /* Values of blocks of whole CFA periods. README.md ("Uniform clipped areas", "Hue of clipped areas") contains the formulas. */
 typedef struct {
     float *means; /* (block row, block column, channel + 1) means as fractions of full scale, then the largest range of a channel,
                      or -1 if the block is too dark or lacks a channel */
-    float *maps;  /* (block row, block column, MAPS) w and the three values q, then c, x and z of the formulas */
+    float *maps;  /* (block row, block column, MAPS) w and the three values q, then c, x and z of the formulas, then f */
+    float *estimates[2]; /* (block row, block column, channel + 1) estimated signals, before and after a step, then their reliability,
+                            or -1 if no channel clips or all channels clip */
 } Clipping;
 
 static Clipping clipping_in(Room *room, int rows, int columns) {
@@ -16,6 +18,7 @@ static Clipping clipping_in(Room *room, int rows, int columns) {
     Clipping c;
     c.means = take(room, blocks * (L3_CHANNELS + 1), sizeof *c.means);
     c.maps = take(room, blocks * MAPS, sizeof *c.maps);
+    for (int i = 0; i < 2; i++) c.estimates[i] = take(room, blocks * (L3_CHANNELS + 1), sizeof *c.estimates[i]);
     return c;
 }
 
@@ -81,7 +84,7 @@ static void add_clipped(const float *signal, float factor, float *added) {
     }
 }
 
-/* Computes the fraction and the replacement of block (y, x). */
+/* Computes the fraction, the replacement and the uniformity of block (y, x). */
 static void map_block(const float *means, int y, int x, int rows, int columns, float *map) {
     const float *own = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
     float signal[L3_CHANNELS] = {0}, grey[L3_CHANNELS], brightest = 0, widest = 0;
@@ -100,6 +103,7 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
     for (int c = 0; c < L3_CHANNELS; c++)
         if (signal[c] > brightest) brightest = signal[c];
     const float plain = 1 - smooth_step(widest, L3_CLIP_PLAIN, L3_CLIP_TEXTURED), level = grey_level(signal);
+    map[7] = plain;
     map[0] = plain * smooth_step(brightest, L3_CLIP_KEPT, L3_CLIP_REPLACED);
     for (int c = 0; c < L3_CHANNELS; c++) {
         const float seen = level * l3_clip_white[c];
@@ -110,38 +114,73 @@ static void map_block(const float *means, int y, int x, int rows, int columns, f
     add_clipped(grey, -plain, map + 1);
 }
 
-/* Returns the factor that scales `signal`, the signals of a block, to `own`, the signals of a clipped block. Computes the likeness of the
-   scaled signals to the signals of the clipped block, in which each channel clips to the degree `clipped`. */
-static float scale_to(const float *own, const float *clipped, const float *signal, float *likeness) {
+/* A block in which some channels clip, but not all. */
+typedef struct {
+    float own[L3_CHANNELS];     /* signals, at least L3_HUE_DARKEST */
+    float clipped[L3_CHANNELS]; /* degree to which each channel clips */
+    float most, least;          /* the largest and the smallest of these degrees */
+} Clipped;
+
+static Clipped clipped_block(const float *signal) {
+    Clipped b = {{0}, {0}, 0, 1};
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        b.own[c] = signal[c] > L3_HUE_DARKEST ? signal[c] : L3_HUE_DARKEST;
+        b.clipped[c] = smooth_step(signal[c], L3_CLIP_KEPT, L3_CLIP_REPLACED);
+        if (b.clipped[c] > b.most) b.most = b.clipped[c];
+        if (b.clipped[c] < b.least) b.least = b.clipped[c];
+    }
+    return b;
+}
+
+/* Returns the factor that scales `signal`, the signals of another block, to the signals of the clipped block `b`. Computes the likeness of
+   the scaled signals to the signals of the clipped block. */
+static float scale_to(const Clipped *b, const float *signal, float *likeness) {
     float sum = 0, squares = L3_CLIP_FAINTEST, difference = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
-        const float ratio = signal[c] / own[c];
-        sum += (1 - clipped[c]) * ratio;
-        squares += (1 - clipped[c]) * ratio * ratio;
+        const float ratio = signal[c] / b->own[c];
+        sum += (1 - b->clipped[c]) * ratio;
+        squares += (1 - b->clipped[c]) * ratio * ratio;
     }
     const float scale = sum / squares;
     for (int c = 0; c < L3_CHANNELS; c++) {
-        const float missing = 1 - scale * signal[c] / own[c], lacking = missing > 0 ? missing : 0;
-        difference += (1 - clipped[c]) * missing * missing + clipped[c] * lacking * lacking;
+        const float missing = 1 - scale * signal[c] / b->own[c], lacking = missing > 0 ? missing : 0;
+        difference += (1 - b->clipped[c]) * missing * missing + b->clipped[c] * lacking * lacking;
     }
-    const float alike = 1 - difference / L3_HUE_DIFFERENCE;
-    *likeness = alike > 0 ? alike * alike : 0;
+    *likeness = difference < L3_HUE_DIFFERENCE ? 1 - difference / L3_HUE_DIFFERENCE : 0;
     return scale;
 }
 
-static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
-
-/* Computes the last three values of `map`, the hue of similar unclipped blocks near block (y, x). The three values must be 0 before. */
-static void map_hue(const float *means, int y, int x, int rows, int columns, float *map) {
-    const float *signal = means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1);
-    float own[L3_CHANNELS], clipped[L3_CHANNELS], total[L3_CHANNELS] = {0}, most = 0, least = 1, likeness = 0, alike;
+/* Estimates the signals that the clipped block `b` would have if no channel clipped, from the mixture of `colour` and white that fits the
+   unclipped channels best. */
+static void estimate(const Clipped *b, const float *colour, float *made) {
+    float squares = L3_CLIP_FAINTEST, scale = 0, white_scale = 0, rests = L3_HUE_WHITE_DOUBT, added = 0;
     for (int c = 0; c < L3_CHANNELS; c++) {
-        own[c] = signal[c] > L3_HUE_DARKEST ? signal[c] : L3_HUE_DARKEST;
-        clipped[c] = smooth_step(signal[c], L3_CLIP_KEPT, L3_CLIP_REPLACED);
-        if (clipped[c] > most) most = clipped[c];
-        if (clipped[c] < least) least = clipped[c];
+        const float ratio = colour[c] / b->own[c], part = (1 - b->clipped[c]) * ratio;
+        squares += part * ratio;
+        scale += part;
+        white_scale += part * l3_clip_white[c] / b->own[c];
     }
-    if (most <= 0 || least >= 1) return;
+    scale /= squares;
+    white_scale /= squares;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float ratio = colour[c] / b->own[c], rest = l3_clip_white[c] / b->own[c] - white_scale * ratio;
+        rests += (1 - b->clipped[c]) * rest * rest;
+        added += (1 - b->clipped[c]) * rest * (1 - scale * ratio);
+    }
+    added = added > 0 ? added / rests : 0;
+    const float kept = scale - added * white_scale > 0 ? scale - added * white_scale : 0;
+    for (int c = 0; c < L3_CHANNELS; c++) {
+        const float mixed = kept * colour[c] + added * l3_clip_white[c];
+        made[c] = (1 - b->clipped[c]) * b->own[c] + b->clipped[c] * (mixed > b->own[c] ? mixed : b->own[c]);
+    }
+}
+
+/* Estimates the signals of block (y, x) from similar unclipped blocks nearby, and the reliability of the estimate. */
+static void estimate_block(const float *means, int y, int x, int rows, int columns, float *made) {
+    const Clipped block = clipped_block(means + ((ptrdiff_t)y * columns + x) * (L3_CHANNELS + 1));
+    float total[L3_CHANNELS] = {0}, likeness = 0, alike;
+    made[L3_CHANNELS] = -1;
+    if (block.most <= 0 || block.least >= 1) return;
     for (int i = -L3_HUE_STEPS; i <= L3_HUE_STEPS; i++)
         for (int j = -L3_HUE_STEPS; j <= L3_HUE_STEPS; j++) {
             const int row = y + i * L3_HUE_ROWS, column = x + j * L3_HUE_COLUMNS;
@@ -152,18 +191,68 @@ static void map_hue(const float *means, int y, int x, int rows, int columns, flo
                 if (there[c] > brightest) brightest = there[c];
             const float open = 1 - smooth_step(brightest, L3_CLIP_KEPT, L3_CLIP_REPLACED);
             const int near = (L3_HUE_STEPS + 1 - (i < 0 ? -i : i)) * (L3_HUE_STEPS + 1 - (j < 0 ? -j : j));
-            const float scale = scale_to(own, clipped, there, &alike);
-            const float weight = (float)near / L3_HUE_WEIGHTS * open * open * alike;
+            const float scale = scale_to(&block, there, &alike);
+            const float weight = (float)near / L3_HUE_WEIGHTS * open * open * alike * alike;
             likeness += weight;
             for (int c = 0; c < L3_CHANNELS; c++) total[c] += weight * scale * there[c];
         }
+    (void)scale_to(&block, l3_clip_white, &alike);
+    const float open = (1 - block.most) * (1 - block.most);
+    const float found = likeness / (likeness + L3_HUE_DOUBT + L3_HUE_GREY_DOUBT * alike * alike);
+    made[L3_CHANNELS] = (1 - block.least) * (found > open ? found : open);
+    for (int c = 0; c < L3_CHANNELS; c++) made[c] = block.own[c];
     if (likeness <= 0) return;
-    (void)scale_to(own, clipped, l3_clip_white, &alike);
+    for (int c = 0; c < L3_CHANNELS; c++) total[c] /= likeness;
+    estimate(&block, total, made);
+}
+
+static float within_hue(float ratio) { return ratio < 0 ? 0 : ratio > L3_HUE_MOST ? L3_HUE_MOST : ratio; }
+
+/* Spreads the estimates `from` over uniform areas by one step. Stores the new estimate of block (y, x) in `to`, and its hue in `maps`. */
+static void spread_block(const float *means, const float *from, int y, int x, int rows, int columns, float *to, float *maps) {
+    const ptrdiff_t at = (ptrdiff_t)y * columns + x;
+    const float *own = from + at * (L3_CHANNELS + 1);
+    float *made = to + at * (L3_CHANNELS + 1), *map = maps + at * MAPS;
+    float total[L3_CHANNELS], best = own[L3_CHANNELS], likeness = best, alike;
+    made[L3_CHANNELS] = best;
+    if (best < 0) return;
+    const Clipped block = clipped_block(means + at * (L3_CHANNELS + 1));
+    for (int c = 0; c < L3_CHANNELS; c++) total[c] = best * own[c];
+    for (int n = 0; n < 9; n++) {
+        const int i = n / 3 - 1, j = n % 3 - 1, row = y + i * L3_SPREAD_ROWS, column = x + j * L3_SPREAD_COLUMNS;
+        if (n == 4 || row < 0 || row >= rows || column < 0 || column >= columns) continue;
+        const ptrdiff_t there = (ptrdiff_t)row * columns + column;
+        const ptrdiff_t between = (ptrdiff_t)(y + i * (L3_SPREAD_ROWS / 2)) * columns + x + j * (L3_SPREAD_COLUMNS / 2);
+        const float *mean = means + there * (L3_CHANNELS + 1), *estimated = from + there * (L3_CHANNELS + 1);
+        float reliable = estimated[L3_CHANNELS], change = 0, opens = L3_CLIP_FAINTEST, brightest = 0;
+        for (int c = 0; c < L3_CHANNELS; c++) {
+            const float differs = 1 - mean[c] / block.own[c];
+            if (mean[c] > brightest) brightest = mean[c];
+            change += (1 - block.clipped[c]) * differs * differs;
+            opens += 1 - block.clipped[c];
+        }
+        if (reliable < 0) {
+            estimated = mean;
+            reliable = brightest > 0 && brightest <= L3_CLIP_KEPT ? 1 : 0;
+        }
+        const float scale = scale_to(&block, estimated, &alike), same = alike - change / opens / L3_SPREAD_CHANGE;
+        float weight = map[7] * maps[between * MAPS + 7] * maps[there * MAPS + 7] * (1 - block.least) * reliable * (same > 0 ? same : 0);
+        if (weight > best) best = weight;
+        weight *= i && j ? 0.25f : 0.5f;
+        likeness += weight;
+        for (int c = 0; c < L3_CHANNELS; c++) total[c] += weight * scale * estimated[c];
+    }
+    made[L3_CHANNELS] = best;
+    for (int c = 0; c < L3_CHANNELS; c++) made[c] = block.own[c];
+    if (likeness > 0) {
+        for (int c = 0; c < L3_CHANNELS; c++) total[c] /= likeness;
+        estimate(&block, total, made);
+    }
     float output[3] = {0};
     for (int c = 0; c < L3_CHANNELS; c++)
-        for (int o = 0; o < 3; o++) output[o] += total[c] * l3_clip_response[c * 3 + o];
+        for (int o = 0; o < 3; o++) output[o] += made[c] * l3_clip_response[c * 3 + o];
     const float tiny = L3_CLIP_FAINTEST * L3_CLIP_FAINTEST, luminance = output[1] > tiny ? output[1] : tiny;
-    map[4] = most * (1 - least) * likeness / (likeness + L3_HUE_DOUBT + L3_HUE_GREY_DOUBT * alike);
+    map[4] = block.most * best;
     map[5] = map[4] * within_hue(output[0] / luminance);
     map[6] = map[4] * within_hue(output[2] / luminance);
 }
@@ -186,10 +275,13 @@ static void replace_clipped(const Clipping *c, const uint16_t *padded, int rows,
                           c->means + ((ptrdiff_t)y * across + x) * (L3_CHANNELS + 1));
     for (int y = 0; y < down; y++)
         for (int x = 0; x < across; x++) {
-            float *map = c->maps + ((ptrdiff_t)y * across + x) * MAPS;
-            map_block(c->means, y, x, down, across, map);
-            map_hue(c->means, y, x, down, across, map);
+            map_block(c->means, y, x, down, across, c->maps + ((ptrdiff_t)y * across + x) * MAPS);
+            estimate_block(c->means, y, x, down, across, c->estimates[0] + ((ptrdiff_t)y * across + x) * (L3_CHANNELS + 1));
         }
+    for (int step = 0; step < L3_SPREADS; step++)
+        for (int y = 0; y < down; y++)
+            for (int x = 0; x < across; x++)
+                spread_block(c->means, c->estimates[step % 2], y, x, down, across, c->estimates[1 - step % 2], c->maps);
     for (int y = 0; y < rows; y++)
         for (int x = 0; x < columns; x++) {
             float low, side, made[MAPS];

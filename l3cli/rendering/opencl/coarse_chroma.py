@@ -10,7 +10,7 @@ import numpy as np
 
 from l3cli.artifacts.layers import CoarseChroma
 from l3cli.artifacts.table import TransformTable
-from l3cli.classes.clipping import MAPS, QUAD, block_sides, first_bright
+from l3cli.classes.clipping import MAPS, QUAD, SPREADS, block_sides, first_bright
 from l3cli.classes.coarse_chroma import BLOCK, SPACINGS, scales_of
 from l3cli.classes.planes import LUMINANCE
 from l3cli.frames.frame import RawFrame
@@ -18,7 +18,7 @@ from l3cli.rendering.opencl.devices import pyopencl
 from l3cli.rendering.opencl.layout import COARSE_MACROS, COARSE_MARGIN, UNLIKE_ANY, clipping_macros, paired_source
 from l3cli.rendering.opencl.work import Band, Track, scratch
 
-BLOCK_MAPS = 8  # maps of a block in memory, where OpenCL stores them as a float8; the last one is not used
+BLOCK_MAPS = 8  # maps of a block in memory, where OpenCL stores them as a float8; the last one is the uniformity
 READ_AHEAD = 16  # number of elements after the end of the data that vector loads may read
 
 
@@ -94,7 +94,7 @@ class DeviceClipping:
     ) -> None:  # fmt: skip
         """Store the arguments, which are the same as for `DeviceCoarseChroma`. Nothing is compiled yet."""
         self._make, self._run, self._constant, self._table, self._variant = kernel, run, constant, table, variant
-        self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks" and "read_maps"
+        self._kernels: list[Any] = []  # the kernels "measure_blocks", "map_blocks", "spread_estimates" and "read_maps"
         self._constants: list[Any] = []  # buffers with the CFA, and with the response and the white
 
     def maps(self, track: Track, band: Band, frame: RawFrame) -> tuple[list[Any], Any]:
@@ -113,11 +113,11 @@ class DeviceClipping:
         assert clipping is not None
         if not self._kernels:
             source = paired_source(self._variant, "clipping.cl", "common/quads.cl")
-            names = ("measure_blocks", "map_blocks", "read_maps")
+            names = ("measure_blocks", "map_blocks", "spread_estimates", "read_maps")
             self._kernels = [self._make(source, clipping_macros(table), name) for name in names]
             response = np.append(clipping.response, clipping.white)
             self._constants = [self._constant(table.cfa, np.uint8), self._constant(response, np.float32)]
-        (measure, make_maps, read), (cfa, response) = self._kernels, self._constants
+        (measure, make_maps, spread, read), (cfa, response) = self._kernels, self._constants
         rows, columns = frame.values.shape
         blocks = tuple(-(-length // side) for length, side in zip((rows, columns), block_sides(table.cfa), strict=True))
         shape = band.shape(len(band.later) - 1)
@@ -125,12 +125,17 @@ class DeviceClipping:
         context, size = track.queue.context, 4 * blocks[0] * blocks[1]
         track.means = scratch(context, track.means, size * (len(table.channels) + 1))
         track.maps = scratch(context, track.maps, size * BLOCK_MAPS)
+        track.estimates = [scratch(context, each, size * (len(table.channels) + 1)) for each in track.estimates]
         track.quads = scratch(context, track.quads, 4 * (MAPS * quads[0] * (quads[1] + READ_AHEAD) + READ_AHEAD))
         bright, span = first_bright(frame.black_level, table.white_level), table.white_level - frame.black_level
         levels = np.int32(bright), np.float32(frame.black_level), np.float32(span)
         where = *frame.phase, band.raw_rows.start, band.raw_rows.stop - band.raw_rows.start, rows, columns
         events = [self._run(measure, track, blocks, track.raw, cfa, track.means, *levels, *map(np.int32, where))]
-        events.append(self._run(make_maps, track, blocks, track.means, response, track.maps))
+        (made, other), means = track.estimates, track.means
+        events.append(self._run(make_maps, track, blocks, means, response, track.maps, made))
+        for _ in range(SPREADS):
+            events.append(self._run(spread, track, blocks, means, response, made, other, track.maps))
+            made, other = other, made
         where = band.reads[len(band.later) - 1].start, *blocks, *shape
         events.append(self._run(read, track, quads, track.maps, track.quads, *map(np.int32, where)))
         return events, track.quads

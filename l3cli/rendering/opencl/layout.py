@@ -231,6 +231,8 @@ def clipping_macros(table: TransformTable) -> Macros:
         "HUE_DOUBT": clipping.HUE_DOUBT,
         "GREY_DOUBT": clipping.GREY_DOUBT,
         "MAX_HUE": clipping.MAX_HUE,
+        "MAX_CHANGE": clipping.MAX_CHANGE,
+        "WHITE_DOUBT": clipping.WHITE_DOUBT,
     }
     return {
         "CHANNELS": len(table.channels),
@@ -241,6 +243,8 @@ def clipping_macros(table: TransformTable) -> Macros:
         "HUE_WEIGHTS": (clipping.HUE_STEPS + 1) ** 4,
         "HUE_ROWS": clipping.hue_spacing(rows),
         "HUE_COLUMNS": clipping.hue_spacing(columns),
+        "SPREAD_ROWS": clipping.spread_spacing(rows),
+        "SPREAD_COLUMNS": clipping.spread_spacing(columns),
         "BLOCK_ROWS": rows,
         "BLOCK_COLUMNS": columns,
         "MAX_RAW": 2**table.bits - 1,

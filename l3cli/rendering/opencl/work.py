@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from l3cli.artifacts.table import TransformTable
+from l3cli.classes.clipping import reach as clipping_reach
 from l3cli.classes.coarse_chroma import BLOCK
 from l3cli.classes.coarse_chroma import REACH as COARSE_REACH
 from l3cli.classes.structure import BORDER_PIXELS
@@ -72,6 +73,7 @@ class Track:
         self.coarse: tuple[tuple[int, int], list[Any]] | None = None  # shape and buffers of coarse chroma
         self.means: Any = None  # block means of the mosaic, for the replacement of uniform clipped areas
         self.maps: Any = None  # values of each block for the replacement of clipped areas
+        self.estimates: list[Any] = [None, None]  # estimated signals of clipped blocks, before and after a step
         self.quads: Any = None  # `maps`, interpolated to quads of pixels
         self.first: Any = None  # outputs of the first layer; only used if the last layer corrects these outputs
         self.made: Any = None  # outputs before chroma or spectra are smoothed
@@ -197,7 +199,7 @@ class Band:
     # For each refinement layer, the rows of its input planes. Then, if the table smooths chroma or spectra, the rows of the
     # outputs to be smoothed. The last element is the rows of the band itself.
     reads: tuple[slice, ...]
-    raw_rows: slice  # rows of the raw frame that the patches of the first layer need
+    raw_rows: slice  # rows of the raw frame that the patches of the first layer and the values of clipped areas need
     columns: int  # number of columns of the frame
     mosaic_source: tuple[Source, Source]  # index buffers for rows, counted from the first of `raw_rows`, and for columns
     later: tuple[PlaneSource, ...]  # one per refinement layer
@@ -253,6 +255,10 @@ def bands(table: TransformTable, shape: tuple[int, ...], constant: Callable[[NDA
             reads.insert(0, slice(max(0, above), min(rows, reads[0].stop + margin)))
         seen = row_source[reads[0].start : reads[0].stop + 2 * radius]
         raw_rows = slice(int(seen.min()), int(seen.max()) + 1)
+        if table.later and table.later[-1].clipping:
+            read, margin = reads[len(table.later) - 1], clipping_reach(cfa)
+            start, stop = max(0, read.start - margin), min(rows, read.stop + margin)
+            raw_rows = slice(min(raw_rows.start, start), max(raw_rows.stop, stop))
         later = tuple(
             PlaneSource(
                 (outside(made, BORDER_PIXELS, read), outside(made, BORDER_PIXELS, reads[0]), across[BORDER_PIXELS]),
