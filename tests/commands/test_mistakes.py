@@ -54,6 +54,12 @@ MISTAKES = """
         not valid TOML
     2 calibrate two_kinds.toml -o new.h5
         contains mono and curves
+    2 calibrate rotator.toml -o new.h5
+        [rotator] describes the polariser of [[polariser]] captures; add the captures, or remove it
+    2 calibrate reference.toml -o new.h5
+        the channel "r" of "rotator.reference" has no angle; set channel.r.polariser_deg
+    2 calibrate two_zeros.toml -o new.h5
+        "rotator.reference" sets the zero of the scale; remove "rotator.offset_deg" or "rotator.reference"
     1 calibrate lab/MEASUREMENTS.toml -o folder
         folder is a folder; choose a file
     1 calibrate lab/MEASUREMENTS.toml -o raw.tif/new.h5
@@ -120,6 +126,8 @@ MISTAKES = """
         nothing.tif does not exist; use a raw file
     3 render table.h5 cut.raw -o new.png
         specify the layout with --size ROWSxCOLS, --packing, --stride and --skip
+    2 render table.h5 cut.raw -o new.png --packing PolarizedStokes_S0_S1_S2_Mono8
+        values that the camera computed from the raw values; record frames in a format such as PolarizeMono12p
     2 render table.h5 raw.tif
         Missing option '-o'
     2 render table.h5 -o new.png
@@ -384,11 +392,15 @@ RAW_FILES = {
     "above.pgm": b"P5 2 1 9\n\x01\x0a",
     "text.fits": b"nothing",
 }
+TURNED = "".join(f'[[polariser]]\nframes = ["a.tif"]\nexposure_s = 0.01\nangle_deg = {angle}\n' for angle in (0, 60, 120))
 MEASUREMENTS = {  # what is replaced in the measurement file, by the file with the mistake
     "no_pitch": ("pixel_pitch_um = 4.0\n", ""),
     "bits": ("bits = 12", "bits = 99"),
     "broken": ("[sensor]", "[sensor"),
     "two_kinds": ("[sensor]", '[curves]\nfile = "x.csv"\n[sensor]'),
+    "rotator": ("[sensor]", "[rotator]\nextinction = 1000\n[sensor]"),
+    "reference": ("[sensor]", f'{TURNED}[rotator]\nreference = "r"\n[sensor]'),
+    "two_zeros": ("[sensor]", f'{TURNED}[rotator]\nreference = "r"\noffset_deg = 3\n[sensor]'),
 }
 
 

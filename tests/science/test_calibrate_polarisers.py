@@ -129,7 +129,7 @@ def test_a_reference_channel_sets_the_zero_of_the_scale(
     assert fit is not None
     np.testing.assert_allclose(difference(fit.angle, ANGLES - 1.2), 0.0, atol=0.05)
     assert fit.angle_error[0] == 0.0
-    with pytest.raises(InputFileError, match="subtract 27° from"):
+    with pytest.raises(InputFileError, match="27°"):
         measure_polarisers(measured, figures)
 
 
@@ -138,11 +138,11 @@ def test_captures_that_contradict_are_refused(body: Body, figures: SensorFigures
     wrong[4] += 10.0
     with pytest.raises(InputFileError, match=r"^70deg\.tif"):
         measure_polarisers(captured(body, LIGHT, wrong), figures)
-    with pytest.raises(InputFileError, match="channel p90 has 2 usable angles"):
+    with pytest.raises(InputFileError, match="p90 has 2"):
         measure_polarisers(captured(body, np.array([0.0, 90.0, 180.0])), figures)
-    with pytest.raises(InputFileError, match="usable angles"):
+    with pytest.raises(InputFileError, match="p90 has 3"):
         measure_polarisers(captured(body, np.array([0.0, 5.0, 10.0])), figures)
-    with pytest.raises(InputFileError, match=r"channel p90 changes by only 9.*polariser_deg"):
+    with pytest.raises(InputFileError, match=r"p90 .* 9\.\d%"):
         measure_polarisers(captured(body, LIGHT, polarisation=0.1), figures)
 
 
@@ -150,10 +150,10 @@ def test_captures_that_contradict_are_refused(body: Body, figures: SensorFigures
     ("stated", "named", "cure"),
     [
         ([90.0, 45.0, 135.0, 0.0], [], ""),
-        ([45.0, 90.0, 135.0, 0.0], ["p90", "p45"], "cfa.pattern"),
-        ([90.0, 0.0, 135.0, 45.0], ["p45", "p0"], "cfa.pattern"),
+        ([45.0, 90.0, 135.0, 0.0], ["p90", "p45"], ""),
+        ([90.0, 0.0, 135.0, 45.0], ["p45", "p0"], ""),
         ([90.0, 135.0, 45.0, 0.0], ["p45", "p135"], "counter-clockwise"),
-        ([135.0, 90.0, 0.0, 45.0], ["p90", "p45", "p135", "p0"], "subtract 135°"),
+        ([135.0, 90.0, 0.0, 45.0], ["p90", "p45", "p135", "p0"], "135°"),
     ],
 )
 def test_swapped_polarisers_are_named(
@@ -168,9 +168,9 @@ def test_swapped_polarisers_are_named(
     with pytest.raises(InputFileError) as refusal:
         measure_polarisers(measured, figures)
     line = str(refusal.value)
-    assert line.startswith("polarisers are swapped")
     assert [name for name in body.channels if f"{name} has" in line] == named
     assert cure in line
+    assert ("angle_deg" in line) == bool(cure)
 
 
 # ------------------------------------------------------------------------------------------------------- the commands
@@ -224,7 +224,7 @@ def test_a_check_finds_swapped_polarisers(unit: Path, lab: Path, tmp_path: Path,
     text = (lab / "MEASUREMENTS.toml").read_text()
     (lab / "swapped.toml").write_text(text.replace('["p90 p45", "p135 p0"]', '["p0 p45", "p135 p90"]'))
     assert l3("check", lab / "swapped.toml")[0] == 3
-    assert "polarisers are swapped: p90 has 179.8° instead of 91°" in l3("check", lab / "swapped.toml")[1]
+    assert "p90 has 179.8° instead of 91°" in l3("check", lab / "swapped.toml")[1]
     assert "p0 has 91.2°" in refused(3, "calibrate", lab / "swapped.toml", "-o", tmp_path / "new.h5")
 
     # Without angles in the measurement file, the recipe in the same folder states them.
