@@ -27,7 +27,6 @@ from l3cli.physics.polarisation import difference, malus
 
 BRIGHTNESS = 0.05  # relative standard deviation of the brightness of a capture, before it is estimated from the channels
 BLACK_ERROR = 0.05  # DN; standard deviation of the black level, which drifts after the dark frames
-LEAST_ANGLE_ERROR = 1e-4  # degrees; smaller errors of the angles of the rotating polariser count as this one
 LARGEST_CONDITION = 20.0  # condition number of Malus's law over the angles of the captures; with 0°, 10° and 20°, it is 64
 LEAST_MODULATION = 0.2  # a smaller modulation means that the light is not polarised, or that a channel has no polariser
 WRONG_ANGLE = 3.0  # degrees; a larger error of the stated angle of a capture is a typing error
@@ -92,18 +91,17 @@ def fit_polarisers(
     from scipy.optimize import least_squares
 
     (captures, channels), used = rate.shape, np.isfinite(deviation)
-    # An error of 0 would fix the angles. Fixing them nearly keeps the equations the same for all errors.
-    certain = max(light_angle_error, LEAST_ANGLE_ERROR)
     first = first_guess(light_angle, rate, used, polarised, light_polarisation)
     count = int(polarised.sum())
     black = np.broadcast_to(black_error, captures)[:, None]
+    # The parameters are changes from the first fit, then values with priors, in units of their prior standard deviations.
     parts = np.cumsum([channels, count, count, channels, captures])
 
     def unpacked(values: Array) -> tuple[Array, ...]:
         gain, turn, leak, offset, brightness, light_turn = np.split(values, parts)
         leakage, angle = np.ones(channels), np.zeros(channels)
         leakage[polarised], angle[polarised] = leak, turn
-        angle, turned = first.angle + np.degrees(angle), light_angle + certain * light_turn
+        angle, turned = first.angle + np.degrees(angle), light_angle + light_angle_error * light_turn
         return first.gain * np.exp(gain), angle, leakage, offset * black, np.exp(BRIGHTNESS * brightness), turned
 
     def predict(values: Array) -> Array:
@@ -115,7 +113,8 @@ def fit_polarisers(
 
     start = np.concatenate([np.zeros(channels + count), first.leakage[polarised], np.zeros(channels + 2 * captures)])
     solved = least_squares(residuals, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    # The prior of the brightness is so wide that each capture uses one rate to determine its brightness.
+    # Each parameter uses up one rate, except for the errors of angles and black levels, whose priors are narrow. The overall
+    # brightness is not a parameter of its own, because the gains contain it.
     spare = int(used.sum()) - parts[2] - (len(rate) - 1)
     scatter = 2.0 * solved.cost / spare if spare > 0 else 1.0
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * max(1.0, scatter)

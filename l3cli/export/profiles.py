@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from l3cli import __version__
 from l3cli.artifacts.camera import CameraModel, FlatField
 from l3cli.calibration.figures import camera_figures
+from l3cli.calibration.responsivity import COVERAGE
 from l3cli.frames.shading import interpolation
 from l3cli.io.curves import curve_text
 from l3cli.physics import spectra
@@ -331,8 +332,33 @@ def datasheet(camera: CameraModel) -> list[Row]:
         rows.append(("peak responsivity", channel, float(height), unit, source))
         rows += [("95 % band at the peak", channel, float(band), unit, source)] if band else []
         rows.append(("peak wavelength", channel, float(camera.wavelength[peak]), "nm", source))
+    rows += _polariser_rows(camera, peaks, given)
     share = np.bincount(camera.cfa.ravel(), minlength=len(camera.channels)) / camera.cfa.size
     rows += [("share of the pixels", n, 100 * float(s), "%", given) for n, s in zip(camera.channels, share, strict=True)]
+    return rows
+
+
+def _polariser_rows(camera: CameraModel, peaks: NDArray[np.integer], given: str) -> list[Row]:
+    """Return the rows of the polarisers: angles and finite extinction ratios, with 95 % bands if they were measured.
+
+    `peaks` contains the index of the peak wavelength of each channel, and `given` the source of values that were not
+    measured.
+    """
+    polarisers, fit = camera.polarisers, camera.fit.polarisers if camera.fit else None
+    rows: list[Row] = []
+    if polarisers is None:
+        return rows
+    source = given if fit is None else "measured"
+    for index in np.flatnonzero(polarisers.present).tolist():
+        channel, leakage = camera.channels[index], float(polarisers.leakage[index, peaks[index]])
+        rows.append(("polariser angle", channel, float(polarisers.polariser_deg[index]), "deg", source))
+        if fit is not None:
+            rows.append(("95 % band of the angle", channel, COVERAGE * float(fit.angle_error[index]), "deg", source))
+        if leakage > 0:
+            rows.append(("extinction ratio", channel, 1 / leakage, "1", source))
+        if leakage > 0 and fit is not None:
+            band = COVERAGE * float(fit.leakage_error[index]) / leakage**2
+            rows.append(("95 % band of the extinction ratio", channel, band, "1", source))
     return rows
 
 

@@ -1,5 +1,6 @@
 """Frames behind a rotating polariser give the angle, the extinction ratio and the gain of each channel."""
 
+import csv
 import json
 import re
 import shutil
@@ -9,14 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from l3cli.artifacts.camera import CameraModel
+from l3cli.artifacts.camera import CameraModel, Polarisers
 from l3cli.artifacts.camera_recipe import load_camera
 from l3cli.artifacts.store import load
 from l3cli.calibration.captures import measure_polarisers
+from l3cli.calibration.model import from_data_sheet
 from l3cli.calibration.polarisers import fit_polarisers
 from l3cli.cli import run
 from l3cli.errors import InputFileError
-from l3cli.frames.measurement import Body, Measurements, PolariserCapture, Rotator, SensorFigures
+from l3cli.frames.measurement import (
+    LEAKAGE_NM,
+    Body,
+    FinishedCurves,
+    Measurements,
+    PolariserCapture,
+    Rotator,
+    SensorFigures,
+)
 from l3cli.io.measurements import read_measurements
 from l3cli.physics.polarisation import difference, malus
 from l3cli.recipes.builtin import find_recipe
@@ -173,6 +183,25 @@ def test_swapped_polarisers_are_named(
     assert ("angle_deg" in line) == bool(cure)
 
 
+@pytest.mark.parametrize("captures", [0, LIGHT.size])
+def test_responsivities_are_those_along_the_axis(
+    captures: int, body: Body, figures: SensorFigures, recipe_camera: CameraModel
+) -> None:
+    """Curves describe unpolarised light. Without captures, the polarisers are as stated."""
+    stated = Polarisers(np.array([90.0, 45.0, 135.0, 0.0]), np.full((4, LEAKAGE_NM.size), 0.25))
+    curves = FinishedCurves(np.arange(400.0, 701.0, 10.0), np.outer([1.0, 0.9, 1.0, 0.8], np.linspace(0.5, 1.0, 31)))
+    measured = captured(replace(body, polarisers=stated), LIGHT)
+    camera = from_data_sheet(replace(measured, polariser=measured.polariser[:captures], curve=curves), figures)
+    assert camera.polarisers is not None
+    angles, leakage = (ANGLES, LEAKAGE) if captures else (stated.polariser_deg, np.full(4, 0.25))
+    np.testing.assert_allclose(difference(camera.polarisers.polariser_deg, angles), 0.0, atol=0.1)
+    np.testing.assert_allclose(camera.polarisers.leakage, np.repeat(leakage[:, None], 31, axis=1), atol=2e-4)
+    passed = camera.responsivity * camera.stokes_response[:, 0]
+    np.testing.assert_allclose(passed / passed.max(), curves.responsivity, rtol=1e-12)
+    assert camera.responsivity.max() == 1.0
+    assert (camera.fit is not None and camera.fit.polarisers is not None) == bool(captures)
+
+
 # ------------------------------------------------------------------------------------------------------- the commands
 
 
@@ -217,6 +246,12 @@ def test_a_camera_measured_in_the_lab(unit: Path, lab: Path, tmp_path: Path, l3:
     assert made.fit.polarisers is not None
     assert l3("report", camera, "-o", tmp_path / "report.html")[0] == 0
     assert "Signals behind a rotating polariser" in (tmp_path / "report.html").read_text()
+    assert l3("export", camera, "-o", tmp_path / "profiles")[0] == 0
+    with (tmp_path / "profiles/datasheet.csv").open() as stream:
+        rows = {(row["quantity"], row["channel"]): row for row in csv.DictReader(stream)}
+    assert abs(float(rows["polariser angle", "p45"]["value"]) - 44.5) < 0.1
+    assert float(rows["extinction ratio", "p45"]["value"]) == pytest.approx(1 / made.fit.polarisers.leakage[1])
+    assert rows["95 % band of the angle", "p45"]["source"] == "measured"
     np.testing.assert_allclose(made.polarisers.leakage, made.fit.polarisers.leakage[:, None].repeat(made.wavelength.size, 1))
 
 
