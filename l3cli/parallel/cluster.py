@@ -178,9 +178,16 @@ _GONE = "the scheduler has stopped; start it and its workers again"
 def _sent_out(
     client: Any, workers: _Workers, function: Callable[[T], R], items: Iterable[T], fits: Callable[[T, R], bool]
 ) -> Iterator[R]:
-    """Send items to the workers, at most two per worker at a time, and yield the results in order.
+    """Apply a function to items on the workers, and yield the results in the order of the items.
 
-    The workers keep the results until they are needed.
+    At most two items per worker are sent at a time. The workers keep the results until they are needed. If the caller stops
+    early, the unfinished items are cancelled.
+
+    Raises
+    ------
+    L3Error
+        If the scheduler or all workers are gone, if a worker has other software, if the function fails, or if `fits` rejects
+        a result.
     """
 
     def work(versions: dict[str, str], content: bytes) -> bytes:

@@ -68,8 +68,8 @@ class ReferenceRenderer:
     def exact_outputs(self, frame: RawFrame) -> NDArray[np.float64]:
         """Return the outputs (output, row, col) in float64, without the rounding to float32 of `outputs`.
 
-        The outputs include all steps after the layers: clipped areas, the gain of the shading, and the smoothing of spectra
-        or chroma.
+        The outputs include all steps after the layers: the replacement of clipped areas, the gain of the shading, the
+        smoothing of spectra or chroma, and the correction for dark current.
         """
         levelled = at_table_levels(frame, self.table)
         labels = self._labels(levelled)

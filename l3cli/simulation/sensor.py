@@ -191,7 +191,8 @@ def _collected(
 ) -> NDArray[np.float32]:  # fmt: skip
     """Return the electrons in each pixel, with dark current and noise.
 
-    `noises` is "none", "all", or another value for shot noise alone. Signals are limited to MAX_ELECTRONS.
+    `noises` is "all", "shot" (only shot noise) or "none". With "all", the fixed pattern is applied too. Signals are limited
+    to MAX_ELECTRONS before noise is added.
     """
     noise = camera.noise
     signal = np.clip(electrons, 0.0, MAX_ELECTRONS) + np.minimum(noise.dark_current * time, MAX_ELECTRONS)

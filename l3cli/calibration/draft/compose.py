@@ -324,7 +324,11 @@ class Composer:
             self.shared.add(key)
 
     def _unit(self, table: CurveTable, column: int | None) -> None:
-        """Add the unit of radiances if the heading of the column contains no unit."""
+        """Add the unit of radiances if the heading of the column contains no unit.
+
+        The unit of photon radiances is assumed if the values are usual for photon radiances. Otherwise, a TODO with the peak
+        is added. If `column` is given and the draft has already explained the unit, no TODO is added.
+        """
         if unknown_unit(table, column):
             if column is None or "unit" not in self.shared:
                 peak = radiances(table, column).max()

@@ -436,7 +436,7 @@ def match_light(chart: Group, tables: Sequence[Spectra]) -> tuple[Spectra | None
 
 
 def radiances(table: CurveTable, column: int | None) -> Array:
-    """Return the values of one column, counted from 0, or of the whole table."""
+    """Return the values of column `column`, counted from 0, or of the whole table if `column` is None."""
     return table.values if column is None else table.values[column : column + 1]
 
 

@@ -118,9 +118,9 @@ def placed(prior: Prior, places: Sequence[int], channels: int) -> Prior:
 def plausible(channels: Sequence[str], known: CurveStatistics | None) -> list[Prior]:
     """Return the possible priors of a camera.
 
-    They are the prior of measured cameras, the prior of cameras that differ from the measured cameras, and the smooth
-    prior. The measured cameras have the channels r, g and b. If the camera lacks one of these channels, the only
-    possible prior is the smooth prior.
+    If the camera has the channels r, g and b, the possible priors are the prior of measured cameras, the prior of cameras
+    that differ from the measured cameras, and the smooth prior. Otherwise, or if `known` is None, the only possible prior is
+    the smooth prior.
     """
     if known is None or not set(ROLES) <= set(channels):
         return [smooth(len(channels))]
@@ -507,7 +507,7 @@ def _likelihood(shots: Sequence[Shot], among: Sequence[Prior]) -> float:
 
 
 def _under(shots: Sequence[Shot], index: int, light: Array) -> list[Shot]:
-    """Return the shots with a different illuminant for the shot `index`."""
+    """Return the shots, with `light` as the illuminant of the shot with the given index."""
     return [replace(shot, light=light) if number == index else shot for number, shot in enumerate(shots)]
 
 

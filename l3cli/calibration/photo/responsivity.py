@@ -321,7 +321,8 @@ def _priors(measurements: Measurements) -> list[Prior]:
 def _without_far_ones(shots: list[Shot], prior: Prior) -> tuple[Posterior, list[Shot], list[tuple[int, int, int]]]:
     """Fit the shots, and repeat the fit without outliers.
 
-    At most MOST_FAR outliers are left out.
+    Outliers are values that deviate from the fit by more than FAR standard deviations. At most MOST_FAR outliers, the
+    farthest, are left out.
 
     Returns
     -------

@@ -180,7 +180,14 @@ def _vignette(opcode: Opcode, warps: tuple[LensWarp, ...]) -> Vignette:
 
 
 def _warps(opcode: Opcode, planes: Sequence[int], area: tuple[int, int]) -> list[LensWarp]:
-    """Return the warp of an opcode, or nothing if it leaves all pixels where they are."""
+    """Return the warp of an opcode, or an empty list if it leaves all pixels where they are.
+
+    Raises
+    ------
+    ValueError
+        If the number of sets of terms is not 1 or the number of planes, if a term or the centre is out of range, or if
+        the warp changes distances by more than a factor of MOST_WARP.
+    """
     (count,) = struct.unpack_from(">I", opcode.content)
     if count not in (1, len(planes)):
         raise ValueError(f"a lens warp has terms for {count} colour planes instead of {len(planes)}")
